@@ -1,0 +1,1 @@
+"""The assurance loop. Knows no domain; needs numpy and the standard library only."""

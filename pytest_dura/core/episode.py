@@ -1,0 +1,277 @@
+"""EpisodeSpec: all that determines an episode, as plain data. Episode: what came of it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.metrics import DependabilityMetrics, FaultRecord
+from pytest_dura.core.roles import RoleSpec
+from pytest_dura.core.state import Event
+
+Validity = Literal["valid", "invalid", "missing"]
+
+POLICIES = ("recover", "halt", "log_only", "refine")
+
+
+@dataclass(frozen=True)
+class Policy:
+    """What follows a refused proposal; ``refine`` asks the Generator again at most ``attempts`` times."""
+
+    name: str = "recover"
+    attempts: int = 0
+
+    @classmethod
+    def parse(cls, text: str) -> Policy:
+        """From ``recover``, ``halt``, ``log_only`` or ``refine(k)``.
+
+        Raises:
+            ConfigurationError: For anything else.
+        """
+        name, _, rest = text.strip().partition("(")
+        if name in POLICIES[:3] and not rest:
+            return cls(name)
+        if name == "refine" and rest.endswith(")") and rest[:-1].isdecimal() and int(rest[:-1]) > 0:
+            return cls("refine", int(rest[:-1]))
+        raise ConfigurationError(
+            f"unknown policy {text!r}",
+            key="policy",
+            found=text,
+            expected="recover, halt, log_only, or refine(k) with k of at least 1",
+        )
+
+    def __str__(self) -> str:
+        return f"refine({self.attempts})" if self.name == "refine" else self.name
+
+
+@dataclass(frozen=True)
+class Termination:
+    """When an episode ends, besides a critical failure.
+
+    Args:
+        time_limit: Simulated seconds.
+        goal: Whether reaching the goal ends it.
+        violation: Whether a violation ends it, once every requirement is decided.
+        iterations: At most this many ticks, if given.
+    """
+
+    time_limit: float = 30.0
+    goal: bool = True
+    violation: bool = False
+    iterations: int | None = None
+
+
+@dataclass(frozen=True)
+class EpisodeSpec:
+    """Plain data from which the same episode follows on any machine, in any order.
+
+    Args:
+        case: Id of the case.
+        run: Number of the run within the case, from 0.
+        seed: Seed of every stream in the episode.
+        simulator: How to build the simulator.
+        roles: How to build each role, by role name.
+        scenario: The scenario as the simulator and the roles read it.
+        faults: The planned faults; each has at least ``id`` and ``target``.
+        policy: What follows a refused proposal.
+        termination: When the episode ends.
+        time_step: Simulated seconds per tick.
+        time_budget: Seconds for one proposal: declared latency, or wall-clock time as a guard
+            against a component that hangs. ``None`` waits for ever.
+        timeouts: Recorded ticks at which the component overran its wall-clock budget. Given,
+            they are applied instead of the clock, so that a replay is exact.
+    """
+
+    case: str
+    run: int
+    seed: int
+    simulator: RoleSpec
+    roles: Mapping[str, RoleSpec]
+    scenario: Mapping[str, Any] = field(default_factory=dict)
+    faults: tuple[Mapping[str, Any], ...] = ()
+    policy: Policy = Policy()
+    termination: Termination = Termination()
+    time_step: float = 0.1
+    time_budget: float | None = 5.0
+    timeouts: tuple[int, ...] | None = None
+
+    @property
+    def id(self) -> str:
+        """``case#run``."""
+        return f"{self.case}#{self.run}"
+
+    @property
+    def component(self) -> str:
+        """Name of the component under test."""
+        generator = self.roles.get("generator")
+        return generator.label if generator else "none"
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data, from which :meth:`from_json` makes an equal spec."""
+        return {
+            "case": self.case,
+            "run": self.run,
+            "seed": self.seed,
+            "simulator": self.simulator.to_json(),
+            "roles": {name: role.to_json() for name, role in sorted(self.roles.items())},
+            "scenario": dict(self.scenario),
+            "faults": [dict(fault) for fault in self.faults],
+            "policy": str(self.policy),
+            "termination": asdict(self.termination),
+            "time_step": self.time_step,
+            "time_budget": self.time_budget,
+            "timeouts": None if self.timeouts is None else list(self.timeouts),
+        }
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> EpisodeSpec:
+        """The inverse of :meth:`to_json`."""
+        return cls(
+            case=data["case"],
+            run=data["run"],
+            seed=data["seed"],
+            simulator=RoleSpec.from_json(data["simulator"]),
+            roles={name: RoleSpec.from_json(role) for name, role in data["roles"].items()},
+            scenario=data["scenario"],
+            faults=tuple(data["faults"]),
+            policy=Policy.parse(data["policy"]),
+            termination=Termination(**data["termination"]),
+            time_step=data["time_step"],
+            time_budget=data["time_budget"],
+            timeouts=None if data["timeouts"] is None else tuple(data["timeouts"]),
+        )
+
+    @cached_property
+    def key(self) -> str:
+        """SHA-256 of what determines the trace; the wall-clock guard is no part of it."""
+        data = self.to_json()
+        del data["time_budget"], data["timeouts"]
+        return hashlib.sha256(canonical(data)).hexdigest()
+
+
+@dataclass
+class Episode:
+    """One closed-loop run.
+
+    Args:
+        spec: What it was run from.
+        time: Simulated seconds of each tick, shape ``(ticks,)``.
+        signals: Ground-truth signals by name, and percept signals as ``percept.name``;
+            each of shape ``(ticks,)``.
+        decisions: Columns of shape ``(ticks - 1,)``, since nobody decides on the last state:
+            ``verdict`` (0 safe, 1 warning, 2 unsafe), ``source`` (proposal, recovery, fallback),
+            ``proposed`` and ``executed`` (texts), ``attempts``.
+        events: In the order in which they happened.
+        faults: One record per planned fault.
+        termination: ``goal``, ``time``, ``critical``, ``violation``, ``iterations``, ``halt`` or
+            ``infrastructure``.
+        failure: The message of the infrastructure error, if there was one.
+        timeouts: Ticks at which the component overran its wall-clock budget.
+        metrics: What DependabilityMetrics measured.
+    """
+
+    spec: EpisodeSpec
+    time: NDArray[np.float64]
+    signals: dict[str, NDArray[np.float64]]
+    decisions: dict[str, NDArray[Any]]
+    events: tuple[Event, ...]
+    faults: tuple[FaultRecord, ...]
+    termination: str
+    metrics: DependabilityMetrics
+    failure: str | None = None
+    timeouts: tuple[int, ...] = ()
+
+    @property
+    def id(self) -> str:
+        """``case#run``."""
+        return self.spec.id
+
+    @property
+    def ticks(self) -> int:
+        """Number of states, the initial one included."""
+        return len(self.time)
+
+    @property
+    def validity(self) -> Validity:
+        """``missing`` after an infrastructure error; ``invalid`` if a planned fault never manifested.
+
+        A violation counts all the same: requirements look at the signals first.
+        """
+        if self.failure is not None:
+            return "missing"
+        if any(fault.manifested_at is None for fault in self.faults):
+            return "invalid"
+        return "valid"
+
+    @property
+    def invalid_reason(self) -> str | None:
+        """Which planned fault never manifested, if any."""
+        idle = [fault.id for fault in self.faults if fault.manifested_at is None]
+        return f"never manifested: {', '.join(idle)}" if idle else None
+
+    def ever(self, signal: str) -> bool:
+        """Whether a signal was above 0.5 at any tick."""
+        return bool((self.signal(signal) > 0.5).any())
+
+    def signal(self, name: str) -> NDArray[np.float64]:
+        """One signal's column.
+
+        Raises:
+            ConfigurationError: For an unknown name.
+        """
+        try:
+            return self.signals[name]
+        except KeyError:
+            raise ConfigurationError(
+                f"this episode has no signal {name!r}",
+                found=name,
+                expected="one of " + ", ".join(sorted(self.signals)),
+            ) from None
+
+    @property
+    def collided(self) -> bool:
+        """Whether the signal ``collided`` was ever raised."""
+        return self.ever("collided")
+
+    @property
+    def flagged(self) -> bool:
+        """Whether any proposal was found unsafe."""
+        return bool((self.decisions["verdict"] == 2).any())
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of everything but wall-clock timings; equal for equal specs on one platform."""
+        state = hashlib.sha256(self.spec.key.encode())
+        columns = {"time": self.time, **self.signals, **self.decisions}
+        for name in sorted(columns):
+            column = np.ascontiguousarray(columns[name])
+            state.update(f"|{name}|{column.dtype.str}|{column.shape}|".encode())
+            state.update(column.tobytes())
+        events = [event.to_json() for event in self.events if not event.wall_clock]
+        rest = [events, [asdict(fault) for fault in self.faults], self.termination]
+        rest += [self.metrics.deterministic(), list(self.timeouts), self.failure is not None]
+        state.update(canonical(rest))
+        return state.hexdigest()
+
+
+def canonical(data: Any) -> bytes:
+    """JSON with sorted keys and no spare blanks: one byte string for equal data."""
+    return json.dumps(data, sort_keys=True, separators=(",", ":"), default=_plain).encode()
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, (np.generic, np.ndarray)):
+        return value.tolist()
+    if isinstance(value, Mapping):
+        return dict(value)
+    raise TypeError(f"{type(value).__name__} is not plain data")
+
+

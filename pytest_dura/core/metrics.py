@@ -1,0 +1,167 @@
+"""DependabilityMetrics: what the loop measures of one episode."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from pytest_dura.core.episode import Episode
+
+
+@dataclass
+class FaultRecord:
+    """One fault from plan to detection; times in simulated seconds, ``None`` for what did not happen.
+
+    A fault manifests when the value of a channel that the Generator read at that tick, or the
+    command, was changed. ``detected_at`` is the first alert from then until one second after the
+    fault's end; ``detected_by`` names its pattern.
+    """
+
+    id: str
+    target: str
+    planned_at: float | None = None
+    activated_at: float | None = None
+    manifested_at: float | None = None
+    deactivated_at: float | None = None
+    detected_at: float | None = None
+    detected_by: str | None = None
+    manifest_ticks: int = 0
+    flagged_ticks: int = 0
+
+    @property
+    def success(self) -> bool:
+        """Whether the fault reached the component or the plant."""
+        return self.manifested_at is not None
+
+    @property
+    def detection_latency(self) -> float | None:
+        """Seconds from manifestation to the first alert."""
+        if self.manifested_at is None or self.detected_at is None:
+            return None
+        return self.detected_at - self.manifested_at
+
+
+@dataclass
+class DependabilityMetrics:
+    """Violations by type, performance over time, robustness scores, faults, recovery, timings.
+
+    Args:
+        violations: Ticks at which each kind was violated: a role's name for an unsafe
+            assessment, ``component`` for a failed proposal, ``performance:x`` for a threshold.
+        performance: Values over time by name: ``(times, values)``.
+        robustness: The score of each monitor by role name: ``(times, scores)``.
+        faults: One record per planned fault.
+        recoveries: Stretches of ticks in which recovery acted: ``(first, last, success)``.
+            A stretch succeeds if the proposal was acceptable again and nothing critical followed.
+        processing_ns: Wall-clock nanoseconds by role: ``(ticks, nanoseconds)``.
+        user: User-defined metrics, filled when the episode is complete.
+    """
+
+    violations: Counter[str] = field(default_factory=Counter)
+    performance: dict[str, tuple[list[float], list[float]]] = field(default_factory=dict)
+    wall_clock: dict[str, tuple[list[float], list[float]]] = field(default_factory=dict)
+    robustness: dict[str, tuple[list[float], list[float]]] = field(default_factory=dict)
+    faults: dict[str, FaultRecord] = field(default_factory=dict)
+    recoveries: list[tuple[int, int, bool]] = field(default_factory=list)
+    processing_ns: dict[str, tuple[list[int], list[int]]] = field(default_factory=dict)
+    alerts: int = 0
+    proposals: int = 0
+    valid_proposals: int = 0
+    user: dict[str, float] = field(default_factory=dict)
+
+    def log_time(self, role: str, tick: int, nanoseconds: int) -> None:
+        """Processing time of a role at a tick."""
+        ticks, values = self.processing_ns.setdefault(role, ([], []))
+        ticks.append(tick)
+        values.append(nanoseconds)
+
+    def log_score(self, role: str, time: float, score: float) -> None:
+        """Robustness score of a monitor."""
+        times, scores = self.robustness.setdefault(role, ([], []))
+        times.append(time)
+        scores.append(score)
+
+    def log_performance(
+        self, time: float, values: Mapping[str, float], wall_clock: Mapping[str, float]
+    ) -> None:
+        """Performance values; those that depend on the machine's speed are kept apart."""
+        for table, source in ((self.performance, values), (self.wall_clock, wall_clock)):
+            for name, value in source.items():
+                times, column = table.setdefault(name, ([], []))
+                times.append(time)
+                column.append(value)
+
+    def log_recovery(self, tick: int) -> None:
+        """Recovery acted at this tick."""
+        if self.recoveries and self.recoveries[-1][1] == tick - 1:
+            self.recoveries[-1] = (self.recoveries[-1][0], tick, False)
+        else:
+            self.recoveries.append((tick, tick, False))
+
+    def settle_recoveries(self, last_tick: int, critical: bool) -> None:
+        """Decide which stretches of recovery succeeded, once the episode is over."""
+        for i, (first, last, _) in enumerate(self.recoveries):
+            ended = last < last_tick
+            is_final = i == len(self.recoveries) - 1
+            self.recoveries[i] = (first, last, ended and not (critical and is_final))
+
+    def measure(self, metrics: Mapping[str, Callable[[Episode], float]], episode: Episode) -> None:
+        """Fill in the user-defined metrics of a complete episode."""
+        for name, metric in metrics.items():
+            self.user[name] = float(metric(episode))
+
+    def column(self, name: str) -> NDArray[np.float64]:
+        """A performance value over time; empty if it was never logged."""
+        table = self.performance if name in self.performance else self.wall_clock
+        return np.asarray(table.get(name, ((), ()))[1], dtype=float)
+
+    def deterministic(self) -> dict[str, Any]:
+        """All that does not depend on the machine's speed, as plain data."""
+        return {
+            "violations": {
+                kind: count
+                for kind, count in sorted(self.violations.items())
+                if not kind.startswith("wall_clock:")
+            },
+            "performance": self.performance,
+            "robustness": self.robustness,
+            "recoveries": self.recoveries,
+            "alerts": self.alerts,
+            "proposals": [self.proposals, self.valid_proposals],
+        }
+
+    def summary(self) -> dict[str, Any]:
+        """One number per item, for records and tables."""
+        faults = list(self.faults.values())
+        succeeded = [recovery for recovery in self.recoveries if recovery[2]]
+        return {
+            "violations": dict(sorted(self.violations.items())),
+            "performance": {name: _last_and_worst(v) for name, (_, v) in self.performance.items()},
+            "wall_clock": {name: _last_and_worst(v) for name, (_, v) in self.wall_clock.items()},
+            "robustness_min": {role: min(v) for role, (_, v) in self.robustness.items()},
+            "faults": {
+                "planned": len(faults),
+                "succeeded": sum(fault.success for fault in faults),
+                "detected": sum(fault.detected_at is not None for fault in faults),
+                "impact_ticks": sum(fault.flagged_ticks for fault in faults),
+            },
+            "recoveries": len(self.recoveries),
+            "recoveries_succeeded": len(succeeded),
+            "alerts": self.alerts,
+            "proposals": self.proposals,
+            "valid_proposals": self.valid_proposals,
+            "processing_us": {
+                role: float(np.mean(ns)) / 1000.0 for role, (_, ns) in self.processing_ns.items()
+            },
+            "user": dict(self.user),
+        }
+
+
+def _last_and_worst(values: list[float]) -> dict[str, float]:
+    return {"last": values[-1], "min": min(values), "max": max(values)}

@@ -1,0 +1,341 @@
+"""The roles of the loop: an abstract base, the six bases with typed outputs, and RoleSpec."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import Any, ClassVar
+
+from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.state import NOTHING, GeneratorView, RoleView
+
+
+class Assessed(IntEnum):
+    """What a monitor says of a proposal; the worst of all monitors wins."""
+
+    SAFE = 0
+    WARNING = 1
+    UNSAFE = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Proposal:
+    """The Generator's output.
+
+    ``latency`` is the component's own response time in seconds, where it is modelled or known;
+    it is held against the time budget, and is deterministic where wall-clock time is not.
+    """
+
+    action: Any
+    explanation: str = ""
+    latency: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Assessment:
+    """The output of a monitor. ``score`` is its margin: the larger, the safer."""
+
+    verdict: Assessed = Assessed.SAFE
+    score: float = 0.0
+    reasons: tuple[str, ...] = ()
+    critical: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Alert:
+    """A suspicion about the percept or the component: which pattern, about whom."""
+
+    pattern: str
+    subject: str
+    detail: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class SecurityAssessment(Assessment):
+    """A monitor's output with alerts, the faults to activate, and the component's reaction."""
+
+    alerts: tuple[Alert, ...] = ()
+    directives: tuple[str, ...] = ()
+    reaction: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class PerformanceAssessment:
+    """Values over time. ``wall_clock`` holds those that depend on the machine's speed.
+
+    ``performance_fail`` names the thresholds that were passed at this tick. Performance never
+    activates recovery.
+    """
+
+    values: Mapping[str, float] = NOTHING
+    wall_clock: Mapping[str, float] = NOTHING
+    performance_fail: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Injection:
+    """What the FaultInjector did at this tick, by fault id."""
+
+    activated: tuple[str, ...] = ()
+    deactivated: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Recovery:
+    """The RecoveryPlanner's output: the action that replaces the proposal."""
+
+    action: Any
+    name: str
+    explanation: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class RoleContext:
+    """What a role learns before an episode: plain data, never the ground truth.
+
+    ``seed`` with :func:`pytest_dura.core.seeding.stream` and the role's own name gives its draws.
+    """
+
+    seed: int
+    dt: float
+    scenario: Mapping[str, Any] = NOTHING
+    faults: tuple[Mapping[str, Any], ...] = ()
+
+
+class Role(ABC):
+    """One V&V function. Subclass this for a role of your own; it needs ``name`` and ``run``.
+
+    ``after`` names roles that run earlier in the same tick. ``reassess`` says whether the role
+    runs again when the Generator refines a refused proposal within a tick.
+    """
+
+    name: ClassVar[str] = ""
+    after: ClassVar[tuple[str, ...]] = ()
+    reassess: ClassVar[bool] = True
+
+    def reset(self, context: RoleContext) -> None:  # noqa: B027 - stateless roles need none
+        """Begin an episode; forget everything of the one before."""
+
+    def trigger(self, view: RoleView) -> bool:
+        """Whether the role runs at this tick."""
+        return True
+
+    @abstractmethod
+    def run(self, view: RoleView) -> Any:
+        """Do the role's work; the output lands in the StateManager under the role's name."""
+
+
+class Generator(Role):
+    """The component under test."""
+
+    name = "generator"
+
+    @abstractmethod
+    def propose(self, view: GeneratorView) -> Proposal:
+        """An action for this tick, from the percept alone."""
+
+    def run(self, view: RoleView) -> Any:
+        """Not scheduled: the loop calls :meth:`propose` with the Generator's own view."""
+        raise NotImplementedError("the loop calls propose() with a GeneratorView")
+
+
+class SafetyMonitor(Role):
+    """Judges the proposal: is it safe to carry out?"""
+
+    name = "safety_monitor"
+
+    @abstractmethod
+    def run(self, view: RoleView) -> Assessment:
+        """The assessment of the proposal at hand."""
+
+
+class SecurityAssessor(Role):
+    """Directs attacks to a plan and watches percept and component for their traces."""
+
+    name = "security_assessor"
+    after = ("safety_monitor",)
+
+    @abstractmethod
+    def run(self, view: RoleView) -> SecurityAssessment:
+        """Alerts, directives and the component's reaction."""
+
+
+class FaultInjector(Role):
+    """Activates faults and applies them to channels and commands."""
+
+    name = "fault_injector"
+    after = ("security_assessor",)
+    reassess = False
+
+    @abstractmethod
+    def run(self, view: RoleView) -> Injection:
+        """Activate and deactivate what is planned or directed."""
+
+    def corrupt(
+        self, channels: Mapping[str, Any], time: float
+    ) -> tuple[Mapping[str, Any], Mapping[str, tuple[str, ...]]]:
+        """Channels after active sensor faults, and by channel the ids of the faults that changed it."""
+        return channels, NOTHING
+
+    def corrupt_command(self, action: Any, time: float) -> tuple[Any, tuple[str, ...]]:
+        """The command after active command faults, and the ids of the faults that changed it."""
+        return action, ()
+
+
+class PerformanceOracle(Role):
+    """Measures how well and how quickly the task is done."""
+
+    name = "performance_oracle"
+    after = ("fault_injector",)
+    reassess = False
+
+    @abstractmethod
+    def run(self, view: RoleView) -> PerformanceAssessment:
+        """Values of this tick and the thresholds they passed."""
+
+
+class RecoveryPlanner(Role):
+    """Replaces a refused proposal."""
+
+    name = "recovery_planner"
+
+    @abstractmethod
+    def run(self, view: RoleView) -> Recovery:
+        """The action to carry out instead of the proposal; ``view.reasons`` says why."""
+
+
+STANDARD_ROLES: dict[str, type[Role]] = {
+    base.name: base
+    for base in (
+        Generator,
+        SafetyMonitor,
+        SecurityAssessor,
+        FaultInjector,
+        PerformanceOracle,
+        RecoveryPlanner,
+    )
+}
+
+
+@dataclass(frozen=True)
+class RoleSpec:
+    """How to build a role (or a simulator): an import path ``package.module:Name`` and parameters.
+
+    ``instance`` holds an opaque object instead: it works in this process only, and is reset
+    before each episode.
+    """
+
+    path: str
+    params: Mapping[str, Any] = field(default_factory=dict)
+    instance: Any = field(default=None, compare=False, repr=False)
+
+    @classmethod
+    def of(cls, value: object, params: Mapping[str, Any] | None = None) -> RoleSpec:
+        """A RoleSpec from a RoleSpec, an import path, a class, an importable factory or an instance.
+
+        Raises:
+            ConfigurationError: If a fresh instance could not be built from it elsewhere.
+        """
+        if isinstance(value, RoleSpec):
+            return value
+        if isinstance(value, str):
+            return cls(value, dict(params or {}))
+        if inspect.isclass(value) or inspect.isroutine(value):
+            path = f"{value.__module__}:{value.__qualname__}"
+            if "<" in path:
+                raise ConfigurationError(
+                    "a role factory must be importable by name",
+                    found=path,
+                    expected="a class or function at the top level of a module",
+                    remedy="move it to module level, or return RoleSpec('package.module:Name')",
+                )
+            return cls(path, dict(params or {}))
+        path = f"{type(value).__module__}:{type(value).__qualname__}"
+        return cls(path, dict(params or {}), instance=value)
+
+    @property
+    def opaque(self) -> bool:
+        """Whether it holds a bare instance, which cannot be rebuilt in another process."""
+        return self.instance is not None
+
+    @property
+    def label(self) -> str:
+        """The component's name in cases, verdicts and reports."""
+        return self.path.rsplit(":", 1)[-1]
+
+    def factory(self) -> Callable[..., Any]:
+        """The imported class or factory.
+
+        Raises:
+            ConfigurationError: If the path cannot be imported.
+        """
+        module_name, _, qualname = self.path.partition(":")
+        if not module_name or not qualname:
+            raise ConfigurationError(
+                "an import path has the form package.module:Name",
+                found=self.path,
+                expected="package.module:Name",
+                remedy="put a colon between the module and the class or function",
+            )
+        try:
+            target: Any = importlib.import_module(module_name)
+            for part in qualname.split("."):
+                target = getattr(target, part)
+        except (ImportError, AttributeError) as error:
+            raise ConfigurationError(
+                f"cannot import {self.path!r}: {error}",
+                found=self.path,
+                expected="an importable package.module:Name",
+                remedy="check the spelling, and that the package is installed or on the path",
+            ) from None
+        if not callable(target):
+            raise ConfigurationError(
+                f"{self.path!r} is not a class or factory",
+                found=target,
+                expected="a class, or a function that returns a role",
+            )
+        factory: Callable[..., Any] = target
+        return factory
+
+    def create(self) -> Any:
+        """A fresh object, or the opaque instance.
+
+        Raises:
+            ConfigurationError: If the path cannot be imported or refuses the parameters.
+        """
+        if self.instance is not None:
+            return self.instance
+        factory = self.factory()
+        try:
+            inspect.signature(factory).bind(**self.params)
+        except TypeError as error:
+            raise ConfigurationError(
+                f"{self.path} does not take these parameters: {error}",
+                found=dict(self.params),
+                expected=f"{self.label}{inspect.signature(factory)}",
+                remedy="correct the parameters",
+            ) from None
+        return factory(**self.params)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data."""
+        plain: dict[str, Any] = {"path": self.path, "params": dict(self.params)}
+        return plain | ({"opaque": True} if self.opaque else {})
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> RoleSpec:
+        """The inverse of :meth:`to_json`.
+
+        Raises:
+            ConfigurationError: For an opaque role, which was a bare instance in a process that is gone.
+        """
+        if data.get("opaque"):
+            raise ConfigurationError(
+                f"{data['path']} was given as a bare instance and cannot be built again",
+                remedy="let the role fixture return the class or a RoleSpec",
+            )
+        return cls(data["path"], dict(data.get("params", {})))

@@ -1,0 +1,90 @@
+"""Simulator: the port to the physical world (the paper's Environment Interface)."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_dura.core.errors import ActionError, ConfigurationError
+from pytest_dura.core.state import Percept, Tick
+
+
+class Simulator(ABC):
+    """A world that is reset with a scenario and advanced one tick at a time.
+
+    An adapter must be a pure function of scenario, seed and actions. ``check_simulator`` of
+    ``pytest_dura.core.conformance`` tests that, and the rest of this contract.
+    """
+
+    time_step: float = 0.1
+    """Simulated seconds per tick."""
+
+    def set_time_step(self, seconds: float) -> None:
+        """Choose the simulated seconds per tick; takes effect at the next reset."""
+        if not 0.0 < seconds < float("inf"):
+            raise ConfigurationError(
+                "the time step of a simulator is a positive number of seconds",
+                key="time_step",
+                found=seconds,
+                expected="a number above 0",
+            )
+        self.time_step = seconds
+
+    @abstractmethod
+    def reset(self, scenario: Mapping[str, Any], seed: int) -> Tick:
+        """Begin an episode; the tick has index 0 and time 0."""
+
+    @abstractmethod
+    def step(self, action: Any) -> Tick:
+        """Apply a checked action for one time step."""
+
+    @abstractmethod
+    def signals(self, ticks: Sequence[Tick]) -> dict[str, NDArray[np.float64]]:
+        """Ground-truth signals by name, one value per tick, shape ``(len(ticks),)``.
+
+        Called once per episode, so that it may be vectorised over time.
+        """
+
+    def percept_signals(self, percepts: Sequence[Percept]) -> dict[str, NDArray[np.float64]]:
+        """The signals that can be computed from percepts alone, one value per percept.
+
+        The episode stores them with the prefix ``percept.``.
+        """
+        return {}
+
+    def check_action(self, action: Any) -> Any:
+        """The action in the form that ``step`` takes.
+
+        Raises:
+            ActionError: If it is not an action of this simulator.
+        """
+        if action is None:
+            raise ActionError("the proposal holds no action (None)")
+        return action
+
+    @abstractmethod
+    def fallback_action(self) -> Any:
+        """What the plant does when nobody commands it."""
+
+    def describe_action(self, action: Any) -> str:
+        """A short, stable text for decisions and reports."""
+        return str(action)
+
+    def render(self) -> NDArray[np.uint8]:
+        """An RGB picture of the current state, shape ``(height, width, 3)``."""
+        raise NotImplementedError(f"{type(self).__name__} does not render")
+
+    def snapshot(self) -> object:
+        """The whole state, to branch from; opaque to the caller."""
+        raise NotImplementedError(f"{type(self).__name__} has no snapshots")
+
+    def restore(self, snapshot: object) -> None:
+        """Return to a snapshot of this simulator; it may be restored more than once."""
+        raise NotImplementedError(f"{type(self).__name__} has no snapshots")
+
+    def close(self) -> None:  # noqa: B027 - most simulators hold nothing
+        """Release what the simulator holds; it is not used afterwards."""

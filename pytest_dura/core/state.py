@@ -1,0 +1,224 @@
+"""What the loop knows: Tick, Percept, the StateManager and the read-only views that roles get."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from pytest_dura.core.roles import Proposal
+
+NOTHING: Mapping[str, Any] = MappingProxyType({})
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """Something that happened at one tick: a failure, an alert, a fault's activation, ...
+
+    ``wall_clock`` marks what depends on the machine's speed; the episode's digest leaves it out.
+    """
+
+    tick: int
+    time: float
+    kind: str
+    subject: str
+    detail: str = ""
+    data: Mapping[str, Any] = NOTHING
+    wall_clock: bool = False
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data for the evidence record."""
+        plain = {"tick": self.tick, "time": self.time, "kind": self.kind, "subject": self.subject}
+        return plain | {"detail": self.detail, "data": dict(self.data)}
+
+
+class Lazy:
+    """A channel value that is made when somebody first reads it (a camera frame)."""
+
+    __slots__ = ("_make", "_value")
+
+    def __init__(self, make: Callable[[], Any]) -> None:
+        self._make: Callable[[], Any] | None = make
+        self._value: Any = None
+
+    def get(self) -> Any:
+        """The value, made at the first call and kept."""
+        if self._make is not None:
+            self._value, self._make = self._make(), None
+        return self._value
+
+
+@dataclass(frozen=True, slots=True)
+class Tick:
+    """What the simulator says of one instant.
+
+    Args:
+        index: Zero for the state after reset, then one per step.
+        time: Simulated seconds since reset.
+        truth: Ground truth by name, for requirements only; arrays are read-only.
+        channels: Sensor channels by name, before any fault.
+        goal: Whether the component's task is done.
+        critical: Why the episode cannot go on (a collision of the ego), if so.
+        events: What happened during the step, as ``(kind, subject, detail)``.
+    """
+
+    index: int
+    time: float
+    truth: Mapping[str, Any]
+    channels: Mapping[str, Any]
+    goal: bool = False
+    critical: str | None = None
+    events: tuple[tuple[str, str, str], ...] = ()
+
+
+class Percept(Mapping[str, Any]):
+    """What the sensors report after faults: channel name to value. Lazy values resolve on reading.
+
+    ``tampered`` maps a channel to the ids of the faults that changed its value at this tick.
+    It is for the loop's own bookkeeping; views hand it to no role.
+    """
+
+    __slots__ = ("_channels", "tampered")
+
+    def __init__(
+        self, channels: Mapping[str, Any], tampered: Mapping[str, tuple[str, ...]] = NOTHING
+    ) -> None:
+        self._channels = channels
+        self.tampered = tampered
+
+    def __getitem__(self, name: str) -> Any:
+        try:
+            value = self._channels[name]
+        except KeyError:
+            known = ", ".join(sorted(self._channels))
+            raise KeyError(f"no sensor channel {name!r}; there are: {known}") from None
+        return value.get() if type(value) is Lazy else value
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._channels)
+
+    def __len__(self) -> int:
+        return len(self._channels)
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({', '.join(self._channels)})"
+
+
+class PerceptView(Percept):
+    """A percept as a role sees it: without ``tampered``, and remembering which channels were read."""
+
+    __slots__ = ("_reads",)
+
+    def __init__(self, channels: Mapping[str, Any], reads: set[str]) -> None:
+        super().__init__(channels)
+        self._reads = reads
+
+    def __getitem__(self, name: str) -> Any:
+        self._reads.add(name)
+        return super().__getitem__(name)
+
+
+class History(Sequence[Any]):
+    """A read-only window on a list that grows."""
+
+    __slots__ = ("_items",)
+
+    def __init__(self, items: list[Any]) -> None:
+        self._items = items
+
+    def __getitem__(self, index: Any) -> Any:
+        return self._items[index]
+
+    def __len__(self) -> int:
+        return len(self._items)
+
+
+@dataclass(frozen=True, slots=True)
+class GeneratorView:
+    """All that the component under test may see. It has no ground truth.
+
+    ``feedback`` holds the reasons for which this tick's earlier proposals were refused (``refine``).
+    """
+
+    index: int
+    time: float
+    dt: float
+    percept: Percept
+    feedback: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class RoleView:
+    """What every other role sees: the percept, the proposal, and what other roles have said.
+
+    ``outputs`` maps a role's name to its latest output, from this tick if it ran already and from
+    an earlier one otherwise; ``percepts`` is the history, the current percept last.
+    """
+
+    index: int
+    time: float
+    dt: float
+    percept: Percept
+    percepts: Sequence[Percept]
+    proposal: Proposal | None
+    outputs: Mapping[str, Any]
+    generator_seconds: float = 0.0
+    reasons: tuple[str, ...] = ()
+
+
+@dataclass(slots=True)
+class StateManager:
+    """The one place where roles meet: written by the orchestrator, read through views."""
+
+    dt: float
+    ticks: list[Tick] = field(default_factory=list)
+    percepts: list[Percept] = field(default_factory=list)
+    outputs: dict[str, Any] = field(default_factory=dict)
+    proposal: Proposal | None = None
+    generator_reads: set[str] = field(default_factory=set)
+    generator_seconds: float = 0.0
+    _role_reads: set[str] = field(default_factory=set)
+    _role_percepts: list[Percept] = field(default_factory=list)
+    _channels: Mapping[str, Any] = NOTHING
+
+    @property
+    def tick(self) -> Tick:
+        """The current tick."""
+        return self.ticks[-1]
+
+    @property
+    def percept(self) -> Percept:
+        """The current percept."""
+        return self.percepts[-1]
+
+    def update(self, tick: Tick, percept: Percept) -> None:
+        """Begin a tick: the world as it is and as it is perceived."""
+        self.ticks.append(tick)
+        self.percepts.append(percept)
+        self._channels = MappingProxyType(dict(percept._channels))
+        self._role_percepts.append(PerceptView(self._channels, self._role_reads))
+        self.proposal = None
+        self.generator_reads = set()
+        self.generator_seconds = 0.0
+
+    def generator_view(self, feedback: tuple[str, ...] = ()) -> GeneratorView:
+        """The Generator's view of this tick; reading a channel through it is remembered."""
+        percept = PerceptView(self._channels, self.generator_reads)
+        return GeneratorView(self.tick.index, self.tick.time, self.dt, percept, feedback)
+
+    def role_view(self, reasons: tuple[str, ...] = ()) -> RoleView:
+        """The view of this tick that every role but the Generator gets."""
+        tick = self.ticks[-1]
+        return RoleView(
+            tick.index,
+            tick.time,
+            self.dt,
+            self._role_percepts[-1],
+            History(self._role_percepts),
+            self.proposal,
+            MappingProxyType(self.outputs),
+            self.generator_seconds,
+            reasons,
+        )
