@@ -10,7 +10,33 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from pytest_dura.core.roles import Proposal
 
-NOTHING: Mapping[str, Any] = MappingProxyType({})
+
+class _Nothing(Mapping[str, Any]):
+    """The empty mapping. Unlike an empty ``MappingProxyType`` it can be pickled and hashed."""
+
+    __slots__ = ()
+
+    def __getitem__(self, name: str) -> Any:
+        raise KeyError(name)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(())
+
+    def __len__(self) -> int:
+        return 0
+
+    def __hash__(self) -> int:
+        return 0
+
+    def __repr__(self) -> str:
+        return "{}"
+
+    def __reduce__(self) -> str:
+        return "NOTHING"
+
+
+NOTHING: Mapping[str, Any] = _Nothing()
+"""The empty, read-only mapping: the default where a mapping is optional."""
 
 
 @dataclass(frozen=True, slots=True)
