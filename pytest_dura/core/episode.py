@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
+import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
@@ -22,12 +24,35 @@ Validity = Literal["valid", "invalid", "missing"]
 POLICIES = ("recover", "halt", "log_only", "refine")
 
 
+def _require_positive(key: str, value: float, unit: str) -> None:
+    if not 0 < value < math.inf:
+        raise ConfigurationError(
+            f"{key} is a positive, finite number of {unit}",
+            key=key,
+            found=value,
+            expected="a number above 0",
+        )
+
+
+def _no_policy(found: object) -> ConfigurationError:
+    return ConfigurationError(
+        "there is no such policy",
+        key="policy",
+        found=found,
+        expected="recover, halt, log_only, or refine(k) with k of at least 1",
+    )
+
+
 @dataclass(frozen=True)
 class Policy:
     """What follows a refused proposal; ``refine`` asks the Generator again at most ``attempts`` times."""
 
     name: str = "recover"
     attempts: int = 0
+
+    def __post_init__(self) -> None:
+        if self.name not in POLICIES or (self.name == "refine") != (self.attempts > 0):
+            raise _no_policy(self)
 
     @classmethod
     def parse(cls, text: str) -> Policy:
@@ -36,17 +61,12 @@ class Policy:
         Raises:
             ConfigurationError: For anything else.
         """
-        name, _, rest = text.strip().partition("(")
-        if name in POLICIES[:3] and not rest:
-            return cls(name)
-        if name == "refine" and rest.endswith(")") and rest[:-1].isdecimal() and int(rest[:-1]) > 0:
-            return cls("refine", int(rest[:-1]))
-        raise ConfigurationError(
-            f"unknown policy {text!r}",
-            key="policy",
-            found=text,
-            expected="recover, halt, log_only, or refine(k) with k of at least 1",
-        )
+        if text in POLICIES[:3]:
+            return cls(text)
+        refine = re.fullmatch(r"refine\(([1-9][0-9]*)\)", text) if isinstance(text, str) else None
+        if refine:
+            return cls("refine", int(refine[1]))
+        raise _no_policy(text)
 
     def __str__(self) -> str:
         return f"refine({self.attempts})" if self.name == "refine" else self.name
@@ -57,16 +77,29 @@ class Termination:
     """When an episode ends, besides a critical failure.
 
     Args:
-        time_limit: Simulated seconds.
+        time_limit: Simulated seconds; the first tick at or past it is the last one.
         goal: Whether reaching the goal ends it.
         violation: Whether a violation ends it, once every requirement is decided.
-        iterations: At most this many ticks, if given.
+        iterations: At most this many decisions, if given.
     """
 
     time_limit: float = 30.0
     goal: bool = True
     violation: bool = False
     iterations: int | None = None
+
+    def __post_init__(self) -> None:
+        _require_positive("time_limit", self.time_limit, "seconds")
+        if self.iterations is not None:
+            _require_positive("iterations", self.iterations, "decisions")
+
+    def last_index(self, time_step: float) -> int:
+        """Index of the tick at which the time limit is reached.
+
+        Ticks are counted, since a sum of float time steps would miss the limit by one; and the
+        tolerance keeps 5.1 s / 0.1 s, which is a hair below 51 in floats, at 51 ticks.
+        """
+        return math.ceil(self.time_limit / time_step * (1.0 - 1e-9))
 
 
 @dataclass(frozen=True)
@@ -80,14 +113,17 @@ class EpisodeSpec:
         simulator: How to build the simulator.
         roles: How to build each role, by role name.
         scenario: The scenario as the simulator and the roles read it.
-        faults: The planned faults; each has at least ``id`` and ``target``.
+        faults: The planned faults; each has at least ``id`` and ``target``. ``activation`` may
+            hold the planned time ``at``. ``by_chance`` marks one whose activation or effect is
+            drawn: that it never manifested does not make the episode invalid.
         policy: What follows a refused proposal.
         termination: When the episode ends.
         time_step: Simulated seconds per tick.
         time_budget: Seconds for one proposal: declared latency, or wall-clock time as a guard
             against a component that hangs. ``None`` waits for ever.
-        timeouts: Recorded ticks at which the component overran its wall-clock budget. Given,
-            they are applied instead of the clock, so that a replay is exact.
+        timeouts: Recorded calls in which the component overran its wall-clock budget
+            (:attr:`Episode.timeouts`). Given, they are applied instead of the clock, so that a
+            replay is exact.
     """
 
     case: str
@@ -102,6 +138,11 @@ class EpisodeSpec:
     time_step: float = 0.1
     time_budget: float | None = 5.0
     timeouts: tuple[int, ...] | None = None
+
+    def __post_init__(self) -> None:
+        _require_positive("time_step", self.time_step, "seconds")
+        if self.time_budget is not None:
+            _require_positive("time_budget", self.time_budget, "seconds")
 
     @property
     def id(self) -> str:
@@ -151,9 +192,9 @@ class EpisodeSpec:
 
     @cached_property
     def key(self) -> str:
-        """SHA-256 of what determines the trace; the wall-clock guard is no part of it."""
+        """SHA-256 of what determines the trace; equal for an episode and its replay."""
         data = self.to_json()
-        del data["time_budget"], data["timeouts"]
+        del data["timeouts"]
         return hashlib.sha256(canonical(data)).hexdigest()
 
 
@@ -166,15 +207,17 @@ class Episode:
         time: Simulated seconds of each tick, shape ``(ticks,)``.
         signals: Ground-truth signals by name, and percept signals as ``percept.name``;
             each of shape ``(ticks,)``.
-        decisions: Columns of shape ``(ticks - 1,)``, since nobody decides on the last state:
-            ``verdict`` (0 safe, 1 warning, 2 unsafe), ``source`` (proposal, recovery, fallback),
-            ``proposed`` and ``executed`` (texts), ``attempts``.
+        decisions: Columns of shape ``(ticks - 1,)``, one row for each state that another one
+            follows: ``verdict`` (0 safe, 1 warning, 2 unsafe), ``source`` (proposal, recovery,
+            fallback), ``proposed`` and ``executed`` (texts), ``attempts`` (re-proposals).
         events: In the order in which they happened.
         faults: One record per planned fault.
         termination: ``goal``, ``time``, ``critical``, ``violation``, ``iterations``, ``halt`` or
             ``infrastructure``.
         failure: The message of the infrastructure error, if there was one.
-        timeouts: Ticks at which the component overran its wall-clock budget.
+        timeouts: Calls in which the component overran its wall-clock budget: the number of the
+            proposal, counted from 0 (the tick, unless the policy refines), or -1 for ``reset``. A
+            call that could not be stopped stands there as often as it takes to give up on it.
         metrics: What DependabilityMetrics measured.
     """
 
@@ -207,14 +250,14 @@ class Episode:
         """
         if self.failure is not None:
             return "missing"
-        if any(fault.manifested_at is None for fault in self.faults):
-            return "invalid"
-        return "valid"
+        return "valid" if self.invalid_reason is None else "invalid"
 
     @property
     def invalid_reason(self) -> str | None:
         """Which planned fault never manifested, if any."""
-        idle = [fault.id for fault in self.faults if fault.manifested_at is None]
+        idle = [
+            fault.id for fault in self.faults if fault.manifested_at is None and not fault.by_chance
+        ]
         return f"never manifested: {', '.join(idle)}" if idle else None
 
     def ever(self, signal: str) -> bool:
@@ -244,20 +287,23 @@ class Episode:
     @property
     def flagged(self) -> bool:
         """Whether any proposal was found unsafe."""
-        return bool((self.decisions["verdict"] == 2).any())
+        return self.termination == "halt" or bool((self.decisions["verdict"] == 2).any())
 
     @cached_property
     def digest(self) -> str:
         """SHA-256 of everything but wall-clock timings; equal for equal specs on one platform."""
         state = hashlib.sha256(self.spec.key.encode())
-        columns = {"time": self.time, **self.signals, **self.decisions}
+        columns = {"time": self.time}
+        columns |= {f"signals.{name}": column for name, column in self.signals.items()}
+        columns |= {f"decisions.{name}": column for name, column in self.decisions.items()}
         for name in sorted(columns):
             column = np.ascontiguousarray(columns[name])
             state.update(f"|{name}|{column.dtype.str}|{column.shape}|".encode())
             state.update(column.tobytes())
         events = [event.to_json() for event in self.events if not event.wall_clock]
-        rest = [events, [asdict(fault) for fault in self.faults], self.termination]
-        rest += [self.metrics.deterministic(), list(self.timeouts), self.failure is not None]
+        faults = [asdict(fault) for fault in self.faults]
+        measured = self.metrics.deterministic()
+        rest = [events, faults, self.termination, measured, self.timeouts, self.failure is not None]
         state.update(canonical(rest))
         return state.hexdigest()
 
@@ -273,5 +319,3 @@ def _plain(value: Any) -> Any:
     if isinstance(value, Mapping):
         return dict(value)
     raise TypeError(f"{type(value).__name__} is not plain data")
-
-

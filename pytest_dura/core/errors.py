@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
 
 class DuraError(Exception):
     """Base of all deliberate errors; ``str(error)`` is the whole message for the user."""
@@ -64,6 +68,46 @@ class InfrastructureError(DuraError):
     def __init__(self, role: str, tick: int, time: float, cause: str) -> None:
         self.role, self.tick, self.time, self.cause = role, tick, time, cause
         super().__init__(f"infrastructure: {role} at tick {tick} (t = {time:.1f} s): {cause}")
+
+
+class ConformanceError(DuraError):
+    """A simulator adapter or a role breaks its contract. The message lists every breach.
+
+    Args:
+        subject: What was checked.
+        breaches: ``(what is wrong, how to mend it)``, in the order in which they were found.
+    """
+
+    def __init__(self, subject: str, breaches: Sequence[tuple[str, str]]) -> None:
+        self.subject, self.breaches = subject, tuple(breaches)
+        noun = "breach" if len(self.breaches) == 1 else "breaches"
+        lines = [f"{subject}: {len(self.breaches)} {noun} of the contract"]
+        for number, (problem, remedy) in enumerate(self.breaches, start=1):
+            lines += [f"  {number}. {problem}", f"     remedy: {remedy}"]
+        super().__init__("\n".join(lines))
+
+
+def describe_error(error: BaseException) -> str:
+    """Type, message and place of an error, without what changes from process to process.
+
+    Memory addresses are blanked and the place is a file's name without its folder, because the
+    text goes into the episode's digest. Errors raised by the loop itself have no place.
+    """
+    try:
+        message = str(error)
+    except Exception:
+        message = "(its message cannot be read)"
+    text = f"{type(error).__name__}: {message}" if message else type(error).__name__
+    text = re.sub(r"\b0x[0-9a-fA-F]{6,}", "0x…", text)
+    trace = error.__traceback__
+    while trace is not None and trace.tb_next is not None:
+        trace = trace.tb_next
+    if trace is None:
+        return text
+    file = Path(trace.tb_frame.f_code.co_filename)
+    if file.parent == Path(__file__).parent:
+        return text
+    return f"{text} ({file.name}:{trace.tb_lineno})"
 
 
 def shorten(value: object, limit: int = 120) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextvars
 import ctypes
 import signal
 import threading
@@ -10,60 +11,95 @@ from typing import Any, TypeVar
 
 T = TypeVar("T")
 
+GRACE = 0.2
+"""Seconds within which a call that is told to stop should have stopped."""
+
 
 class TimeBudgetExceeded(BaseException):
     """Raised inside a call that overran. Not an ``Exception``: the callee must not swallow it."""
 
 
+class CallNotStopped(TimeBudgetExceeded):
+    """The call overran and could not be ended: it is still running in a thread of its own."""
+
+
 def call_within(seconds: float | None, function: Callable[..., T], *args: Any) -> T:
     """Call ``function`` and end it after ``seconds`` of wall-clock time.
 
-    Works for anything that runs Python bytecode or sleeps. A call that stays inside C code is
-    ended when it comes back.
+    In the main thread an alarm interrupts whatever runs Python bytecode, sleeps or waits. Where
+    there is no alarm to be had (in other threads, inside another limit, on Windows), the function
+    runs in a thread of its own, which is left behind if it sleeps on. A call that stays inside C
+    code is ended when it comes back. A call that catches the interruption and returns has overrun
+    all the same.
 
     Raises:
         TimeBudgetExceeded: If it ran longer.
+        CallNotStopped: If it ran longer and still does.
     """
     if seconds is None:
         return function(*args)
     in_main = threading.current_thread() is threading.main_thread()
     if in_main and hasattr(signal, "setitimer") and signal.getitimer(signal.ITIMER_REAL)[0] == 0.0:
         return _call_with_alarm(seconds, function, *args)
-    return _call_with_watchdog(seconds, function, *args)
-
-
-def _expire(signum: int, frame: object) -> None:
-    raise TimeBudgetExceeded
+    return _call_in_thread(seconds, function, *args)
 
 
 def _call_with_alarm(seconds: float, function: Callable[..., T], *args: Any) -> T:
-    previous = signal.signal(signal.SIGALRM, _expire)
-    signal.setitimer(signal.ITIMER_REAL, seconds)
+    armed, expired = True, False
+
+    def expire(signum: int, frame: object) -> None:
+        nonlocal expired
+        if armed:
+            expired = True
+            raise TimeBudgetExceeded
+
+    previous = signal.signal(signal.SIGALRM, expire)
     try:
-        return function(*args)
+        # The alarm repeats, since a callee may swallow one and go on (a bare `except` in a loop).
+        signal.setitimer(signal.ITIMER_REAL, seconds, max(GRACE, min(seconds, 1.0)))
+        try:
+            result = function(*args)
+        finally:
+            armed = False
     finally:
+        armed = False
         signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, previous)
+        signal.signal(signal.SIGALRM, signal.SIG_DFL if previous is None else previous)
+    if expired:
+        raise TimeBudgetExceeded
+    return result
 
 
-def _call_with_watchdog(seconds: float, function: Callable[..., T], *args: Any) -> T:
-    caller = ctypes.c_ulong(threading.get_ident())
-    lock = threading.Lock()
-    running = True
+def _call_in_thread(seconds: float, function: Callable[..., T], *args: Any) -> T:
+    results: list[T] = []
+    errors: list[BaseException] = []
+    lock, done = threading.Lock(), threading.Event()
+    finished = False
 
-    def expire() -> None:
+    def work() -> None:
+        nonlocal finished
+        try:
+            try:
+                results.append(function(*args))
+            except BaseException as error:
+                errors.append(error)
+            finally:
+                with lock:
+                    finished = True
+        except TimeBudgetExceeded as late:
+            errors.append(late)
+        done.set()
+
+    context = contextvars.copy_context()
+    thread = threading.Thread(target=context.run, args=(work,), daemon=True)
+    thread.start()
+    if not done.wait(seconds):
         with lock:
-            if running:
+            if not finished and thread.ident is not None:
                 ctypes.pythonapi.PyThreadState_SetAsyncExc(
-                    caller, ctypes.py_object(TimeBudgetExceeded)
+                    ctypes.c_ulong(thread.ident), ctypes.py_object(TimeBudgetExceeded)
                 )
-
-    timer = threading.Timer(seconds, expire)
-    timer.daemon = True
-    timer.start()
-    try:
-        return function(*args)
-    finally:
-        with lock:
-            running = False
-        timer.cancel()
+        raise TimeBudgetExceeded if done.wait(GRACE) else CallNotStopped
+    if errors:
+        raise errors[0]
+    return results[0]

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pytest_dura.core.episode import Episode, EpisodeSpec
-from pytest_dura.core.errors import InfrastructureError
+from pytest_dura.core.errors import InfrastructureError, describe_error
 from pytest_dura.core.metrics import DependabilityMetrics, FaultRecord
+from pytest_dura.core.outputs import check_texts
 from pytest_dura.core.roles import (
+    Alert,
     Assessed,
     Assessment,
     Injection,
@@ -46,100 +49,101 @@ class EpisodeLog:
         self.events: list[Event] = []
         self.timeouts: list[int] = []
         self.metrics.faults = {
-            fault["id"]: FaultRecord(fault["id"], fault["target"], fault.get("at"))
+            fault["id"]: FaultRecord(
+                fault["id"],
+                fault["target"],
+                (fault.get("activation") or {}).get("at"),
+                by_chance=bool(fault.get("by_chance", False)),
+            )
             for fault in spec.faults
         }
         self._columns: dict[str, list[Any]] = {
             name: [] for name in ("verdict", "source", "proposed", "executed", "attempts")
         }
-        self._open: dict[str, str] = {}
+        self._open: dict[tuple[str, str], str] = {}
+        self._violated_at: dict[str, int] = {}
+        self._alerts: dict[Alert, None] = {}
 
     def event(
         self, tick: Tick, kind: str, subject: str, detail: str = "", *, wall_clock: bool = False
     ) -> None:
-        """An event at this tick. One that lasts is recorded where it begins or changes."""
-        self.events.append(
-            Event(tick.index, tick.time, kind, subject, detail, NOTHING, wall_clock)
-        )
-        if kind == "component_failure":
-            self.metrics.violations["component"] += 1
+        """An event at this tick."""
+        self.events.append(Event(tick.index, tick.time, kind, subject, detail, NOTHING, wall_clock))
 
     def early_event(self, kind: str, subject: str, detail: str) -> None:
         """An event before the first tick."""
         self.events.append(Event(0, 0.0, kind, subject, detail))
 
-    def proposed(self, valid: bool) -> None:
-        """The Generator was asked."""
+    def proposed(self, tick: Tick, problem: str | None) -> None:
+        """The Generator was asked; ``problem`` is what is wrong with its answer, if anything."""
         self.metrics.proposals += 1
-        self.metrics.valid_proposals += valid
+        if problem is None:
+            self.metrics.valid_proposals += 1
+        else:
+            self._violation(tick, "component")
+        self._lasting(tick, "component_failure", self.spec.component, problem, every_change=True)
 
     def assessed(self, tick: Tick, name: str, output: Assessment) -> None:
         """A monitor has judged the proposal."""
         self.metrics.log_score(name, tick.time, float(output.score))
         unsafe = output.critical or output.verdict is Assessed.UNSAFE
         if unsafe:
-            self.metrics.violations[name] += 1
-        self._edge(tick, "unsafe", name, "; ".join(output.reasons) if unsafe else None)
+            self._violation(tick, name)
+        self._lasting(tick, "unsafe", name, "; ".join(output.reasons) if unsafe else None)
 
     def alerted(self, tick: Tick, name: str, output: SecurityAssessment) -> None:
         """The SecurityAssessor has looked at percept and component."""
         for alert in output.alerts:
-            self.metrics.alerts += 1
-            self.event(tick, "alert", alert.subject, f"{alert.pattern}: {alert.detail}")
-            for fault in self.metrics.faults.values():
-                self._detect(fault, tick.time, alert.pattern)
+            if alert not in self._alerts:  # a refined proposal is assessed in the same tick
+                self._alerts[alert] = None
+                self.metrics.alerts += 1
+                self.event(tick, "alert", alert.subject, f"{alert.pattern}: {alert.detail}")
         if output.reaction is not None:
-            self._edge(tick, "reaction", name, output.reaction)
-
-    @staticmethod
-    def _detect(fault: FaultRecord, time: float, pattern: str) -> None:
-        if fault.manifested_at is None and fault.activated_at is None:
-            return
-        if fault.detected_at is not None:
-            return
-        if fault.deactivated_at is None or time <= fault.deactivated_at + DETECTION_GRACE:
-            fault.detected_at, fault.detected_by = time, pattern
+            self._lasting(tick, "reaction", name, output.reaction, every_change=True)
 
     def performed(self, tick: Tick, output: PerformanceAssessment) -> None:
         """The PerformanceOracle has measured."""
         self.metrics.log_performance(tick.time, output.values, output.wall_clock)
         for name in output.performance_fail:
             wall_clock = name in output.wall_clock
-            kind = "wall_clock" if wall_clock else "performance"
-            if not self.metrics.violations[f"{kind}:{name}"]:
+            kind = f"{'wall_clock' if wall_clock else 'performance'}:{name}"
+            if kind not in self.metrics.violations:
                 self.event(tick, "performance_fail", name, wall_clock=wall_clock)
-            self.metrics.violations[f"{kind}:{name}"] += 1
+            self._violation(tick, kind)
 
     def injected(self, tick: Tick, output: Injection) -> None:
         """Faults were activated or deactivated."""
         for fault in output.activated:
-            record = self.metrics.faults.setdefault(fault, FaultRecord(fault, "unplanned"))
+            record = self._record(fault)
             if record.activated_at is None:
                 record.activated_at = tick.time
             record.deactivated_at = None
             self.event(tick, "fault_activated", fault)
         for fault in output.deactivated:
-            self.metrics.faults[fault].deactivated_at = tick.time
+            self._record(fault).deactivated_at = tick.time
             self.event(tick, "fault_deactivated", fault)
 
     def manifested(
         self, tick: Tick, state: StateManager, command: tuple[str, ...], verdict: Assessed
     ) -> None:
-        """Which active faults reached the Generator or the plant at this tick."""
-        tampered = state.percept.tampered
-        if not tampered and not command:
-            return
+        """Which active faults reached the Generator or the plant at this tick, and were detected."""
         reached = set(command)
-        for channel, faults in tampered.items():
+        for channel, faults in state.percept.tampered.items():
             if channel in state.generator_reads:
                 reached.update(faults)
         for fault in sorted(reached):
-            record = self.metrics.faults[fault]
+            record = self._record(fault)
             record.manifest_ticks += 1
             record.flagged_ticks += verdict is Assessed.UNSAFE
             if record.manifested_at is None:
                 record.manifested_at = tick.time
                 self.event(tick, "fault_manifested", fault)
+        if self._alerts:
+            first = next(iter(self._alerts))
+            for record in self.metrics.faults.values():
+                if _detectable(record, tick.time):
+                    record.detected_at, record.detected_by = tick.time, first.pattern
+            self._alerts.clear()
 
     def recovered(self, tick: Tick, recovery: Recovery, nanoseconds: int) -> None:
         """The RecoveryPlanner has replaced the proposal."""
@@ -150,25 +154,49 @@ class EpisodeLog:
             self.event(tick, "recovery", recovery.name, recovery.explanation)
 
     def decided(
-        self, tick: Tick, decision: Decision, state: StateManager, describe: Callable[[Any], str]
+        self, decision: Decision, state: StateManager, describe: Callable[[Any], str]
     ) -> None:
         """The tick's decision."""
-        columns, proposal = self._columns, state.proposal
-        columns["verdict"].append(int(decision.verdict))
-        columns["source"].append(decision.source)
-        columns["proposed"].append(describe(proposal.action) if proposal is not None else "")
-        columns["executed"].append(describe(decision.action))
-        columns["attempts"].append(decision.attempts)
+        proposal, action = state.proposal, decision.action
+        executed = describe(action)
+        if proposal is None:
+            proposed = ""
+        else:
+            proposed = executed if proposal.action is action else describe(proposal.action)
+        check_texts("description of an action", (proposed, executed))
+        row = (int(decision.verdict), decision.source, proposed, executed, decision.attempts)
+        for column, value in zip(self._columns.values(), row, strict=True):
+            column.append(value)
 
-    def _edge(self, tick: Tick, kind: str, subject: str, detail: str | None) -> None:
-        """An event where a lasting condition begins, and one where it ends."""
-        held = f"{kind}:{subject}" in self._open
-        if detail is not None and not held:
-            self._open[f"{kind}:{subject}"] = detail
+    def _record(self, fault: str) -> FaultRecord:
+        if fault not in self.metrics.faults:
+            self.metrics.faults[fault] = FaultRecord(fault, "unplanned")
+        return self.metrics.faults[fault]
+
+    def _violation(self, tick: Tick, kind: str) -> None:
+        """Count a tick once, however often its proposal was refined."""
+        if self._violated_at.get(kind) != tick.index:
+            self._violated_at[kind] = tick.index
+            self.metrics.violations[kind] += 1
+
+    def _lasting(
+        self, tick: Tick, kind: str, subject: str, detail: str | None, *, every_change: bool = False
+    ) -> None:
+        """An event where a lasting condition begins and where it ends, or at every change too."""
+        before = self._open.get((kind, subject))
+        if detail is None:
+            if before is not None:
+                del self._open[kind, subject]
+                self.event(tick, f"{kind}_ended", subject)
+        elif before is None or (every_change and detail != before):
+            self._open[kind, subject] = detail
             self.event(tick, kind, subject, detail)
-        elif detail is None and held:
-            del self._open[f"{kind}:{subject}"]
-            self.event(tick, f"{kind}_ended", subject)
+
+    def failed(self, failure: InfrastructureError) -> None:
+        """Something other than the component has failed."""
+        self.events.append(
+            Event(failure.tick, failure.time, "infrastructure", failure.role, failure.cause)
+        )
 
     def close(
         self,
@@ -177,23 +205,24 @@ class EpisodeLog:
         ending: str,
         failure: InfrastructureError | None,
     ) -> Episode:
-        """The finished episode. Signals that are not finite make it an infrastructure error."""
-        time = np.array([tick.time for tick in state.ticks])
-        signals: dict[str, Any] = {}
+        """The finished episode. Unusable signals make it an infrastructure error."""
+        time = np.array([tick.time for tick in state.ticks], dtype=np.float64)
+        signals: dict[str, NDArray[np.float64]] = {}
         if state.ticks:
             try:
-                signals = dict(simulator.signals(state.ticks))
-                percept = simulator.percept_signals(state.percepts)
-                signals |= {f"percept.{name}": column for name, column in percept.items()}
+                _add_signals(signals, simulator.signals(state.ticks), "", len(time))
                 failure = failure or _first_bad_signal(signals, time)
+                percepts = simulator.percept_signals(state.percepts)
+                _add_signals(signals, percepts, "percept.", len(time), len(state.percepts))
             except Exception as error:
-                last = state.ticks[-1]
-                failure = failure or InfrastructureError(
-                    "simulator", last.index, last.time, f"{type(error).__name__}: {error}"
-                )
+                last, cause = state.ticks[-1], describe_error(error)
+                failure = failure or InfrastructureError("simulator", last.index, last.time, cause)
         if failure is not None:
             ending = "infrastructure"
-            self.events.append(Event(failure.tick, failure.time, "infrastructure", failure.role, failure.cause))
+            self.failed(failure)
+        # A step that failed leaves a decision behind that no state follows.
+        for column in self._columns.values():
+            del column[max(len(time) - 1, 0) :]
         critical = ending == "critical"
         self.metrics.settle_recoveries(len(self._columns["verdict"]) - 1, critical)
         return Episode(
@@ -216,10 +245,39 @@ class EpisodeLog:
         )
 
 
-def _first_bad_signal(signals: dict[str, Any], time: Any) -> InfrastructureError | None:
+def _detectable(fault: FaultRecord, time: float) -> bool:
+    """Whether an alert now detects it: it has manifested, is undetected and not long gone."""
+    if fault.manifested_at is None or fault.detected_at is not None:
+        return False
+    return fault.deactivated_at is None or time <= fault.deactivated_at + DETECTION_GRACE + 1e-9
+
+
+def _add_signals(
+    signals: dict[str, NDArray[np.float64]],
+    columns: Mapping[str, Any],
+    prefix: str,
+    length: int,
+    given: int | None = None,
+) -> None:
+    """Add columns of ``given`` values, filled up with NaN to the episode's length."""
+    given = length if given is None else given
+    for name, values in columns.items():
+        column = np.asarray(values, dtype=np.float64)
+        if column.shape != (given,):
+            raise ValueError(
+                f"signal {prefix + name!r} has the shape {column.shape}, expected ({given},)"
+            )
+        # The last tick has no percept if the FaultInjector failed at it.
+        padding = np.full(length - given, np.nan)
+        signals[prefix + name] = np.concatenate([column, padding]) if len(padding) else column
+
+
+def _first_bad_signal(
+    signals: Mapping[str, NDArray[np.float64]], time: NDArray[np.float64]
+) -> InfrastructureError | None:
     for name, column in sorted(signals.items()):
         bad = np.flatnonzero(~np.isfinite(column))
-        if len(bad) and not name.startswith("percept."):
+        if len(bad):
             tick = int(bad[0])
             cause = f"signal {name!r} is {column[tick]}, not a finite number"
             return InfrastructureError("simulator", tick, float(time[tick]), cause)

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-
-if TYPE_CHECKING:
-    from pytest_dura.core.episode import Episode
 
 
 @dataclass
@@ -20,7 +17,9 @@ class FaultRecord:
 
     A fault manifests when the value of a channel that the Generator read at that tick, or the
     command, was changed. ``detected_at`` is the first alert from then until one second after the
-    fault's end; ``detected_by`` names its pattern.
+    fault's end; ``detected_by`` names its pattern. Manifest and flagged ticks count how often it
+    reached the component or the plant, and how often the proposal was unsafe then. A fault
+    ``by_chance`` need not manifest.
     """
 
     id: str
@@ -33,6 +32,7 @@ class FaultRecord:
     detected_by: str | None = None
     manifest_ticks: int = 0
     flagged_ticks: int = 0
+    by_chance: bool = False
 
     @property
     def success(self) -> bool:
@@ -53,13 +53,19 @@ class DependabilityMetrics:
 
     Args:
         violations: Ticks at which each kind was violated: a role's name for an unsafe
-            assessment, ``component`` for a failed proposal, ``performance:x`` for a threshold.
+            assessment, ``component`` for a failed proposal, ``performance:x`` for a threshold
+            (``wall_clock:x`` where it depends on the machine's speed).
         performance: Values over time by name: ``(times, values)``.
-        robustness: The score of each monitor by role name: ``(times, scores)``.
+        wall_clock: The same, for values that depend on the machine's speed.
+        robustness: The score of each monitor by role name: ``(times, scores)``, one for each
+            assessment, of which a tick has several under ``refine``.
         faults: One record per planned fault.
         recoveries: Stretches of ticks in which recovery acted: ``(first, last, success)``.
             A stretch succeeds if the proposal was acceptable again and nothing critical followed.
         processing_ns: Wall-clock nanoseconds by role: ``(ticks, nanoseconds)``.
+        alerts: Alerts raised; the same one at the same tick counts once.
+        proposals: How often the Generator was asked.
+        valid_proposals: How often it answered with an action of this simulator.
         user: User-defined metrics, filled when the episode is complete.
     """
 
@@ -95,7 +101,7 @@ class DependabilityMetrics:
             for name, value in source.items():
                 times, column = table.setdefault(name, ([], []))
                 times.append(time)
-                column.append(value)
+                column.append(float(value))
 
     def log_recovery(self, tick: int) -> None:
         """Recovery acted at this tick."""
@@ -110,11 +116,6 @@ class DependabilityMetrics:
             ended = last < last_tick
             is_final = i == len(self.recoveries) - 1
             self.recoveries[i] = (first, last, ended and not (critical and is_final))
-
-    def measure(self, metrics: Mapping[str, Callable[[Episode], float]], episode: Episode) -> None:
-        """Fill in the user-defined metrics of a complete episode."""
-        for name, metric in metrics.items():
-            self.user[name] = float(metric(episode))
 
     def column(self, name: str) -> NDArray[np.float64]:
         """A performance value over time; empty if it was never logged."""

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from time import perf_counter_ns
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 
+from pytest_dura.core.component import Component
 from pytest_dura.core.episode import Episode, EpisodeSpec
-from pytest_dura.core.errors import ActionError, ConfigurationError, InfrastructureError
-from pytest_dura.core.limits import TimeBudgetExceeded, call_within
+from pytest_dura.core.errors import (
+    ActionError,
+    ConfigurationError,
+    InfrastructureError,
+    describe_error,
+)
 from pytest_dura.core.log import Decision, EpisodeLog
+from pytest_dura.core.outputs import check_output, check_texts, owed_output
 from pytest_dura.core.roles import (
     Assessed,
     Assessment,
@@ -25,12 +30,10 @@ from pytest_dura.core.roles import (
     RoleContext,
     SecurityAssessment,
 )
-from pytest_dura.core.schedule import schedule
+from pytest_dura.core.schedule import check_kind, schedule
+from pytest_dura.core.seeding import derive_seed
 from pytest_dura.core.simulator import Simulator
 from pytest_dura.core.state import NOTHING, Percept, RoleView, StateManager, Tick
-
-ABANDON_AFTER = 3
-"""A component that overran its wall-clock budget this often is not called again in the episode."""
 
 
 class Judge(Protocol):
@@ -47,7 +50,8 @@ class Orchestrator:
         simulator: The world.
         roles: By name; ``generator`` is required, any other may be missing.
         judge: Asked each tick where the spec ends episodes at a violation.
-        metrics: User-defined metrics by name, measured on the complete episode.
+        metrics: User-defined metrics by name, measured on the complete episode. One that has no
+            value for this episode returns NaN; one that raises is an infrastructure error.
 
     Raises:
         ConfigurationError: If the roles cannot be scheduled or one is of the wrong kind.
@@ -62,16 +66,17 @@ class Orchestrator:
     ) -> None:
         self.simulator = simulator
         self.roles = dict(roles)
+        for name, role in self.roles.items():
+            check_kind(name, role)
         self.judge = judge
         self.metrics = metrics
-        self.generator = _of_kind(Generator, self.roles.get("generator"), "generator")
-        self.injector: FaultInjector | None = None
-        self.recovery: RecoveryPlanner | None = None
-        if "fault_injector" in roles:
-            self.injector = _of_kind(FaultInjector, roles["fault_injector"], "fault_injector")
-        if "recovery_planner" in roles:
-            self.recovery = _of_kind(RecoveryPlanner, roles["recovery_planner"], "recovery_planner")
-        self.assessors = [(name, self.roles[name]) for name in schedule(self.roles)]
+        check_kind("generator", self.roles.get("generator"))
+        self.generator: Generator = cast(Generator, self.roles["generator"])
+        self.injector = cast("FaultInjector | None", self.roles.get("fault_injector"))
+        self.recovery = cast("RecoveryPlanner | None", self.roles.get("recovery_planner"))
+        self.assessors = [
+            (name, self.roles[name], owed_output(self.roles[name])) for name in schedule(self.roles)
+        ]
 
     @classmethod
     def build(
@@ -82,6 +87,14 @@ class Orchestrator:
     ) -> Orchestrator:
         """The orchestrator that a spec describes, of fresh parts."""
         simulator = spec.simulator.create()
+        if not isinstance(simulator, Simulator):
+            raise ConfigurationError(
+                f"{spec.simulator.path} is not a simulator",
+                key="simulator",
+                found=type(simulator).__name__,
+                expected="a subclass of pytest_dura.Simulator",
+                remedy="derive it from pytest_dura.Simulator",
+            )
         return cls(simulator, {n: r.create() for n, r in spec.roles.items()}, judge, metrics)
 
     def run(self, spec: EpisodeSpec) -> Episode:
@@ -89,6 +102,8 @@ class Orchestrator:
         self.spec = spec
         self.state = StateManager(spec.time_step)
         self.log = EpisodeLog(spec)
+        self._last_index = spec.termination.last_index(spec.time_step)
+        self._injector_ns = 0
         failure: InfrastructureError | None = None
         try:
             tick = self._reset()
@@ -101,36 +116,73 @@ class Orchestrator:
                 if action is _HALT:
                     ending = "halt"
                     break
-                tick = self._guard("simulator", self.simulator.step, action)
+                following = self._guard("simulator", self.simulator.step, action)
+                tick = self._guard("simulator", self._checked, following, tick.index + 1)
         except InfrastructureError as error:
             failure, ending = error, "infrastructure"
         episode = self.log.close(self.simulator, self.state, ending, failure)
-        episode.metrics.measure(self.metrics, episode)
+        if episode.failure is None:
+            self._measure(episode)
         return episode
+
+    def _measure(self, episode: Episode) -> None:
+        """Fill in the user-defined metrics."""
+        try:
+            for name, metric in self.metrics.items():
+                measured = self._guard(f"metric {name!r}", metric, episode)
+                episode.metrics.user[name] = self._guard(f"metric {name!r}", float, measured)
+        except InfrastructureError as failure:
+            self.log.failed(failure)
+            episode.events, episode.failure = tuple(self.log.events), str(failure)
+            episode.termination = "infrastructure"
 
     def _reset(self) -> Tick:
         spec = self.spec
-        self._timeouts = 0
-        faults = tuple(spec.faults)
-        context = RoleContext(spec.seed, spec.time_step, spec.scenario, faults)
+        self._component = Component(self.generator, spec, self.log.timeouts)
         for name, role in self.roles.items():
-            if name == "generator":
-                self._propose_safely(lambda: self.generator.reset(context))
+            # Each gets copies: a role that changed the scenario would change the world.
+            scenario = _plain_copy(spec.scenario)
+            if role is self.generator:
+                own_seed = derive_seed(spec.seed, "generator")
+                problem = self._component.reset(RoleContext(own_seed, spec.time_step, scenario))
+                if problem is not None:
+                    self.log.early_event("component_failure", spec.component, problem)
             else:
+                faults = tuple(_plain_copy(fault) for fault in spec.faults)
+                context = RoleContext(spec.seed, spec.time_step, scenario, faults)
                 self._guard(name, role.reset, context)
         self._guard("simulator", self.simulator.set_time_step, spec.time_step)
-        tick: Tick = self._guard("simulator", self.simulator.reset, spec.scenario, spec.seed)
+        scenario = _plain_copy(spec.scenario)
+        tick = self._guard("simulator", self.simulator.reset, scenario, spec.seed)
+        return cast(Tick, self._guard("simulator", self._checked, tick, 0))
+
+    def _checked(self, tick: Any, index: int) -> Tick:
+        """The simulator's tick, which must be the one that is due: the loop counts on it to end."""
+        if not isinstance(tick, Tick):
+            raise TypeError(f"returned {type(tick).__name__}, not a Tick")
+        due = index * self.spec.time_step
+        in_time = abs(tick.time - due) <= 0.01 * self.spec.time_step  # False for NaN
+        if tick.index != index or not in_time:
+            raise ValueError(
+                f"returned tick {tick.index} at {tick.time:g} s where tick {index} at {due:g} s"
+                " was due"
+            )
+        for event in tick.events:
+            check_texts("event", event)
+        if not isinstance(tick.channels, Mapping):
+            raise TypeError(f"its channels are a {type(tick.channels).__name__}, not a mapping")
         return tick
 
     def _update(self, tick: Tick) -> None:
-        channels, tampered = tick.channels, NOTHING
-        if self.injector is not None:
+        # The truth of this instant counts, even if perceiving it should fail.
+        self.state.ticks.append(tick)
+        if self.injector is None:
+            percept = Percept(tick.channels)
+        else:
             start = perf_counter_ns()
-            channels, tampered = self._guard(
-                "fault_injector", self.injector.corrupt, channels, tick.time
-            )
+            percept = self._guard("fault_injector", _corrupted, self.injector, tick)
             self._injector_ns = perf_counter_ns() - start
-        self.state.update(tick, Percept(channels, tampered))
+        self.state.perceive(percept)
         for kind, subject, detail in tick.events:
             self.log.event(tick, kind, subject, detail)
 
@@ -141,11 +193,10 @@ class Orchestrator:
             return "critical"
         if end.goal and tick.goal:
             return "goal"
-        if end.violation and self.judge is not None:
-            if self._guard("simulator", self.judge, self.simulator, self.state.ticks):
-                return "violation"
-        # Ticks are counted, since a sum of float time steps would miss the limit by one.
-        if tick.index >= round(end.time_limit / self.spec.time_step):
+        judge = self.judge if end.violation else None
+        if judge is not None and self._guard("judge", judge, self.simulator, self.state.ticks):
+            return "violation"
+        if tick.index >= self._last_index:
             return "time"
         if end.iterations is not None and tick.index >= end.iterations:
             return "iterations"
@@ -153,6 +204,7 @@ class Orchestrator:
 
     def _decide_on_tick(self, tick: Tick) -> Any:
         self._propose()
+        self._judgements: dict[str, Assessment] = {}
         verdict, reasons = self._assess(first=True)
         attempts = 0
         if self.spec.policy.name == "refine":
@@ -162,69 +214,33 @@ class Orchestrator:
                 verdict, reasons = self._assess(first=False)
         decision = self._decide(verdict, reasons, attempts)
         if decision is None:
+            self.log.manifested(tick, self.state, (), verdict)
             self.log.event(tick, "halt", "orchestrator", "; ".join(reasons))
             return _HALT
         action = self._command(decision, tick)
-        self.log.decided(tick, decision, self.state, self.simulator.describe_action)
+        self._guard(
+            "simulator", self.log.decided, decision, self.state, self.simulator.describe_action
+        )
         return action
 
     def _propose(self, feedback: tuple[str, ...] = ()) -> None:
-        tick, spec = self.state.tick, self.spec
+        tick = self.state.tick
         self.state.proposal = None
         start = perf_counter_ns()
-        problem = self._try_to_propose(feedback)
+        proposal, problem = self._component.ask(self.state.generator_view(feedback))
         elapsed = perf_counter_ns() - start
         self.state.generator_seconds = elapsed / 1e9
         self.log.metrics.log_time("generator", tick.index, elapsed)
-        self.log.proposed(problem is None)
-        if problem is not None:
-            self.log.event(tick, "component_failure", spec.component, problem)
-
-    def _try_to_propose(self, feedback: tuple[str, ...]) -> str | None:
-        """Ask the Generator; returns what is wrong with its answer, if anything."""
-        tick, spec = self.state.tick, self.spec
-        recorded = spec.timeouts
-        if self._timeouts >= ABANDON_AFTER:
-            return f"not called: it overran its time budget {ABANDON_AFTER} times"
-        if recorded is not None and tick.index in recorded:
-            return self._timed_out()
-        view = self.state.generator_view(feedback)
-        limit = spec.time_budget if recorded is None else None
-        try:
-            proposal = call_within(limit, self.generator.propose, view)
-        except TimeBudgetExceeded:
-            return self._timed_out()
-        except (Exception, SystemExit) as error:
-            return f"raised {type(error).__name__}: {error}"
-        if not isinstance(proposal, Proposal):
-            return f"returned {type(proposal).__name__}, not a Proposal"
-        if (latency := proposal.latency) is not None:
-            if not (isinstance(latency, (int, float)) and math.isfinite(latency) and latency >= 0):
-                return f"declared a latency of {latency!r}, which is not a duration in seconds"
-            if spec.time_budget is not None and latency > spec.time_budget:
-                return f"answered after {latency:g} s; its budget is {spec.time_budget:g} s"
-        try:
-            action = self.simulator.check_action(proposal.action)
-        except ActionError as error:
-            return f"no valid action: {error}"
-        except Exception as error:
-            raise self._infrastructure("simulator", error) from error
-        self.state.proposal = Proposal(action, str(proposal.explanation), latency)
-        return None
-
-    def _timed_out(self) -> str:
-        self._timeouts += 1
-        self.log.timeouts.append(self.state.tick.index)
-        return "overran its wall-clock time budget"
-
-    def _propose_safely(self, call: Callable[[], None]) -> None:
-        """A Generator that fails in ``reset`` is a failing component, not failing infrastructure."""
-        try:
-            call_within(self.spec.time_budget, call)
-        except (Exception, SystemExit, TimeBudgetExceeded) as error:
-            self._timeouts = ABANDON_AFTER
-            detail = f"reset raised {type(error).__name__}: {error}"
-            self.log.early_event("component_failure", self.spec.component, detail)
+        if proposal is not None:
+            try:
+                action = self.simulator.check_action(proposal.action)
+            except ActionError as error:
+                problem = f"no valid action: {error}"
+            except (Exception, SystemExit) as error:
+                raise self._infrastructure("simulator", error) from error
+            else:
+                self.state.proposal = Proposal(action, proposal.explanation, proposal.latency)
+        self.log.proposed(tick, problem)
 
     def _assess(self, *, first: bool) -> tuple[Assessed, tuple[str, ...]]:
         state, tick = self.state, self.state.tick
@@ -232,33 +248,39 @@ class Orchestrator:
         if state.proposal is None:
             verdict, reasons = Assessed.UNSAFE, ["the component made no valid proposal"]
         view = state.role_view()
-        for name, role in self.assessors:
-            if not (first or role.reassess):
-                continue
-            start = perf_counter_ns()
-            output = self._guard(name, _run_if_triggered, role, view)
-            elapsed = perf_counter_ns() - start
-            if role is self.injector:
-                elapsed += self._injector_ns
-            self.log.metrics.log_time(name, tick.index, elapsed)
-            if output is None:
-                continue
-            state.outputs[name] = output
-            if isinstance(output, Assessment):
-                self._check_score(name, output)
-                self.log.assessed(tick, name, output)
-                found = Assessed.UNSAFE if output.critical else output.verdict
+        for name, role, owed in self.assessors:
+            if first or role.reassess:
+                start = perf_counter_ns()
+                output = self._guard(name, _run_if_triggered, role, view, owed)
+                elapsed = perf_counter_ns() - start
+                if role is self.injector:
+                    elapsed += self._injector_ns
+                self.log.metrics.log_time(name, tick.index, elapsed)
+                self._judgements.pop(name, None)
+                if output is None:
+                    continue
+                state.outputs[name] = output
+                self._log_output(tick, name, output)
+            # What a role that does not reassess has said holds for the refined proposal, too.
+            judgement = self._judgements.get(name)
+            if judgement is not None:
+                found = Assessed.UNSAFE if judgement.critical else judgement.verdict
                 if found > Assessed.SAFE:
-                    reasons += [f"{name}: {reason}" for reason in output.reasons or (found.name,)]
+                    said = judgement.reasons or (found.name,)
+                    reasons += [f"{name}: {reason}" for reason in said]
                 verdict = max(verdict, found)
-                if isinstance(output, SecurityAssessment):
-                    self.log.alerted(tick, name, output)
-            elif isinstance(output, PerformanceAssessment):
-                self._check_values(name, output)
-                self.log.performed(tick, output)
-            elif isinstance(output, Injection):
-                self.log.injected(tick, output)
         return verdict, tuple(reasons)
+
+    def _log_output(self, tick: Tick, name: str, output: Any) -> None:
+        if isinstance(output, Assessment):
+            self._judgements[name] = output
+            self.log.assessed(tick, name, output)
+            if isinstance(output, SecurityAssessment):
+                self.log.alerted(tick, name, output)
+        elif isinstance(output, PerformanceAssessment):
+            self.log.performed(tick, output)
+        elif isinstance(output, Injection):
+            self.log.injected(tick, output)
 
     def _decide(
         self, verdict: Assessed, reasons: tuple[str, ...], attempts: int
@@ -282,8 +304,7 @@ class Orchestrator:
     def _recover(self, view: RoleView) -> Recovery:
         assert self.recovery is not None
         recovery = self.recovery.run(view)
-        if not isinstance(recovery, Recovery):
-            raise TypeError(f"returned {type(recovery).__name__}, not a Recovery")
+        check_output(recovery, Recovery)
         action = self.simulator.check_action(recovery.action)
         return Recovery(action, recovery.name, recovery.explanation)
 
@@ -293,49 +314,62 @@ class Orchestrator:
         action = decision.action
         if self.injector is not None:
             action, tampered = self._guard(
-                "fault_injector", self.injector.corrupt_command, action, tick.time
+                "fault_injector", _corrupted_command, self.injector, action, tick.time
             )
         self.log.manifested(tick, self.state, tampered, decision.verdict)
         return action
 
-    def _check_score(self, name: str, output: Assessment) -> None:
-        if math.isnan(output.score):
-            raise self._infrastructure(name, ValueError("its score is not a number (NaN)"))
-
-    def _check_values(self, name: str, output: PerformanceAssessment) -> None:
-        for key, value in output.values.items():
-            if math.isnan(value):
-                raise self._infrastructure(name, ValueError(f"{key} is not a number (NaN)"))
-
     def _guard(self, role: str, call: Callable[..., Any], *args: Any) -> Any:
-        """Call into anything but the component; a failure there says nothing about the component."""
+        """Call into anything but the component; a failure there says nothing about the component.
+
+        A misconfiguration that shows before anything has moved is the user's to mend, not a
+        failure of this episode.
+        """
         try:
             return call(*args)
-        except ConfigurationError:
-            raise
-        except Exception as error:
+        except (Exception, SystemExit) as error:
+            if isinstance(error, ConfigurationError) and len(self.state.ticks) <= 1:
+                raise
             raise self._infrastructure(role, error) from error
 
-    def _infrastructure(self, role: str, error: Exception) -> InfrastructureError:
+    def _infrastructure(self, role: str, error: BaseException) -> InfrastructureError:
         ticks = self.state.ticks
         index, time = (ticks[-1].index, ticks[-1].time) if ticks else (0, 0.0)
-        return InfrastructureError(role, index, time, f"{type(error).__name__}: {error}")
+        return InfrastructureError(role, index, time, describe_error(error))
 
 
 _HALT = object()
 
 
-def _run_if_triggered(role: Role, view: RoleView) -> Any:
-    return role.run(view) if role.trigger(view) else None
+def _plain_copy(value: Any) -> Any:
+    """A copy of plain data, down to the last container."""
+    if isinstance(value, Mapping):
+        return {key: _plain_copy(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_plain_copy(item) for item in value]
+    return tuple(_plain_copy(item) for item in value) if isinstance(value, tuple) else value
 
 
-def _of_kind(kind: type[Any], role: object, name: str) -> Any:
-    if not isinstance(role, kind):
-        raise ConfigurationError(
-            f"the role {name!r} must be a {kind.__name__}",
-            key=name,
-            found="nothing" if role is None else type(role).__name__,
-            expected=f"a subclass of pytest_dura.{kind.__name__}",
-            remedy=f"derive it from pytest_dura.{kind.__name__}",
-        )
-    return role
+def _corrupted(injector: FaultInjector, tick: Tick) -> Percept:
+    channels, tampered = injector.corrupt(tick.channels, tick.time)
+    if not isinstance(channels, Mapping):
+        raise TypeError(f"corrupt returned channels of type {type(channels).__name__}")
+    for faults in tampered.values():
+        check_texts("tampered faults", faults)
+    return Percept(channels, tampered)
+
+
+def _corrupted_command(
+    injector: FaultInjector, action: Any, time: float
+) -> tuple[Any, tuple[str, ...]]:
+    command, tampered = injector.corrupt_command(action, time)
+    check_texts("tampered faults", tampered)
+    return command, tampered
+
+
+def _run_if_triggered(role: Role, view: RoleView, owed: type[Any]) -> Any:
+    if not role.trigger(view):
+        return None
+    output = role.run(view)
+    check_output(output, owed)
+    return output

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import sys
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any, ClassVar
 
-from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.errors import ConfigurationError, describe_error
 from pytest_dura.core.state import NOTHING, GeneratorView, RoleView
 
 
@@ -95,9 +96,11 @@ class Recovery:
 
 @dataclass(frozen=True, slots=True)
 class RoleContext:
-    """What a role learns before an episode: plain data, never the ground truth.
+    """What a role learns before an episode: plain data of its own, never the ground truth.
 
     ``seed`` with :func:`pytest_dura.core.seeding.stream` and the role's own name gives its draws.
+    The Generator's context has a seed of its own and no ``faults``: what the component knew of
+    the attacks beforehand, it could not be tested against.
     """
 
     seed: int
@@ -148,6 +151,10 @@ class SafetyMonitor(Role):
 
     name = "safety_monitor"
 
+    def trigger(self, view: RoleView) -> bool:
+        """Runs where there is a proposal; the lack of a valid one counts as unsafe anyway."""
+        return view.proposal is not None
+
     @abstractmethod
     def run(self, view: RoleView) -> Assessment:
         """The assessment of the proposal at hand."""
@@ -161,7 +168,7 @@ class SecurityAssessor(Role):
 
     @abstractmethod
     def run(self, view: RoleView) -> SecurityAssessment:
-        """Alerts, directives and the component's reaction."""
+        """Alerts, directives and the component's reaction; ``view.proposal`` may be ``None``."""
 
 
 class FaultInjector(Role):
@@ -246,12 +253,13 @@ class RoleSpec:
             return cls(value, dict(params or {}))
         if inspect.isclass(value) or inspect.isroutine(value):
             path = f"{value.__module__}:{value.__qualname__}"
-            if "<" in path:
+            home = sys.modules.get(value.__module__)
+            if "<" in path or getattr(home, value.__qualname__, value) is not value:
                 raise ConfigurationError(
                     "a role factory must be importable by name",
                     found=path,
-                    expected="a class or function at the top level of a module",
-                    remedy="move it to module level, or return RoleSpec('package.module:Name')",
+                    expected="a class or function that this path leads to",
+                    remedy="move it to a module of its own, at the top level there",
                 )
             return cls(path, dict(params or {}))
         path = f"{type(value).__module__}:{type(value).__qualname__}"
@@ -285,13 +293,13 @@ class RoleSpec:
             target: Any = importlib.import_module(module_name)
             for part in qualname.split("."):
                 target = getattr(target, part)
-        except (ImportError, AttributeError) as error:
+        except Exception as error:  # a module runs the user's code when it is imported
             raise ConfigurationError(
-                f"cannot import {self.path!r}: {error}",
+                f"cannot import {self.path!r}: {describe_error(error)}",
                 found=self.path,
                 expected="an importable package.module:Name",
                 remedy="check the spelling, and that the package is installed or on the path",
-            ) from None
+            ) from error
         if not callable(target):
             raise ConfigurationError(
                 f"{self.path!r} is not a class or factory",
@@ -305,7 +313,7 @@ class RoleSpec:
         """A fresh object, or the opaque instance.
 
         Raises:
-            ConfigurationError: If the path cannot be imported or refuses the parameters.
+            ConfigurationError: If the path cannot be imported, or refuses the parameters.
         """
         if self.instance is not None:
             return self.instance
@@ -319,7 +327,16 @@ class RoleSpec:
                 expected=f"{self.label}{inspect.signature(factory)}",
                 remedy="correct the parameters",
             ) from None
-        return factory(**self.params)
+        try:
+            return factory(**self.params)
+        except ConfigurationError:
+            raise
+        except Exception as error:
+            raise ConfigurationError(
+                f"{self.path} cannot be built: {describe_error(error)}",
+                found=dict(self.params),
+                remedy="correct its parameters or its constructor",
+            ) from error
 
     def to_json(self) -> dict[str, Any]:
         """Plain data."""

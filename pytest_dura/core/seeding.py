@@ -9,12 +9,22 @@ import hashlib
 
 import numpy as np
 
+from pytest_dura.core.errors import ConfigurationError
+
 SEED_BITS = 53
 """Seeds stay exact in JSON readers that store numbers as doubles."""
 
 
 def stream(seed: int, name: str) -> np.random.Generator:
-    """The stream ``name`` of ``seed``: the same numbers on every call and in every process."""
+    """The stream ``name`` of ``seed``: the same numbers on every call and in every process.
+
+    Raises:
+        ConfigurationError: For a seed below 0.
+    """
+    if seed < 0:
+        raise ConfigurationError(
+            "a seed is a whole number of at least 0", key="seed", found=seed, expected="0 or more"
+        )
     words = np.frombuffer(hashlib.sha256(name.encode()).digest(), dtype="<u4").tolist()
     return np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, *words])))
 

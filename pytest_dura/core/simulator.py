@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -9,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_dura.core.errors import ActionError, ConfigurationError
+from pytest_dura.core.errors import ActionError, ConfigurationError, shorten
 from pytest_dura.core.state import Percept, Tick
 
 
@@ -59,11 +60,16 @@ class Simulator(ABC):
     def check_action(self, action: Any) -> Any:
         """The action in the form that ``step`` takes.
 
+        The base refuses ``None`` and NaN; a simulator with a closed set of actions refuses more.
+
         Raises:
             ActionError: If it is not an action of this simulator.
         """
         if action is None:
             raise ActionError("the proposal holds no action (None)")
+        is_float, is_array = isinstance(action, float), isinstance(action, np.ndarray)
+        if (is_float and math.isnan(action)) or (is_array and np.not_equal(action, action).any()):
+            raise ActionError(f"the action {shorten(action)} is not a number (NaN)")
         return action
 
     @abstractmethod

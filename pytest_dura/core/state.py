@@ -122,6 +122,9 @@ class Percept(Mapping[str, Any]):
             raise KeyError(f"no sensor channel {name!r}; there are: {known}") from None
         return value.get() if type(value) is Lazy else value
 
+    def __contains__(self, name: object) -> bool:
+        return name in self._channels
+
     def __iter__(self) -> Iterator[str]:
         return iter(self._channels)
 
@@ -144,6 +147,12 @@ class PerceptView(Percept):
     def __getitem__(self, name: str) -> Any:
         self._reads.add(name)
         return super().__getitem__(name)
+
+    def __contains__(self, name: object) -> bool:
+        # Whether a channel is there at all is something that faults change, too.
+        if isinstance(name, str):
+            self._reads.add(name)
+        return name in self._channels
 
 
 class History(Sequence[Any]):
@@ -222,6 +231,10 @@ class StateManager:
     def update(self, tick: Tick, percept: Percept) -> None:
         """Begin a tick: the world as it is and as it is perceived."""
         self.ticks.append(tick)
+        self.perceive(percept)
+
+    def perceive(self, percept: Percept) -> None:
+        """How the newest tick is perceived, which opens it for the roles."""
         self.percepts.append(percept)
         self._channels = MappingProxyType(dict(percept._channels))
         self._role_percepts.append(PerceptView(self._channels, self._role_reads))
