@@ -1,0 +1,1 @@
+"""The autonomous-driving domain: bodies, geometry, maneuvers, sensors, simulators, roles, faults."""

@@ -1,0 +1,101 @@
+"""Objects on the road with stable ids, kept as columns."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+X, Y, HEADING, VX, VY, LENGTH, WIDTH = range(7)
+COLUMNS = 7
+
+CAR_LENGTH, CAR_WIDTH, PEDESTRIAN_SIZE = 5.0, 2.0, 0.6
+
+Floats = NDArray[np.float64]
+
+
+class Body(NamedTuple):
+    """One object: metres, radians, metres per second; x east, y south as highway-env has it."""
+
+    id: str
+    x: float
+    y: float
+    heading: float
+    vx: float
+    vy: float
+    length: float
+    width: float
+
+    @property
+    def is_pedestrian(self) -> bool:
+        """Whether it has a pedestrian's size; sensors report sizes, not classes."""
+        return self.length < 1.0
+
+
+class BodyList(Sequence[Body]):
+    """Bodies as ids and one read-only array.
+
+    Args:
+        ids: One id per row, such as ``V3`` or ``P1``.
+        data: Shape ``(n, 7)``: x, y, heading, vx, vy, length, width.
+    """
+
+    __slots__ = ("data", "ids")
+
+    def __init__(self, ids: tuple[str, ...], data: Floats) -> None:
+        self.ids = ids
+        data.flags.writeable = False
+        self.data = data
+
+    @classmethod
+    def of(cls, bodies: Sequence[Body]) -> BodyList:
+        """From single bodies."""
+        rows = [body[1:] for body in bodies]
+        return cls(tuple(body.id for body in bodies), np.array(rows, float).reshape(-1, COLUMNS))
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    def __getitem__(self, index: Any) -> Any:
+        if isinstance(index, slice):
+            return BodyList(self.ids[index], self.data[index])
+        return Body(self.ids[index], *self.data[index].tolist())
+
+    def __iter__(self) -> Iterator[Body]:
+        for body_id, row in zip(self.ids, self.data.tolist(), strict=True):
+            yield Body(body_id, *row)
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, BodyList):
+            return NotImplemented
+        return self.ids == other.ids and np.array_equal(self.data, other.data)
+
+    __hash__ = None  # type: ignore[assignment]  # compared by value
+
+    def __repr__(self) -> str:
+        return f"BodyList({', '.join(self.ids)})"
+
+    def get(self, body_id: str) -> Body | None:
+        """The body with this id, if it is there."""
+        return self[self.ids.index(body_id)] if body_id in self.ids else None
+
+    def with_body(self, body: Body) -> BodyList:
+        """The list with this body added, or put in the place of the one with its id."""
+        row = np.array(body[1:], float)
+        if body.id in self.ids:
+            data = self.data.copy()
+            data[self.ids.index(body.id)] = row
+            return BodyList(self.ids, data)
+        return BodyList((*self.ids, body.id), np.vstack([self.data, row]))
+
+    def only(self, mask: NDArray[np.bool_]) -> BodyList:
+        """The bodies where the mask is true."""
+        if mask.all():
+            return self
+        ids = tuple(i for i, keep in zip(self.ids, mask.tolist(), strict=True) if keep)
+        return BodyList(ids, self.data[mask])
+
+
+NO_BODIES = BodyList((), np.empty((0, COLUMNS)))

@@ -1,0 +1,105 @@
+"""Attacks on the list of perceived objects. They touch the percept only, never the road."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Annotated, Any, ClassVar, Literal
+
+import numpy as np
+from pydantic import Field
+
+from pytest_dura.driving.bodies import CAR_LENGTH, CAR_WIDTH, Body, BodyList
+from pytest_dura.faults.model import Fault, FaultPart, Positive
+
+
+class GhostParameters(FaultPart):
+    """Where the ghost stands and how large it is."""
+
+    ahead: Positive = Field(14.0, description="Metres ahead of the ego's front on its route, when it appears.")
+    length: Positive = Field(CAR_LENGTH, description="In m.")
+    width: Positive = Field(CAR_WIDTH, description="In m.")
+
+
+class GhostObstacle(Fault):
+    """An object that is not there: lidar reports a standing car on the ego's route."""
+
+    type: Literal["ghost-obstacle"]
+    parameters: GhostParameters = GhostParameters()
+    default_target: ClassVar[str] = "lidar"
+
+    @classmethod
+    def example(cls) -> dict[str, Any]:
+        """Two seconds into the episode, for four seconds."""
+        return {"activation": {"at": 2.0}, "duration": 4.0}
+
+    def begin(self, channels: Mapping[str, Any], rng: np.random.Generator) -> Body:
+        """The ghost, fixed to the ground from now on."""
+        pose, route = channels["localisation"], channels["map"].route
+        s, _ = route.project(pose.x, pose.y)
+        distance = CAR_LENGTH / 2 + self.parameters.ahead + self.parameters.length / 2
+        x, y, heading = (float(value) for value in route.pose(s + distance))
+        name = f"V{900 + int(rng.integers(100))}"  # looks like any other id
+        size = (self.parameters.length, self.parameters.width)
+        return Body(name, x, y, heading, 0.0, 0.0, *size)
+
+    def apply(self, memory: Body, channels: Mapping[str, Any], elapsed: float) -> BodyList:
+        """The objects with the ghost among them."""
+        bodies: BodyList = channels[self.target].with_body(memory)
+        return bodies
+
+
+class SpoofParameters(FaultPart):
+    """How the spoofed vehicle seems to move."""
+
+    magnitude: Annotated[float, Field(ge=0, le=1)] = Field(
+        1.0, description="0 leaves the vehicle where it is, 1 puts it wholly on the false path."
+    )
+    lead: Positive = Field(
+        2.0, description="The false path meets the ego's route this many seconds ahead of the ego."
+    )
+    duration: Positive = Field(4.0, description="Seconds until the false path meets the route.")
+
+
+class TrajectorySpoof(Fault):
+    """A real vehicle's position and velocity are replaced by a course that cuts the ego off.
+
+    Radar still sees the vehicle where it is.
+    """
+
+    type: Literal["trajectory-spoof"]
+    parameters: SpoofParameters = SpoofParameters()
+    default_target: ClassVar[str] = "lidar"
+
+    @classmethod
+    def example(cls) -> dict[str, Any]:
+        """Two seconds into the episode, for five seconds."""
+        return {"activation": {"at": 2.0}, "duration": 5.0}
+
+    def begin(self, channels: Mapping[str, Any], rng: np.random.Generator) -> Any:
+        """The victim (the nearest car within sight) and its false path; ``None`` while there is no car."""
+        pose, odometry, route = channels["localisation"], channels["odometry"], channels["map"].route
+        cars = [body for body in channels[self.target] if not body.is_pedestrian]
+        if not cars:
+            return None
+        victim = min(cars, key=lambda b: (math.hypot(b.x - pose.x, b.y - pose.y), b.id))
+        s, _ = route.project(pose.x, pose.y)
+        meet = s + CAR_LENGTH + max(odometry.speed, 3.0) * self.parameters.lead
+        x, y, _ = (float(value) for value in route.pose(meet))
+        vx = (x - victim.x) / self.parameters.duration
+        vy = (y - victim.y) / self.parameters.duration
+        return victim, vx, vy
+
+    def apply(self, memory: Any, channels: Mapping[str, Any], elapsed: float) -> BodyList:
+        """The objects with the victim on its false path, where it stops at the end."""
+        bodies: BodyList = channels[self.target]
+        start, vx, vy = memory
+        real = bodies.get(start.id)
+        share = self.parameters.magnitude
+        if real is None or share == 0.0:
+            return bodies
+        time = min(elapsed, self.parameters.duration)
+        moving = 1.0 if elapsed < self.parameters.duration else 0.0
+        false = (start.x + vx * time, start.y + vy * time, math.atan2(vy, vx), vx * moving, vy * moving)
+        mixed = [r + share * (f - r) for r, f in zip(real[1:6], false, strict=True)]
+        return bodies.with_body(Body(real.id, *mixed, real.length, real.width))

@@ -1,0 +1,314 @@
+"""The four-way unsignalised intersection on highway-env, driven road and all by us.
+
+The road is stepped directly: no observation table, no rewards, no spawning that the scenario did
+not ask for, and none of highway-env's class-level settings is touched.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.seeding import stream
+from pytest_dura.core.simulator import Simulator
+from pytest_dura.core.state import Percept, Tick
+from pytest_dura.driving import camera, signals
+from pytest_dura.driving.bodies import CAR_LENGTH, CAR_WIDTH, COLUMNS, NO_BODIES, BodyList
+from pytest_dura.driving.collisions import Contact, attribute
+from pytest_dura.driving.junction import ARM_LENGTH, ARMS, TURNS, Route, route
+from pytest_dura.driving.maneuvers import Command, Maneuver, acceleration_for
+from pytest_dura.driving.scenario import DrivingWorld, Traffic
+from pytest_dura.driving.sensors import EgoState, channels, route_map, signs
+
+GOAL_DISTANCE = 25.0
+"""Metres behind the junction at which the task is done, as in highway-env's ``has_arrived``."""
+WRECK_TIME = 3.0
+"""Seconds after which background cars that crashed into each other are cleared away."""
+_ENTRY_SPACE = 14.0
+_REMOVED_AT = 80.0
+
+
+class HighwaySimulator(Simulator):
+    """Ego from the south, traffic and pedestrians as the scenario's ``world`` says.
+
+    Actions are what :meth:`Command.of` accepts. See ``DrivingWorld`` for the world, and
+    ``signals.NAMES`` for the signals.
+    """
+
+    def __init__(self) -> None:
+        self._road: Any = None
+
+    @classmethod
+    def check_scenario(cls, world: Mapping[str, Any]) -> dict[str, Any]:
+        """The world with all defaults filled in.
+
+        Raises:
+            pydantic.ValidationError: If the world is none of ours.
+            ConfigurationError: If two bodies have one id.
+        """
+        model = DrivingWorld.model_validate(dict(world), strict=False)
+        ids = ["EGO", *(v.id for v in model.vehicles), *(p.id for p in model.pedestrians)]
+        twice = sorted({i for i in ids if ids.count(i) > 1})
+        if twice:
+            raise ConfigurationError(
+                "two bodies of a scenario have the same id",
+                key="world.vehicles",
+                found=twice[0],
+                expected="ids that are unique, and not EGO",
+            )
+        return model.model_dump(mode="json")
+
+    def reset(self, scenario: Mapping[str, Any], seed: int) -> Tick:
+        """Build the road and what the scenario puts on it at time 0."""
+        from pytest_dura.driving import traffic
+
+        world = DrivingWorld.model_validate(dict(scenario.get("world", {})), strict=False)
+        road = traffic.JunctionRoad(_network(), np_random=stream(seed, "highway_env"))
+        road.courtesy = world.courtesy
+        self._road, self._index, self._dt = road, 0, self.time_step
+        self._route = route(0, world.ego.turn)
+        self._map, self._signs = route_map(self._route), signs(self._route)
+        self._contact: Contact | None = None
+        self._background_crashes = 0
+        self._wrecks: dict[str, float] = {}
+        self._removed: set[str] = set()
+        self._ego = self._place(
+            traffic.Ego, "EGO", self._route, ARM_LENGTH - world.ego.distance, world.ego.speed
+        )
+        for vehicle in world.vehicles:
+            plan = route(ARMS.index(vehicle.arm), vehicle.turn)
+            s = ARM_LENGTH - vehicle.distance
+            self._place(traffic.Driver, vehicle.id, plan, s, vehicle.speed)
+        for person in world.pedestrians:
+            body = traffic.walker(
+                road, person.id, ARMS.index(person.arm), person.offset, person.side
+            )
+            body.walking, body.start = person.speed, person.start
+            road.objects.append(body)
+        self._arrivals = self._draw_arrivals(world.traffic, seed, scenario.get("duration", 60.0))
+        self._admit(initially=True)
+        self._state = self._observe_ego(0.0, self._ego.heading)
+        return self._tick(())
+
+    def step(self, action: Any) -> Tick:
+        """Carry out a command for one time step."""
+        ego, dt, before = self._ego, self._dt, self._state
+        acceleration = acceleration_for(action, before.speed, ARM_LENGTH - before.front)
+        ego.actuate(acceleration, dt)
+        time = self._index * dt
+        for person in self._road.objects:
+            person.walk(time, dt, self._road.vehicles)
+        self._road.act()
+        self._road.step(dt)
+        self._index += 1
+        self._clear()
+        self._admit()
+        self._state = self._observe_ego((ego.speed - before.speed) / dt, before.heading)
+        return self._tick(self._collisions(before))
+
+    def signals(self, ticks: Sequence[Tick]) -> dict[str, NDArray[np.float64]]:
+        """See ``pytest_dura.driving.signals``."""
+        return signals.truth_signals(ticks, self._route.exit, self._dt)
+
+    def percept_signals(self, percepts: Sequence[Percept]) -> dict[str, NDArray[np.float64]]:
+        """Gap, time to collision and speed as perceived."""
+        return signals.percept_signals(percepts)
+
+    def check_action(self, action: Any) -> Command:
+        """A command; see :meth:`Command.of`."""
+        return Command.of(action)
+
+    def fallback_action(self) -> Command:
+        """Without a command the car keeps its speed."""
+        return Command(Maneuver.PROCEED, 0.0)
+
+    def describe_action(self, action: Command) -> str:
+        """The maneuver's name."""
+        return action.maneuver.value
+
+    def render(self) -> NDArray[np.uint8]:
+        """The third-person view."""
+        return camera.third_person(self._road, self._ego.position)
+
+    def snapshot(self) -> object:
+        """A deep copy of road, vehicles and bookkeeping; the road network is shared."""
+        return copy.deepcopy(self._variables(), {id(_network()): _network()})
+
+    def restore(self, snapshot: object) -> None:
+        """Return to a snapshot."""
+        self.__dict__.update(copy.deepcopy(snapshot, {id(_network()): _network()}))  # type: ignore[arg-type]
+
+    def close(self) -> None:
+        """Forget the road."""
+        self._road = None
+
+    def _variables(self) -> dict[str, Any]:
+        return {name: value for name, value in vars(self).items() if name != "_map"}
+
+    def _place(self, kind: Any, body_id: str, plan: Route, s: float, speed: float) -> Any:
+        x, y, heading = (float(value) for value in plan.pose(s))
+        vehicle = kind(self._road, [x, y], heading=heading, speed=speed)
+        vehicle.body_id, vehicle.plan, vehicle.s = body_id, plan, s
+        vehicle.target_speed = self._map.speed_limit
+        vehicle.plan_route_to(f"o{plan.destination}")
+        if kind.__name__ == "Driver":
+            vehicle.enable_lane_change = False
+        self._road.vehicles.append(vehicle)
+        return vehicle
+
+    @staticmethod
+    def _draw_arrivals(
+        traffic: Traffic | None, seed: int, duration: float
+    ) -> list[tuple[float, str, Route, float, float]]:
+        """All arrivals of the episode: time, id, route, speed and IDM exponent, in order of time.
+
+        Drawn beforehand, one stream per arm: what the ego does cannot change the traffic's demand.
+        """
+        if traffic is None:
+            return []
+        drawn = []
+        weights = np.array([traffic.turns.left, traffic.turns.straight, traffic.turns.right])
+        for arm in traffic.arms:
+            rng = stream(seed, f"traffic:{arm}")
+            # Cars that entered up to nine seconds ago are on the arm when the episode begins.
+            time = -9.0 + rng.exponential(traffic.headway)
+            while time < duration:
+                turn = TURNS[int(rng.choice(3, p=weights / weights.sum()))]
+                speed = float(rng.normal(traffic.speed, traffic.speed_deviation))
+                exponent = float(rng.uniform(3.5, 4.5))
+                plan = route(ARMS.index(arm), turn)
+                drawn.append((time, plan, float(np.clip(speed, 4.0, 10.0)), exponent))
+                mean = max(traffic.headway - traffic.minimum_headway, 0.1)
+                time += traffic.minimum_headway + rng.exponential(mean)
+        drawn.sort(key=lambda arrival: (arrival[0], arrival[1].origin))
+        return [(t, f"V{i}", *rest) for i, (t, *rest) in enumerate(drawn, 1)]  # type: ignore[misc]
+
+    def _admit(self, initially: bool = False) -> None:
+        """Let in whose time has come and who has room; others wait outside, in order."""
+        if not self._arrivals or self._arrivals[0][0] > self._index * self._dt:
+            return
+        from pytest_dura.driving.traffic import Driver
+
+        now, waiting = self._index * self._dt, []
+        for arrival in self._arrivals:
+            time, body_id, plan, speed, exponent = arrival
+            if time > now:
+                waiting.append(arrival)
+                continue
+            s = max(0.0, -time * speed) if initially else 0.0
+            taken = [v.s for v in self._road.vehicles if v.plan.origin == plan.origin]
+            if any(abs(other - s) < _ENTRY_SPACE for other in taken):
+                if not initially:
+                    waiting.append(arrival)
+                continue
+            self._place(Driver, body_id, plan, s, speed).DELTA = exponent
+        self._arrivals = waiting
+
+    def _clear(self) -> None:
+        """Take away who has left, and wrecks after a while."""
+        now = self._index * self._dt
+        self._removed = {i for i, since in self._wrecks.items() if now - since >= WRECK_TIME}
+        self._road.vehicles = [
+            v
+            for v in self._road.vehicles
+            if v is self._ego or (v.s < v.plan.exit + _REMOVED_AT and v.body_id not in self._removed)
+        ]
+
+    def _collisions(self, before: EgoState) -> tuple[tuple[str, str, str], ...]:
+        """What has just crashed; a crash of background cars among themselves is not the ego's."""
+        events: list[tuple[str, str, str]] = []
+        ego = self._ego
+        if ego.crashed and self._contact is None:
+            self._contact = attribute(ego, before, self._road, self._route.exit)
+            events.append(("collision", self._contact.partner, self._contact.describe()))
+        fresh = [
+            v for v in self._road.vehicles if v is not ego and v.crashed and v.body_id not in self._wrecks
+        ]
+        if fresh:
+            now = self._index * self._dt
+            self._wrecks.update({v.body_id: now for v in fresh})
+            partner = self._contact.partner if self._contact else None
+            others = [v.body_id for v in fresh if v.body_id != partner]
+            if others:
+                self._background_crashes += 1
+                events.append(("background_crash", "+".join(others), "not a collision of the ego"))
+        return tuple(events)
+
+    def _observe_ego(self, acceleration: float, heading_before: float) -> EgoState:
+        ego = self._ego
+        x, y = ego.position.tolist()
+        s, lateral = self._route.project(x, y)
+        heading = float(ego.heading)
+        return EgoState(
+            x, y, heading, float(ego.speed), float(acceleration), ego.commanded,
+            (heading - heading_before) / self._dt, s, lateral,
+        )  # fmt: skip
+
+    def _bodies(self) -> BodyList:
+        road, ego, rows, ids = self._road, self._ego, [], []
+        for body in (*road.vehicles, *road.objects):
+            if body is ego:
+                continue
+            x, y = body.position.tolist()
+            heading, speed = float(body.heading), float(body.speed)
+            course = heading
+            if body.LENGTH > 1.0:  # a car's course differs from its heading by the slip angle
+                course += math.atan(0.5 * math.tan(body.action["steering"]))
+            ids.append(body.body_id)
+            rows.append((x, y, heading, speed * math.cos(course), speed * math.sin(course),
+                         body.LENGTH, body.WIDTH))  # fmt: skip
+        return BodyList(tuple(ids), np.array(rows).reshape(-1, COLUMNS)) if ids else NO_BODIES
+
+    def _tick(self, events: tuple[tuple[str, str, str], ...]) -> Tick:
+        state, bodies = self._state, self._bodies()
+        contact = self._contact
+        truth = {
+            "ego": state,
+            "bodies": bodies,
+            "contact": contact.code if contact else 0,
+            "background_crashes": self._background_crashes,
+        }
+        return Tick(
+            index=self._index,
+            time=self._index * self._dt,
+            truth=truth,
+            channels=channels(state, bodies, self._map, self._signs, self._camera(self._index)),
+            goal=state.s > self._route.exit + GOAL_DISTANCE,
+            critical=contact.describe() if contact else None,
+            events=events,
+        )
+
+    def _camera(self, index: int) -> Any:
+        def frame(view: str) -> NDArray[np.uint8]:
+            if index != self._index:
+                raise ConfigurationError(
+                    "a camera frame can be read only during its tick",
+                    key=f"camera_{view}",
+                    found=f"tick {index}, read at tick {self._index}",
+                    remedy="read the channel when the role runs, and keep the array",
+                )
+            if view == "front":
+                state = self._state
+                return camera.front(self._road, state.x, state.y, state.heading)
+            return camera.third_person(self._road, self._ego.position)
+
+        return frame
+
+
+@lru_cache(maxsize=1)
+def _network() -> Any:
+    """highway-env's intersection; its builder needs nothing of the environment but two settings."""
+    from highway_env.envs.intersection_env import IntersectionEnv
+
+    settings = {"show_trajectories": False, "neighbour_vehicles_connected_lanes": False}
+    stage = SimpleNamespace(np_random=None, config=settings, road=None)
+    IntersectionEnv._make_road(stage)
+    return stage.road.network

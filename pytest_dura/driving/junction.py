@@ -1,0 +1,142 @@
+"""The four-way junction: routes as arc lengths, and where two routes conflict.
+
+Geometry of highway-env's intersection: arms 0 south, 1 west, 2 north, 3 east; x east, y south;
+lanes 4 m wide, arms 100 m long, stop lines 11 m from the centre. The east-west road has priority.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+ARMS = ("south", "west", "north", "east")
+TURNS = ("left", "straight", "right")
+ARM_LENGTH = 100.0
+STOP_LINE = 11.0
+"""Distance of a stop line from the centre in metres; the square between them is the conflict zone."""
+LANE_OFFSET = 2.0
+RIGHT_RADIUS, LEFT_RADIUS = 9.0, 13.0
+SPEED_LIMIT = 10.0
+_SPACING = 0.5
+_CONFLICT_WIDTH = 3.0
+"""Centre lines nearer than this conflict: a car's width and half a metre on each side."""
+
+
+@dataclass(frozen=True)
+class Route:
+    """From one arm to another. ``s`` is metres along it, 0 where the arm begins, 100 at the stop line."""
+
+    origin: int
+    turn: str
+
+    @property
+    def destination(self) -> int:
+        """The arm on which it leaves."""
+        return (self.origin + {"left": 1, "straight": 2, "right": 3}[self.turn]) % 4
+
+    @property
+    def inside(self) -> float:
+        """Metres from stop line to exit."""
+        quarter = math.pi / 2.0
+        return {"left": LEFT_RADIUS * quarter, "straight": 2 * STOP_LINE,
+                "right": RIGHT_RADIUS * quarter}[self.turn]  # fmt: skip
+
+    @property
+    def exit(self) -> float:
+        """``s`` at which it has crossed the junction."""
+        return ARM_LENGTH + self.inside
+
+    @property
+    def length(self) -> float:
+        """Metres from beginning to end."""
+        return self.exit + ARM_LENGTH
+
+    @property
+    def priority(self) -> int:
+        """Right of way, as highway-env has it: 3 and 2 east-west, 1 and 0 north-south; left turns less."""
+        return (3 if self.origin % 2 else 1) - (self.turn == "left")
+
+    @cached_property
+    def grid(self) -> Floats:
+        """Sampled ``s, x, y, heading`` every half metre, shape ``(n, 4)``."""
+        s = np.arange(0.0, self.length + _SPACING / 2, _SPACING)
+        t = np.clip((s - ARM_LENGTH) / self.inside, 0.0, 1.0)
+        before, after = np.minimum(s, ARM_LENGTH), np.maximum(s - self.exit, 0.0)
+        # In the frame of the south arm: driving up (towards -y) on x = 2, then turning.
+        angle = {"left": -1.0, "straight": 0.0, "right": 1.0}[self.turn] * math.pi / 2 * t
+        if self.turn == "straight":
+            dx, dy = np.zeros_like(t), -2 * STOP_LINE * t
+        else:
+            radius = LEFT_RADIUS if self.turn == "left" else RIGHT_RADIUS
+            dx = np.sign(angle) * radius * (1 - np.cos(angle))
+            dy = -radius * np.abs(np.sin(angle))
+        heading = -math.pi / 2 + angle
+        x = LANE_OFFSET + dx + after * np.cos(heading)
+        y = STOP_LINE + ARM_LENGTH - before + dy + after * np.sin(heading)
+        turn = self.origin * math.pi / 2
+        c, sn = math.cos(turn), math.sin(turn)
+        grid: Floats = np.stack([s, c * x - sn * y, sn * x + c * y, heading + turn], axis=1)
+        grid.flags.writeable = False
+        return grid
+
+    def pose(self, s: Floats | float) -> tuple[Floats, Floats, Floats]:
+        """x, y and heading at ``s`` (any shape)."""
+        grid = self.grid
+        return (
+            np.interp(s, grid[:, 0], grid[:, 1]),
+            np.interp(s, grid[:, 0], grid[:, 2]),
+            np.interp(s, grid[:, 0], grid[:, 3]),
+        )
+
+    def project(self, x: float, y: float) -> tuple[float, float]:
+        """``s`` of the nearest point and the signed lateral offset (right of it positive)."""
+        turn = -self.origin * math.pi / 2
+        c, sn = math.cos(turn), math.sin(turn)
+        u, v = c * x - sn * y, sn * x + c * y
+        if v >= STOP_LINE:
+            return ARM_LENGTH + STOP_LINE - v, u - LANE_OFFSET
+        if self.turn == "straight":
+            return ARM_LENGTH + STOP_LINE - v, u - LANE_OFFSET
+        sign = 1.0 if self.turn == "right" else -1.0
+        radius = RIGHT_RADIUS if self.turn == "right" else LEFT_RADIUS
+        centre_x = LANE_OFFSET + sign * radius
+        past = (u - centre_x) * sign
+        if past >= 0.0:
+            return self.exit + past, (v - (STOP_LINE - radius)) * sign
+        angle = math.atan2(STOP_LINE - v, -past)
+        distance = math.hypot(u - centre_x, v - STOP_LINE)
+        return ARM_LENGTH + radius * angle, (radius - distance) * sign
+
+
+@lru_cache(maxsize=None)
+def route(origin: int, turn: str) -> Route:
+    """The one Route object of this origin and turn."""
+    return Route(origin, turn)
+
+
+def all_routes() -> list[Route]:
+    """The twelve routes."""
+    return [route(origin, turn) for origin in range(4) for turn in TURNS]
+
+
+@lru_cache(maxsize=None)
+def conflict(a: Route, b: Route) -> tuple[float, float, float, float] | None:
+    """Where routes from different arms come too near: ``s`` from, to on ``a``, then on ``b``."""
+    if a.origin == b.origin:
+        return None
+    grid_a, grid_b = a.grid, b.grid
+    # Behind the junction two routes to one arm are the same lane: that is following, not conflict.
+    part_a = grid_a[(grid_a[:, 0] >= ARM_LENGTH) & (grid_a[:, 0] <= a.exit + 5.0)]
+    part_b = grid_b[(grid_b[:, 0] >= ARM_LENGTH) & (grid_b[:, 0] <= b.exit + 5.0)]
+    distance = np.hypot(*(part_a[:, None, 1:3] - part_b[None, :, 1:3]).transpose(2, 0, 1))
+    near_a, near_b = np.nonzero(distance < _CONFLICT_WIDTH)
+    if not len(near_a):
+        return None
+    s_a, s_b = part_a[near_a, 0], part_b[near_b, 0]
+    return float(s_a.min()), float(s_a.max()), float(s_b.min()), float(s_b.max())

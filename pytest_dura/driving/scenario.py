@@ -1,0 +1,91 @@
+"""The ``world`` of a driving scenario: what drives and walks at the junction."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+Arm = Literal["south", "west", "north", "east"]
+Turn = Literal["left", "straight", "right"]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+
+
+class _Model(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+
+class EgoStart(_Model):
+    """The ego comes from the south, on the minor road, and gives way."""
+
+    distance: Annotated[float, Field(gt=5, le=95)] = Field(
+        50.0, description="From its centre to the stop line, in m."
+    )
+    speed: Annotated[float, Field(ge=0, le=10)] = Field(8.0, description="At the start, in m/s.")
+    turn: Turn = Field("straight", description="Where it goes.")
+
+
+class Turns(_Model):
+    """Weights of the turns that drivers take."""
+
+    left: NotNegative = 0.15
+    straight: Positive = 0.7
+    right: NotNegative = 0.15
+
+
+class Traffic(_Model):
+    """Random traffic: arrivals at the outer end of each arm."""
+
+    headway: Positive = Field(
+        22.0, description="Mean time between two arrivals on one arm, in s (exponential, shifted)."
+    )
+    minimum_headway: Positive = Field(2.5, description="Least time between two arrivals, in s.")
+    arms: tuple[Arm, ...] = Field(("west", "north", "east"), description="Arms with traffic.")
+    speed: Annotated[float, Field(gt=0, le=10)] = Field(8.0, description="Mean speed, in m/s.")
+    speed_deviation: Annotated[float, Field(ge=0, le=2)] = Field(0.7, description="In m/s.")
+    turns: Turns = Turns()
+
+
+class ExplicitVehicle(_Model):
+    """One vehicle where the scenario wants it."""
+
+    id: Annotated[str, Field(pattern=r"^[A-Z][A-Z0-9_]{0,15}$")] = Field(
+        description="Its name in records; not EGO."
+    )
+    arm: Arm = Field(description="Where it comes from.")
+    turn: Turn = Field("straight", description="Where it goes.")
+    distance: Annotated[float, Field(ge=3, le=99)] = Field(
+        description="From its centre to its stop line at the start, in m."
+    )
+    speed: Annotated[float, Field(ge=0, le=10)] = Field(8.0, description="At the start, in m/s.")
+
+
+class PedestrianStart(_Model):
+    """A pedestrian who crosses an arm from kerb to kerb."""
+
+    id: Annotated[str, Field(pattern=r"^[A-Z][A-Z0-9_]{0,15}$")] = "P1"
+    arm: Arm = Field("south", description="The arm that is crossed.")
+    offset: Annotated[float, Field(ge=1, le=60)] = Field(
+        3.0, description="From the stop line outwards, in m."
+    )
+    side: Literal["left", "right"] = Field(
+        "right", description="Where it comes from, seen by a driver who nears the junction."
+    )
+    start: NotNegative = Field(2.0, description="When it steps off the kerb, in s.")
+    speed: Annotated[float, Field(gt=0, le=3)] = Field(1.3, description="In m/s.")
+
+
+class DrivingWorld(_Model):
+    """What a driving scenario may say under ``world``."""
+
+    ego: EgoStart = EgoStart()
+    traffic: Traffic | None = Field(None, description="Random traffic; left out, there is none.")
+    vehicles: tuple[ExplicitVehicle, ...] = ()
+    pedestrians: tuple[PedestrianStart, ...] = ()
+    courtesy: Literal["none", "occupied"] = Field(
+        "occupied",
+        description="Whether drivers with the right of way brake for an ego that is inside the "
+        "junction on their path (occupied), or behave as if it were not there until it is on "
+        "their own lane (none).",
+    )

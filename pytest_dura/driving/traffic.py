@@ -1,0 +1,229 @@
+"""Background traffic on highway-env's road: drivers, pedestrians, and the ego's body.
+
+Drivers follow highway-env's Intelligent Driver Model. Added to it here: a leader on their own
+route beyond the end of their lane, and gap acceptance at the stop line by right of way; without
+these, highway-env's own regulation lets many of them crash (see docs of the scenario's world).
+The parameters live on classes of our own, so that no other highway-env user sees them.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from highway_env.road.road import Road
+from highway_env.vehicle.behavior import IDMVehicle
+from highway_env.vehicle.controller import ControlledVehicle
+from highway_env.vehicle.objects import Obstacle
+
+from pytest_dura.driving.bodies import CAR_LENGTH, PEDESTRIAN_SIZE
+from pytest_dura.driving.junction import ARM_LENGTH, LANE_OFFSET, Route, conflict
+from pytest_dura.driving.maneuvers import MAX_ACCELERATION, MAX_BRAKING
+
+STOP_MARGIN = 1.0
+"""Drivers stop this many metres before the stop line."""
+_COMFORT_SPEED = 8.0
+_MARGIN = 1.5
+"""Seconds between leaving the conflict and the other's arrival that a driver wants."""
+_LOOK_AHEAD = 45.0
+"""Metres before the stop line from which a driver is taken into account by others."""
+
+
+class Driver(IDMVehicle):
+    """A background driver with a route."""
+
+    DISTANCE_WANTED = 7.0
+    COMFORT_ACC_MAX = 4.0
+    COMFORT_ACC_MIN = -3.0
+
+    body_id: str
+    plan: Route
+    s: float
+
+    def act(self, action: Any = None) -> None:
+        """IDM on the current lane, then the limits that the route and the right of way set."""
+        super().act(action)
+        if not self.crashed:
+            limit = self.road.limit_for(self)
+            if limit < self.action["acceleration"]:
+                self.action["acceleration"] = max(limit, -self.ACC_MAX)
+
+
+class Ego(ControlledVehicle):
+    """The vehicle that the component drives: highway-env steers it along its lane.
+
+    ``commanded`` is the acceleration asked for; the actuator follows with a bounded slew rate.
+    """
+
+    SLEW = 40.0
+    """m/s3; the brake or drive builds up from zero to full in about a fifth of a second."""
+
+    body_id = "EGO"
+    plan: Route
+    s: float
+    commanded = 0.0
+    executed = 0.0
+
+    def act(self, action: Any = None) -> None:
+        """Steer along the lane; the acceleration is set by :meth:`actuate`."""
+        super().act(None)
+
+    def speed_control(self, target_speed: float) -> float:
+        """The executed acceleration instead of highway-env's unlimited speed controller."""
+        return self.executed
+
+    def actuate(self, acceleration: float, dt: float) -> None:
+        """Command an acceleration in m/s2 for the next ``dt`` seconds; the car does not reverse."""
+        self.commanded = acceleration
+        step = self.SLEW * dt
+        wanted = max(-MAX_BRAKING, min(MAX_ACCELERATION, acceleration))
+        executed = max(self.executed - step, min(self.executed + step, wanted))
+        if self.speed + executed * dt < 0.0:
+            executed = -self.speed / dt
+        self.executed = executed
+
+
+class Pedestrian(Obstacle):
+    """Walks straight ahead; stops while a car stands or passes within a metre before it."""
+
+    LENGTH = PEDESTRIAN_SIZE
+    WIDTH = PEDESTRIAN_SIZE
+
+    body_id: str
+    walking = 1.3
+    start = 0.0
+    distance = 20.0
+    walked = 0.0
+
+    def walk(self, time: float, dt: float, vehicles: list[Any]) -> None:
+        """Advance by one tick from ``time`` on."""
+        going = time >= self.start and self.walked < self.distance and not self.crashed
+        if going and any(self._blocked_by(vehicle) for vehicle in vehicles):
+            going = False
+        self.speed = self.walking if going else 0.0
+        self.position = self.position + self.speed * dt * self.direction
+        self.walked += self.speed * dt
+
+    def _blocked_by(self, vehicle: Any) -> bool:
+        ahead = self.position + 1.0 * self.direction
+        offset = ahead - vehicle.position
+        along = abs(float(offset @ vehicle.direction))
+        across = abs(vehicle.direction[0] * offset[1] - vehicle.direction[1] * offset[0])
+        return along < vehicle.LENGTH / 2 + 0.5 and across < vehicle.WIDTH / 2 + 0.5
+
+
+class JunctionRoad(Road):
+    """highway-env's road with right of way at the stop lines.
+
+    ``courtesy`` says whether drivers brake for an ego that stands in the conflict zone on their
+    path (``occupied``) or insist on their right of way as though it were not there (``none``).
+    """
+
+    courtesy = "occupied"
+
+    def act(self) -> None:
+        """All drivers decide on the same state."""
+        for vehicle in self.vehicles:
+            vehicle.s = vehicle.plan.project(*vehicle.position.tolist())[0]
+        super().act()
+
+    def limit_for(self, me: Driver) -> float:
+        """The acceleration that leaders on the route and right of way allow, in m/s2."""
+        limit = math.inf
+        must_stop = False
+        before_line = me.s + CAR_LENGTH / 2 <= ARM_LENGTH
+        near = before_line and me.s > ARM_LENGTH - _LOOK_AHEAD
+        stop_distance = ARM_LENGTH - STOP_MARGIN - CAR_LENGTH / 2 - me.s
+        committed = me.speed**2 / (2 * self_braking(me)) > max(stop_distance, 0.01)
+        for other in self.vehicles:
+            if other is me:
+                continue
+            distance = _distance_ahead(me, other)
+            if distance is not None:
+                limit = min(limit, _follow(me, distance, other.speed))
+            elif near and not committed and not must_stop:
+                must_stop = self._must_yield(me, other)
+        if must_stop:
+            limit = min(limit, _follow(me, stop_distance + CAR_LENGTH + 2.0, 0.0))
+        return limit
+
+    def _must_yield(self, me: Driver, other: Any) -> bool:
+        if isinstance(other, Ego) and self.courtesy == "none":
+            return False
+        meeting = conflict(me.plan, other.plan)
+        if meeting is None:
+            return False
+        mine_in, mine_out, other_in, other_out = meeting
+        if other.s - CAR_LENGTH / 2 > other_out or other.s < ARM_LENGTH - _LOOK_AHEAD:
+            return False
+        inside = other.s + CAR_LENGTH / 2 > ARM_LENGTH
+        if not inside and other.plan.priority <= me.plan.priority:
+            return False
+        if not inside and other.speed < 0.5:
+            return False
+        arrive = _time_to(me, mine_in - CAR_LENGTH / 2)
+        leave = _time_to(me, mine_out + CAR_LENGTH / 2)
+        speed = max(other.speed, 3.0) if inside else max(other.speed, 6.0)
+        other_arrives = (other_in - CAR_LENGTH / 2 - other.s) / speed
+        other_leaves = (other_out + CAR_LENGTH / 2 - other.s) / speed
+        return arrive - _MARGIN < other_leaves and other_arrives < leave + _MARGIN
+
+
+def self_braking(me: Driver) -> float:
+    """The braking in m/s2 that a driver is ready to use for a stop line."""
+    return 1.3 * -me.COMFORT_ACC_MIN
+
+
+def _time_to(me: Driver, s: float) -> float:
+    """Seconds until ``s`` if the driver goes now, accelerating at 2 m/s2 to a comfortable speed."""
+    distance = s - me.s
+    if distance <= 0.0:
+        return 0.0
+    speed, top, rate = max(me.speed, 0.0), _COMFORT_SPEED, 2.0
+    if speed >= top:
+        return distance / speed
+    ramp = (top * top - speed * speed) / (2 * rate)
+    if distance <= ramp:
+        return (math.sqrt(speed * speed + 2 * rate * distance) - speed) / rate
+    return (top - speed) / rate + (distance - ramp) / top
+
+
+def _distance_ahead(me: Any, other: Any) -> float | None:
+    """Metres between centres if ``other`` is ahead of ``me`` on its route, else ``None``."""
+    if other.plan.origin == me.plan.origin:
+        same = other.plan is me.plan
+        shared = me.plan.length if same else ARM_LENGTH + 8.0
+        if other.s > me.s and other.s < shared:
+            return float(other.s - me.s)
+    if other.plan.destination == me.plan.destination:
+        left, other_left = me.plan.length - me.s, other.plan.length - other.s
+        if other_left < left and other.s > other.plan.exit - 6.0 and me.s > ARM_LENGTH - 5.0:
+            return float(left - other_left)
+    return None
+
+
+def _follow(me: Driver, distance: float, speed: float) -> float:
+    """IDM interaction with a leader at ``distance`` metres between centres, in m/s2."""
+    rate = math.sqrt(-me.COMFORT_ACC_MAX * me.COMFORT_ACC_MIN)
+    wanted = me.DISTANCE_WANTED + me.speed * me.TIME_WANTED
+    wanted += me.speed * (me.speed - speed) / (2 * rate)
+    free = 1.0 - (max(me.speed, 0.0) / 10.0) ** me.DELTA
+    return float(me.COMFORT_ACC_MAX * (free - (max(wanted, 0.0) / max(distance, 0.1)) ** 2))
+
+
+def walker(road: Road, body_id: str, arm: int, offset: float, side: str) -> Pedestrian:
+    """A pedestrian at the kerb of an arm, ``offset`` metres out from the stop line, about to cross it.
+
+    ``side`` is where it comes from, seen by a driver on that arm who nears the junction.
+    """
+    across = 2 * LANE_OFFSET + 1.0
+    sign = 1.0 if side == "right" else -1.0
+    turn = arm * math.pi / 2
+    c, sn = math.cos(turn), math.sin(turn)
+    u, v = sign * across, 11.0 + offset
+    heading = turn + (math.pi if side == "right" else 0.0)
+    person = Pedestrian(road, np.array([c * u - sn * v, sn * u + c * v]), heading, 0.0)
+    person.body_id = body_id
+    person.distance = 2 * across
+    return person

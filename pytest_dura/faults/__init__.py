@@ -1,0 +1,1 @@
+"""The fault catalogue, activation and duration, composition, and the injector role."""
