@@ -20,6 +20,18 @@ IN_RESET = -1
 """The number of ``reset`` among a component's calls; proposals are counted from 0."""
 
 
+def check_proposal(proposal: Any) -> str | None:
+    """What is wrong with a proposal, whatever the simulator; ``None`` if nothing is."""
+    if not isinstance(proposal, Proposal):
+        return f"returned {type(proposal).__name__}, not a Proposal"
+    if not isinstance(proposal.explanation, str):
+        return f"gave an explanation that is {type(proposal.explanation).__name__}, not str"
+    latency: Any = proposal.latency
+    if latency is None or (isinstance(latency, Real) and 0.0 <= float(latency) < math.inf):
+        return None
+    return f"declared a latency of {latency!r}, which is not a duration in seconds"
+
+
 class Component:
     """Calls the Generator and turns every way in which it can fail into words.
 
@@ -58,22 +70,13 @@ class Component:
             return None, "overran its wall-clock time budget"
         except (Exception, SystemExit) as error:
             return None, f"raised {describe_error(error)}"
-        if not isinstance(proposal, Proposal):
-            return None, f"returned {type(proposal).__name__}, not a Proposal"
-        if not isinstance(proposal.explanation, str):
-            return None, f"its explanation is {type(proposal.explanation).__name__}, not str"
-        if proposal.latency is not None and (problem := self._late(proposal.latency)):
+        problem = check_proposal(proposal)
+        if problem is not None:
             return None, problem
+        latency, budget = proposal.latency, self.spec.time_budget
+        if latency is not None and budget is not None and latency > budget:
+            return None, f"answered after {latency:g} s; its budget is {budget:g} s"
         return proposal, None
-
-    def _late(self, latency: Any) -> str | None:
-        """What is wrong with a declared latency, if anything."""
-        if not isinstance(latency, Real) or not 0.0 <= float(latency) < math.inf:
-            return f"declared a latency of {latency!r}, which is not a duration in seconds"
-        budget = self.spec.time_budget
-        if budget is not None and float(latency) > budget:
-            return f"answered after {float(latency):g} s; its budget is {budget:g} s"
-        return None
 
     def _timed_call(self, number: int, call: Callable[..., Any], argument: Any) -> Any:
         """Call the component within its budget: by the clock, or as it was recorded."""
