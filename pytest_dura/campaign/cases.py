@@ -1,0 +1,255 @@
+"""Cases: scenario x fault campaign, with stable ids, and the specs of their episodes."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from typing import Any, TypeAlias
+
+from pytest_dura.campaign import variation
+from pytest_dura.campaign.checks import parsed_fault
+from pytest_dura.campaign.domains import check_role_name, domain_of, role_spec, simulator_spec
+from pytest_dura.campaign.problems import did_you_mean
+from pytest_dura.campaign.scenario import Scenario
+from pytest_dura.campaign.worlds import checked_world
+from pytest_dura.core.episode import EpisodeSpec, Policy, Termination
+from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.roles import STANDARD_ROLES, RoleSpec
+from pytest_dura.core.seeding import derive_seed
+
+OneFault: TypeAlias = str | Mapping[str, Any]
+FaultCampaign: TypeAlias = OneFault | Sequence[OneFault]
+"""A fault by name or as data, several of them together, or ``none``."""
+
+NO_FAULTS = "none"
+
+
+@dataclass(frozen=True)
+class Case:
+    """A scenario with the faults that are applied to it.
+
+    Args:
+        id: ``scenario``, ``scenario+fault+fault`` or ``scenario+none``.
+        scenario: The scenario.
+        faults: The planned faults as plain data, defaults filled in.
+        requirements: Ids of the requirements that apply.
+    """
+
+    id: str
+    scenario: Scenario
+    faults: tuple[dict[str, Any], ...]
+    requirements: tuple[str, ...]
+
+    def seed(self, run: int, base_seed: int) -> int:
+        """The seed of a run. Cases of one scenario share it, which makes their runs pairs."""
+        return derive_seed(base_seed, self.scenario.name, run)
+
+    def spec(
+        self,
+        run: int,
+        base_seed: int,
+        roles: Mapping[str, RoleSpec | None] | None = None,
+        *,
+        simulator: RoleSpec | None = None,
+        policy: str | None = None,
+        seed: int | None = None,
+    ) -> EpisodeSpec:
+        """All that determines one episode.
+
+        Args:
+            run: Number of the run, from 0.
+            base_seed: The session's seed.
+            roles: Roles that replace the scenario's and the domain's; ``None`` switches one off.
+            simulator: Replaces the scenario's simulator.
+            policy: Replaces the scenario's policy.
+            seed: Seed of the episode, instead of the one that follows from ``base_seed``.
+
+        Raises:
+            ConfigurationError: If a role is unknown or none is the component under test.
+        """
+        scenario = self.scenario
+        entry = scenario.simulator
+        seed = self.seed(run, base_seed) if seed is None else seed
+        simulator = simulator or simulator_spec(entry.path, entry.params)
+        world, faults = self._varied(simulator, seed)
+        return EpisodeSpec(
+            case=self.id,
+            run=run,
+            seed=seed,
+            simulator=simulator,
+            roles=self.roles(roles or {}),
+            scenario={"name": scenario.name, "duration": scenario.duration, "world": world},
+            faults=faults,
+            policy=Policy.parse(policy or scenario.policy),
+            termination=Termination(
+                time_limit=scenario.duration, violation=scenario.end_at_violation
+            ),
+            time_step=scenario.time_step,
+            time_budget=scenario.time_budget,
+        )
+
+    def roles(self, overrides: Mapping[str, RoleSpec | None]) -> dict[str, RoleSpec]:
+        """Overrides before the scenario's roles before the domain's defaults, by name.
+
+        Raises:
+            ConfigurationError: For an unknown name, and if there is no generator.
+        """
+        scenario = self.scenario
+        domain = domain_of(scenario.simulator.path)
+        chosen: dict[str, RoleSpec | None] = {}
+        if domain is not None:
+            chosen |= {role: RoleSpec(path) for role, path in domain.roles.items()}
+        for role, entry in scenario.roles.items():
+            chosen[role] = None if entry is None else RoleSpec(entry.path, entry.params)
+        for role, spec in overrides.items():
+            check_role_name(role, switched_off=spec is None)
+            chosen[role] = spec
+        roles = {
+            role: role_spec(role, spec, domain) for role, spec in chosen.items() if spec is not None
+        }
+        if "generator" not in roles:
+            raise ConfigurationError(
+                f"the case {self.id!r} has no component under test",
+                file=scenario.file or None,
+                line=scenario.line_of("roles"),
+                key="roles.generator",
+                expected="a generator from the scenario, a fixture or --dura-generator",
+                remedy="add `roles: {generator: package.module:Name}` to the scenario, "
+                "or define a `generator` fixture",
+            )
+        order = [*STANDARD_ROLES, *sorted(set(roles) - set(STANDARD_ROLES))]
+        return {role: roles[role] for role in order if role in roles}
+
+    def _varied(
+        self, simulator: RoleSpec, seed: int
+    ) -> tuple[dict[str, Any], tuple[dict[str, Any], ...]]:
+        """World and faults of the run with this seed."""
+        world = checked_world(self.scenario, simulator, self.scenario.world)
+        faults = {fault["id"]: fault for fault in self.faults}
+        for path, spread in self.scenario.variation.items():
+            # A path into a fault that this case leaves out has a stream of its own: nothing shifts.
+            fault, inner = variation.split(path)
+            value = variation.draw(path, spread, seed)
+            if not fault:
+                world = variation.replaced(world, inner, value, create=True)
+            elif fault in faults:
+                faults[fault] = variation.replaced(faults[fault], inner, value)
+        return copy.deepcopy(world), tuple(copy.deepcopy(list(faults.values())))
+
+
+def expand_cases(
+    scenarios: Mapping[str, Scenario] | Iterable[Scenario],
+    faults: Sequence[FaultCampaign] | None = None,
+    select: Sequence[str] = (),
+) -> list[Case]:
+    """The cases of scenarios, sorted by scenario, then in the order of the fault campaigns.
+
+    Args:
+        scenarios: The scenarios.
+        faults: Fault campaigns that replace the scenarios' own faults; ``None`` keeps those.
+        select: Globs of case ids or scenario names; a case that matches any of them stays.
+
+    Raises:
+        ConfigurationError: For an unknown fault, and for a glob that matches nothing.
+    """
+    chosen = scenarios.values() if isinstance(scenarios, Mapping) else scenarios
+    cases: dict[str, Case] = {}
+    for scenario in sorted(chosen, key=lambda one: one.name):
+        own = tuple(parsed_fault(scenario, i) for i in range(len(scenario.faults)))
+        campaigns = [own] if faults is None else [_planned(own, one) for one in faults]
+        for planned in campaigns:
+            case = _case(scenario, own, planned)
+            before = cases.setdefault(case.id, case)
+            if before.faults != case.faults:
+                raise ConfigurationError(
+                    f"two fault campaigns make the same case {case.id!r} with different faults",
+                    key="faults",
+                    found=case.id,
+                    expected="an id of its own for each fault",
+                    remedy="give one of the faults another `id`",
+                )
+    return _selected(list(cases.values()), select)
+
+
+def _case(
+    scenario: Scenario, own: tuple[dict[str, Any], ...], planned: tuple[dict[str, Any], ...]
+) -> Case:
+    ids = [fault["id"] for fault in planned]
+    by_id = {fault["id"]: fault for fault in planned}
+    if by_id == {fault["id"]: fault for fault in own}:
+        name, planned = scenario.name, own
+    else:
+        name = "+".join([scenario.name, *(ids or [NO_FAULTS])])
+    return Case(name, scenario, planned, scenario.requirements)
+
+
+def _planned(
+    own: tuple[dict[str, Any], ...], campaign: FaultCampaign
+) -> tuple[dict[str, Any], ...]:
+    """The faults that a campaign names; the scenario's own come before the catalogue's."""
+    if campaign == NO_FAULTS:
+        return ()
+    if isinstance(campaign, str):
+        names: Sequence[OneFault] = campaign.split("+")
+    else:
+        names = [campaign] if isinstance(campaign, Mapping) else campaign
+    chosen: dict[str, dict[str, Any]] = {}
+    for one in names:
+        fault = _fault(own, one)
+        if chosen.setdefault(fault["id"], fault) != fault:
+            raise ConfigurationError(
+                f"two faults of one campaign have the id {fault['id']!r}",
+                key="faults",
+                found=fault["id"],
+                expected="an id of its own for each fault",
+                remedy="give one of them another `id`",
+            )
+    return tuple(chosen.values())
+
+
+def _fault(own: tuple[dict[str, Any], ...], one: OneFault) -> dict[str, Any]:
+    from pytest_dura.faults.catalogue import FAULT_TYPES, default_fault, parse_fault
+
+    if isinstance(one, Mapping):
+        return parse_fault(one)
+    for fault in own:
+        if fault["id"] == one:
+            return fault
+    if one in FAULT_TYPES:
+        return default_fault(one)
+    known = {*FAULT_TYPES, *(fault["id"] for fault in own)}
+    raise ConfigurationError(
+        f"unknown fault {one!r}",
+        key="faults",
+        found=one,
+        expected="none, or one of " + ", ".join(sorted(known)),
+        remedy=did_you_mean(one, {*known, NO_FAULTS}),
+    )
+
+
+def _selected(cases: list[Case], globs: Sequence[str]) -> list[Case]:
+    if not globs:
+        return cases
+    kept: set[str] = set()
+    for glob in globs:
+        found = {
+            case.id
+            for case in cases
+            if fnmatchcase(case.id, glob) or fnmatchcase(case.scenario.name, glob)
+        }
+        if not found:
+            raise no_match(glob, [case.id for case in cases], "case")
+        kept |= found
+    return [case for case in cases if case.id in kept]
+
+
+def no_match(glob: str, names: Sequence[str], what: str) -> ConfigurationError:
+    """The error for a name or glob that fits nothing."""
+    return ConfigurationError(
+        f"no {what} matches {glob!r}",
+        found=glob,
+        expected="one of " + ", ".join(names) + ", or a glob of them" if names else f"a {what}",
+        remedy=did_you_mean(glob, names),
+    )

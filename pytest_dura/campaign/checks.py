@@ -1,0 +1,169 @@
+"""What a scenario file promises beyond its form: simulator, world, roles, faults, variation."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+from typing import Any
+
+from pytest_dura.campaign import variation
+from pytest_dura.campaign.domains import (
+    Domain,
+    check_role_name,
+    domain_of,
+    role_spec,
+    simulator_spec,
+)
+from pytest_dura.campaign.problems import did_you_mean, placed
+from pytest_dura.campaign.scenario import Scenario
+from pytest_dura.campaign.worlds import checked_world, checker
+from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.roles import STANDARD_ROLES, RoleSpec
+
+
+def problems_of(scenario: Scenario) -> list[ConfigurationError]:
+    """Everything that would keep the scenario from running, each with its file, line and key."""
+    found: list[ConfigurationError] = []
+
+    def attempt(key: str, check: Callable[..., Any], *args: Any) -> Any:
+        try:
+            return check(*args)
+        except ConfigurationError as error:
+            found.append(_place(scenario, error, key))
+            return None
+
+    simulator = attempt("simulator", _simulator, scenario)
+    world = None
+    if simulator is not None:
+        world = attempt("world", checked_world, scenario, simulator, scenario.world)
+    domain = domain_of(scenario.simulator.path)
+    for role in scenario.roles:
+        attempt(f"roles.{role}", _check_role, scenario, role, domain)
+    faults: dict[str, dict[str, Any]] = {}
+    for index, entry in enumerate(scenario.faults):
+        fault = attempt(f"faults.{index}", parsed_fault, scenario, index)
+        if fault is not None:
+            faults[entry.name] = fault
+    if world is not None and len(faults) == len(scenario.faults):
+        for path in scenario.variation:
+            key = f"variation.{path}"
+            attempt(key, _check_variation, scenario, simulator, world, faults, path)
+    return found
+
+
+def parsed_fault(scenario: Scenario, index: int) -> dict[str, Any]:
+    """One of the scenario's own faults, as plain data with defaults filled in.
+
+    Raises:
+        ConfigurationError: If the catalogue refuses it, at its place in the file.
+    """
+    from pytest_dura.faults.catalogue import parse_fault
+
+    try:
+        return parse_fault(scenario.faults[index].model_dump(mode="json", exclude_unset=True))
+    except ConfigurationError as error:
+        key = f"faults.{index}.{error.key}" if error.key else f"faults.{index}"
+        raise placed(error, file=scenario.file, line=scenario.line_of(key), key=key) from None
+
+
+def _place(scenario: Scenario, error: ConfigurationError, key: str) -> ConfigurationError:
+    if error.file:
+        return error
+    return placed(error, file=scenario.file, line=scenario.line_of(key), key=key)
+
+
+def _simulator(scenario: Scenario) -> RoleSpec:
+    entry = scenario.simulator
+    spec = simulator_spec(entry.path, entry.params)
+    _check_parameters(spec)
+    return spec
+
+
+def _check_role(scenario: Scenario, role: str, domain: Domain | None) -> None:
+    entry = scenario.roles[role]
+    check_role_name(role, switched_off=entry is None)
+    if entry is None:
+        if role == "generator":
+            raise ConfigurationError(
+                "the generator cannot be switched off",
+                found="null",
+                expected="the component under test",
+                remedy="name a generator, or leave the key out for the default one",
+            )
+        return
+    spec = role_spec(role, RoleSpec(entry.path, entry.params), domain)
+    _check_parameters(spec)
+    factory = spec.factory()
+    base = STANDARD_ROLES.get(role)
+    if base is not None and inspect.isclass(factory) and not issubclass(factory, base):
+        raise ConfigurationError(
+            f"{spec.path} is not a {base.__name__}",
+            found=spec.path,
+            expected=f"a subclass of pytest_dura.{base.__name__}",
+            remedy=f"derive it from pytest_dura.{base.__name__}, or name another class",
+        )
+
+
+def _check_parameters(spec: RoleSpec) -> None:
+    """Refuse parameters that the class does not take, without building anything."""
+    factory = spec.factory()
+    try:
+        signature = inspect.signature(factory)
+    except ValueError:  # some classes written in C tell no signature
+        return
+    try:
+        signature.bind(**spec.params)
+    except TypeError as error:
+        raise ConfigurationError(
+            f"{spec.path} does not take these parameters: {error}",
+            found=dict(spec.params),
+            expected=f"{spec.label}{signature}",
+            remedy="correct the parameters under `params`",
+        ) from None
+
+
+def _check_variation(
+    scenario: Scenario,
+    simulator: RoleSpec,
+    world: dict[str, Any],
+    faults: dict[str, dict[str, Any]],
+    path: str,
+) -> None:
+    fault, inner = variation.split(path)
+    values = variation.extremes(scenario.variation[path])
+    if fault:
+        if fault not in faults:
+            raise ConfigurationError(
+                f"there is no fault {fault!r} in this scenario",
+                found=fault,
+                expected="one of " + ", ".join(faults) if faults else "a fault under `faults`",
+                remedy=did_you_mean(fault, faults),
+            )
+        for value in values:
+            _try_fault(variation.replaced(faults[fault], inner, value), path, value)
+        return
+    create = checker(simulator) is not None
+    for value in values:
+        varied = variation.replaced(world, inner, value, create=create)
+        try:
+            checked_world(scenario, simulator, varied)
+        except ConfigurationError as error:
+            raise _impossible(path, value, error) from None
+
+
+def _try_fault(fault: dict[str, Any], path: str, value: Any) -> None:
+    from pytest_dura.faults.catalogue import parse_fault
+
+    try:
+        parse_fault(fault)
+    except ConfigurationError as error:
+        raise _impossible(path, value, error) from None
+
+
+def _impossible(path: str, value: Any, error: ConfigurationError) -> ConfigurationError:
+    return ConfigurationError(
+        f"{path} cannot take the value {value!r}: {error.problem.splitlines()[0]}",
+        found=value,
+        expected=error.expected,
+        remedy="choose values that the scenario could hold itself",
+    )

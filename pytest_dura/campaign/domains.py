@@ -1,0 +1,132 @@
+"""The domains that scenarios name by an alias: their simulator, default roles and short names."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from pytest_dura.campaign.problems import did_you_mean
+from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.roles import STANDARD_ROLES, RoleSpec
+
+
+@dataclass(frozen=True)
+class Domain:
+    """Import paths only, so that naming a domain imports nothing of it.
+
+    Args:
+        simulator: Of the simulator's class.
+        roles: Of the default roles, by role name.
+        generators: Of Generators that have a short name.
+        world: Of the pydantic model of ``world``, for editors and for messages.
+        signals: Of the names of the ground-truth signals.
+    """
+
+    simulator: str
+    roles: Mapping[str, str] = field(default_factory=dict)
+    generators: Mapping[str, str] = field(default_factory=dict)
+    world: str | None = None
+    signals: str | None = None
+
+
+_PLANNERS = "pytest_dura.driving.roles.planners"
+
+DOMAINS: dict[str, Domain] = {
+    "driving": Domain(
+        simulator="pytest_dura.driving.highway:HighwaySimulator",
+        roles={
+            "generator": f"{_PLANNERS}:RuleBased",
+            "safety_monitor": "pytest_dura.driving.roles.safety:SeparationMonitor",
+            "security_assessor": "pytest_dura.driving.roles.security:PlausibilityAssessor",
+            "fault_injector": "pytest_dura.faults.injector:CampaignInjector",
+            "performance_oracle": "pytest_dura.driving.roles.performance:DrivingOracle",
+            "recovery_planner": "pytest_dura.driving.roles.recovery:EmergencyBrake",
+        },
+        generators={
+            "rule_based": f"{_PLANNERS}:RuleBased",
+            "reactive": f"{_PLANNERS}:Reactive",
+            "aggressive": f"{_PLANNERS}:Aggressive",
+            "random": f"{_PLANNERS}:RandomPlanner",
+        },
+        world="pytest_dura.driving.scenario:DrivingWorld",
+        signals="pytest_dura.driving.signals:NAMES",
+    )
+}
+
+
+def domain_of(simulator: str) -> Domain | None:
+    """The domain of an alias or of a domain's own simulator; ``None`` for any other simulator."""
+    if simulator in DOMAINS:
+        return DOMAINS[simulator]
+    return next((one for one in DOMAINS.values() if one.simulator == simulator), None)
+
+
+def simulator_spec(path: str, params: Mapping[str, object]) -> RoleSpec:
+    """How to build the simulator that a scenario names.
+
+    Raises:
+        ConfigurationError: For a name that is neither an alias nor an import path.
+    """
+    if path in DOMAINS:
+        return RoleSpec(DOMAINS[path].simulator, dict(params))
+    if ":" in path:
+        return RoleSpec(path, dict(params))
+    raise ConfigurationError(
+        f"unknown simulator {path!r}",
+        key="simulator",
+        found=path,
+        expected=", ".join(sorted(DOMAINS)) + ", or an import path package.module:Class",
+        remedy=did_you_mean(path, DOMAINS),
+    )
+
+
+def role_spec(role: str, spec: RoleSpec, domain: Domain | None) -> RoleSpec:
+    """The spec with a short name, such as ``rule_based``, replaced by its import path.
+
+    Raises:
+        ConfigurationError: For a name that is neither known nor an import path.
+    """
+    if ":" in spec.path:
+        return spec
+    known = domain.generators if domain is not None and role == "generator" else {}
+    if spec.path in known:
+        return RoleSpec(known[spec.path], spec.params)
+    names = ", ".join(sorted(known))
+    raise ConfigurationError(
+        f"unknown {role} {spec.path!r}",
+        key=f"roles.{role}",
+        found=spec.path,
+        expected=f"{names}, or an import path package.module:Name"
+        if names
+        else "an import path package.module:Name",
+        remedy=did_you_mean(spec.path, known) if known else "write package.module:Name",
+    )
+
+
+def check_role_name(role: str, *, switched_off: bool) -> None:
+    """Refuse a role's name that is a standard one misspelt.
+
+    A name of the user's own is welcome, unless it differs from a standard name by a letter or two,
+    or is to be switched off: only what exists can be.
+
+    Raises:
+        ConfigurationError: With the name that was probably meant.
+    """
+    if role in STANDARD_ROLES or (not switched_off and not _misspelt(role)):
+        return
+    raise ConfigurationError(
+        f"there is no role {role!r}" + (" to switch off" if switched_off else ""),
+        key=f"roles.{role}",
+        found=role,
+        expected="one of " + ", ".join(STANDARD_ROLES) + ", or a name of your own",
+        remedy=did_you_mean(role, STANDARD_ROLES),
+    )
+
+
+def _misspelt(role: str) -> bool:
+    import difflib
+
+    # `safety_monitor_2` is a second monitor; `safty_monitor` is a slip.
+    if any(role.startswith(name) for name in STANDARD_ROLES):
+        return False
+    return bool(difflib.get_close_matches(role, STANDARD_ROLES, n=1, cutoff=0.85))

@@ -1,0 +1,205 @@
+"""Scenario: the model of a scenario file. Its field descriptions are what editors show."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any
+
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Discriminator,
+    Field,
+    JsonValue,
+    PrivateAttr,
+    Tag,
+    model_validator,
+)
+
+from pytest_dura.campaign.validation import validate
+from pytest_dura.campaign.yaml_source import Document
+from pytest_dura.core.episode import Policy
+from pytest_dura.core.errors import ConfigurationError
+
+NAME = r"^[A-Za-z0-9][A-Za-z0-9_.-]*(/[A-Za-z0-9][A-Za-z0-9_.-]*)*$"
+IDENTIFIER = r"^[A-Za-z0-9][A-Za-z0-9_-]*$"
+
+
+class Entry(BaseModel):
+    """Base of everything in a scenario file: no unknown keys, no silent conversion, read-only."""
+
+    model_config = ConfigDict(
+        strict=True, extra="forbid", frozen=True, allow_inf_nan=False, use_attribute_docstrings=True
+    )
+
+
+class RoleEntry(Entry):
+    """How to build a role or a simulator."""
+
+    path: str = Field(min_length=1)
+    """Import path `package.module:Name`, or a short name of the domain."""
+    params: dict[str, JsonValue] = Field(default_factory=dict)
+    """Keyword parameters of the class or factory."""
+
+
+def _path_alone(value: object) -> object:
+    return {"path": value} if isinstance(value, str) else value
+
+
+RoleField = Annotated[
+    RoleEntry, BeforeValidator(_path_alone, json_schema_input_type=str | RoleEntry)
+]
+OptionalRoleField = Annotated[
+    RoleEntry | None,
+    BeforeValidator(_path_alone, json_schema_input_type=str | RoleEntry | None),
+]
+
+
+class Range(Entry):
+    """A number drawn uniformly from an interval, anew for each run."""
+
+    min: float
+    """Least value, in the unit of the key that is varied."""
+    max: float
+    """Greatest value, in the unit of the key that is varied."""
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Range:
+        if self.min > self.max:
+            raise ValueError(f"min is above max ({self.min:g} > {self.max:g})")
+        return self
+
+
+class Choice(Entry):
+    """One of several values, each as likely as the others, drawn anew for each run."""
+
+    choice: Annotated[tuple[JsonValue, ...], Field(strict=False, min_length=1)]
+    """The values."""
+
+
+def _kind_of_variation(value: object) -> str:
+    if isinstance(value, Choice) or (isinstance(value, Mapping) and "choice" in value):
+        return "<choice>"
+    return "<range>"
+
+
+Variation = Annotated[
+    Annotated[Range, Tag("<range>")] | Annotated[Choice, Tag("<choice>")],
+    Discriminator(_kind_of_variation),
+]
+
+
+class FaultEntry(Entry):
+    """One planned fault. The catalogue checks activation and parameters, which differ by type."""
+
+    type: str = Field(min_length=1)
+    """A type of the fault catalogue."""
+    id: str | None = Field(default=None, pattern=IDENTIFIER)
+    """Name within the scenario, unique; default: the type."""
+    target: str | None = None
+    """Sensor channel, field of a channel, or `command`. Default: per fault type."""
+    activation: dict[str, JsonValue] = Field(default_factory=dict)
+    """When it begins, in simulated seconds, and which role begins it."""
+    duration: float | None = Field(default=None, gt=0)
+    """Simulated seconds that it stays active; null for the rest of the episode."""
+    parameters: dict[str, JsonValue] = Field(default_factory=dict)
+    """Parameters of the fault type, in the units that the catalogue states."""
+
+    @property
+    def name(self) -> str:
+        """The id, given or by default."""
+        return self.id or self.type
+
+
+def _known_policy(text: str) -> str:
+    try:
+        Policy.parse(text)
+    except ConfigurationError as error:
+        raise ValueError(f"{error.problem}; expected {error.expected}") from None
+    return text
+
+
+def _unique(values: tuple[str, ...]) -> tuple[str, ...]:
+    twice = sorted({value for value in values if values.count(value) > 1})
+    if twice:
+        raise ValueError(f"listed twice: {', '.join(twice)}")
+    return values
+
+
+class Scenario(Entry):
+    """A situation to test in: world, duration, variation, faults, requirements that apply."""
+
+    name: str = Field(pattern=NAME)
+    """Unique name, such as `intersection/nominal`; cases and episodes are named after it."""
+    description: str = ""
+    """What happens here, in one sentence."""
+    simulator: RoleField
+    """The alias `driving`, an import path `package.module:Class`, or path and params."""
+    duration: float = Field(gt=0, le=86400)
+    """Simulated seconds after which an episode ends."""
+    time_step: float = Field(default=0.1, gt=0, le=60)
+    """Simulated seconds per tick."""
+    runs: int = Field(default=1, ge=1, le=1_000_000)
+    """Planned episodes per case, each with a seed of its own."""
+    policy: Annotated[str, AfterValidator(_known_policy)] = "recover"
+    """What follows a refused proposal: recover, halt, log_only, or refine(k), k at least 1."""
+    time_budget: float | None = Field(default=5.0, gt=0)
+    """Seconds that the component has for one proposal; null waits for ever."""
+    end_at_violation: bool = False
+    """Whether an episode ends at a violation, once every requirement is decided."""
+    world: dict[str, JsonValue] = Field(default_factory=dict)
+    """The world, as the simulator reads it."""
+    variation: dict[str, Variation] = Field(default_factory=dict)
+    """What differs between runs: `world.x` or `faults.id.x` to a range or a choice."""
+    roles: dict[str, OptionalRoleField] = Field(default_factory=dict)
+    """Roles that differ from the domain's defaults; null switches a role off."""
+    faults: Annotated[tuple[FaultEntry, ...], Field(strict=False)] = ()
+    """The planned faults."""
+    requirements: Annotated[
+        tuple[Annotated[str, Field(min_length=1)], ...],
+        Field(strict=False),
+        AfterValidator(_unique),
+    ] = ()
+    """Ids of the requirements that apply, defined in requirement files."""
+
+    _source: Document = PrivateAttr(default_factory=Document)
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Scenario:
+        if self.time_step > self.duration:
+            raise ValueError(
+                f"the time step is longer than the duration ({self.time_step:g} > {self.duration:g})"
+            )
+        _unique(tuple(fault.name for fault in self.faults))
+        return self
+
+    @classmethod
+    def from_document(cls, document: Document) -> Scenario:
+        """The scenario that a YAML file holds.
+
+        Raises:
+            ConfigurationError: One for all that is wrong with the file's keys and values.
+        """
+        scenario = validate(cls, document)
+        scenario._source = document  # noqa: SLF001 - our own
+        return scenario
+
+    @property
+    def source(self) -> Document:
+        """Where it was read from; an empty document if it was made otherwise."""
+        return self._source
+
+    @property
+    def file(self) -> str:
+        """The file it was read from; empty if it was made otherwise."""
+        return self._source.file
+
+    def line_of(self, key: str) -> int | None:
+        """The line of a dotted key in that file."""
+        return self._source.line_of(key)
+
+    def plain(self) -> dict[str, Any]:
+        """Plain data, from which an equal scenario can be read again."""
+        return self.model_dump(mode="json", exclude_unset=True)
