@@ -17,7 +17,7 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
     return "use one of: " + ", ".join(names) if names else "remove it"
 
 
-class SeveralProblems(ConfigurationError):
+class CombinedError(ConfigurationError):
     """Several errors in one message: the first in full, each other one in one line below it."""
 
     def __init__(self, parts: Sequence[ConfigurationError]) -> None:
@@ -40,8 +40,8 @@ def combine(errors: Sequence[ConfigurationError]) -> ConfigurationError:
     """One error from at least one; combined ones among them are taken apart first."""
     flat: list[ConfigurationError] = []
     for error in errors:
-        flat += error.parts if isinstance(error, SeveralProblems) else [error]
-    return flat[0] if len(flat) == 1 else SeveralProblems(flat)
+        flat += error.parts if isinstance(error, CombinedError) else [error]
+    return flat[0] if len(flat) == 1 else CombinedError(flat)
 
 
 def placed(

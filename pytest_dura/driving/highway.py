@@ -54,7 +54,7 @@ class HighwaySimulator(Simulator):
             pydantic.ValidationError: If the world is none of ours.
             ConfigurationError: If two bodies have one id.
         """
-        model = DrivingWorld.model_validate(dict(world), strict=False)
+        model = DrivingWorld.model_validate(dict(world))
         ids = ["EGO", *(v.id for v in model.vehicles), *(p.id for p in model.pedestrians)]
         twice = sorted({i for i in ids if ids.count(i) > 1})
         if twice:
@@ -70,7 +70,7 @@ class HighwaySimulator(Simulator):
         """Build the road and what the scenario puts on it at time 0."""
         from pytest_dura.driving import traffic
 
-        world = DrivingWorld.model_validate(dict(scenario.get("world", {})), strict=False)
+        world = DrivingWorld.model_validate(dict(scenario.get("world", {})))
         road = traffic.JunctionRoad(_network(), np_random=stream(seed, "highway_env"))
         road.courtesy = world.courtesy
         self._road, self._index, self._dt = road, 0, self.time_step

@@ -41,7 +41,9 @@ class Traffic(_Model):
         22.0, description="Mean time between two arrivals on one arm, in s (exponential, shifted)."
     )
     minimum_headway: Positive = Field(2.5, description="Least time between two arrivals, in s.")
-    arms: tuple[Arm, ...] = Field(("west", "north", "east"), description="Arms with traffic.")
+    arms: tuple[Arm, ...] = Field(
+        ("west", "north", "east"), strict=False, description="Arms with traffic."
+    )
     speed: Annotated[float, Field(gt=0, le=10)] = Field(8.0, description="Mean speed, in m/s.")
     speed_deviation: Annotated[float, Field(ge=0, le=2)] = Field(0.7, description="In m/s.")
     turns: Turns = Turns()
@@ -81,8 +83,8 @@ class DrivingWorld(_Model):
 
     ego: EgoStart = EgoStart()
     traffic: Traffic | None = Field(None, description="Random traffic; left out, there is none.")
-    vehicles: tuple[ExplicitVehicle, ...] = ()
-    pedestrians: tuple[PedestrianStart, ...] = ()
+    vehicles: tuple[ExplicitVehicle, ...] = Field((), strict=False)
+    pedestrians: tuple[PedestrianStart, ...] = Field((), strict=False)
     courtesy: Literal["none", "occupied"] = Field(
         "occupied",
         description="Whether drivers with the right of way brake for an ego that is inside the "
