@@ -1,0 +1,79 @@
+"""Lidar against radar: which objects one of the two does not know."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_dura.driving.bodies import CAR_LENGTH, CAR_WIDTH, VX, VY, Body, BodyList
+from pytest_dura.driving.junction import LANE_OFFSET
+from pytest_dura.driving.sensors import RANGE
+
+DISTANCE_TOLERANCE = 2.5
+"""m; farther apart, lidar and radar do not mean the same object."""
+RATE_TOLERANCE = 2.5
+"""m/s; range rates that differ more contradict each other."""
+_ASSUMED_SPEED = 9.0
+
+Mask = NDArray[np.bool_]
+
+
+def compare(percept: Mapping[str, Any]) -> tuple[Mask, Mask]:
+    """Which lidar objects radar confirms, ``(objects,)``, and which returns lidar explains, ``(returns,)``.
+
+    Objects at the edge of the radar's reach count as confirmed.
+    """
+    bodies, returns, pose = percept["lidar"], percept["radar"], percept["localisation"]
+    data = bodies.data
+    bearing = pose.heading - returns[:, 1]
+    x = pose.x + returns[:, 0] * np.cos(bearing)
+    y = pose.y + returns[:, 0] * np.sin(bearing)
+    rates = _range_rates(data, pose, percept["odometry"].speed)
+    if len(data) == len(returns):
+        # Without an attack the two agree row by row, which saves the comparison of all pairs.
+        near = np.hypot(data[:, 0] - x, data[:, 1] - y) < DISTANCE_TOLERANCE
+        same = near & (np.abs(rates - returns[:, 2]) < RATE_TOLERANCE)
+        if same.all():
+            return same, same
+    apart = np.hypot(data[:, None, 0] - x, data[:, None, 1] - y)
+    same = (apart < DISTANCE_TOLERANCE) & (
+        np.abs(rates[:, None] - returns[:, 2]) < RATE_TOLERANCE
+    )
+    far = np.hypot(data[:, 0] - pose.x, data[:, 1] - pose.y) > RANGE - 2.0
+    return same.any(axis=1) | far, (apart < DISTANCE_TOLERANCE).any(axis=0)
+
+
+def _range_rates(data: NDArray[np.float64], pose: Any, speed: float) -> NDArray[np.float64]:
+    dx, dy = data[:, 0] - pose.x, data[:, 1] - pose.y
+    vx = data[:, VX] - speed * math.cos(pose.heading)
+    vy = data[:, VY] - speed * math.sin(pose.heading)
+    rates: NDArray[np.float64] = (dx * vx + dy * vy) / np.maximum(np.hypot(dx, dy), 0.1)
+    return rates
+
+
+def with_unexplained_returns(percept: Mapping[str, Any]) -> BodyList:
+    """The lidar objects, and a car for each radar return that none of them explains.
+
+    Radar gives no course: a car on the crossing road is taken to drive on its lane at 9 m/s, one
+    elsewhere to stand.
+    """
+    bodies: BodyList = percept["lidar"]
+    returns = percept["radar"]
+    _, explained = compare(percept)
+    if explained.all():
+        return bodies
+    pose = percept["localisation"]
+    for row in np.flatnonzero(~explained).tolist():
+        distance, azimuth, _ = returns[row].tolist()
+        x = pose.x + distance * math.cos(pose.heading - azimuth)
+        y = pose.y + distance * math.sin(pose.heading - azimuth)
+        on_road = abs(y) < 2 * LANE_OFFSET
+        vx = math.copysign(_ASSUMED_SPEED, y) if on_road else 0.0
+        heading = 0.0 if vx >= 0 else math.pi
+        ghost = Body(f"R{row}", x, y, heading, vx, 0.0, CAR_LENGTH, CAR_WIDTH)
+        bodies = bodies.with_body(ghost)
+    return bodies

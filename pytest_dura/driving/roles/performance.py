@@ -1,0 +1,121 @@
+"""PerformanceOracle for driving."""
+
+from __future__ import annotations
+
+import resource
+import sys
+
+from pytest_dura.core.roles import PerformanceAssessment, PerformanceOracle, RoleContext, RoleView
+from pytest_dura.driving.maneuvers import acceleration_for
+from pytest_dura.driving.scene import HALF
+from pytest_dura.driving.sensors import Imu
+
+STANDING = 0.1
+"""m/s; slower counts as standing."""
+_MEMORY_PERIOD = 10
+"""Ticks between two readings of the process's memory, which is a system call."""
+
+
+class DrivingOracle(PerformanceOracle):
+    """Response time, resources, task completion, clearance time, control accuracy, comfort, gridlock.
+
+    Args:
+        response_limit: Seconds of wall-clock time for a proposal.
+        acceleration_limit: m/s2 along the ego, either sign.
+        lateral_limit: m/s2 across it.
+        jerk_limit: m/s3 along it.
+        gridlock_after: Seconds of standing before the junction that count as gridlock.
+        clearance_limit: Seconds to clear the junction.
+
+    Values: ``completion`` (share of the way through the junction), ``clearance_time`` (s, from the
+    tick at which the rear has left it), ``control_error`` (m/s2, commanded against executed),
+    ``acceleration``, ``lateral_acceleration`` (m/s2), ``jerk``, ``lateral_jerk`` (m/s3),
+    ``standing_time`` (s). Wall clock: ``response_time`` (s), ``memory`` (MiB, greatest so far).
+    """
+
+    def __init__(
+        self,
+        response_limit: float = 0.1,
+        acceleration_limit: float = 6.0,
+        lateral_limit: float = 3.0,
+        jerk_limit: float = 45.0,
+        gridlock_after: float = 20.0,
+        clearance_limit: float = 60.0,
+    ) -> None:
+        self.response_limit = response_limit
+        self.acceleration_limit = acceleration_limit
+        self.lateral_limit = lateral_limit
+        self.jerk_limit = jerk_limit
+        self.gridlock_after = gridlock_after
+        self.clearance_limit = clearance_limit
+
+    def reset(self, context: RoleContext) -> None:
+        """Begin to measure anew."""
+        self._imu: Imu | None = None
+        self._commanded: float | None = None
+        self._start = 0.0
+        self._standing = 0.0
+        self._clearance: float | None = None
+        self._memory = 0.0
+
+    def run(self, view: RoleView) -> PerformanceAssessment:
+        """The values of this tick and the thresholds they passed."""
+        percept = view.percept
+        imu, speed, pose, way = (
+            percept["imu"], percept["odometry"].speed, percept["localisation"], percept["map"]
+        )  # fmt: skip
+        s, _ = way.route.project(pose.x, pose.y)
+        if self._imu is None:
+            self._start, self._imu = s, imu
+        end = way.exit + HALF
+        values = {
+            "completion": min(max((s - self._start) / (end - self._start), 0.0), 1.0),
+            "acceleration": imu.acceleration,
+            "lateral_acceleration": imu.lateral_acceleration,
+            "jerk": (imu.acceleration - self._imu.acceleration) / view.dt,
+            "lateral_jerk": (imu.lateral_acceleration - self._imu.lateral_acceleration) / view.dt,
+        }
+        if self._commanded is not None:
+            values["control_error"] = abs(imu.acceleration - self._commanded)
+        cleared = s >= end
+        self._standing = self._standing + view.dt if speed < STANDING and not cleared else 0.0
+        values["standing_time"] = self._standing
+        if cleared and self._clearance is None:
+            self._clearance = view.time
+        if self._clearance is not None:
+            values["clearance_time"] = self._clearance
+        self._imu = imu
+        self._remember_command(view, speed, way.stop_line - s - HALF)
+        if view.index % _MEMORY_PERIOD == 0:
+            self._memory = _memory()
+        wall_clock = {"response_time": view.generator_seconds, "memory": self._memory}
+        return PerformanceAssessment(values, wall_clock, self._failures(view, values))
+
+    def _remember_command(self, view: RoleView, speed: float, to_stop_line: float) -> None:
+        if view.proposal is None:
+            self._commanded = None
+        else:
+            self._commanded = acceleration_for(view.proposal.action, speed, to_stop_line)
+
+    def _failures(self, view: RoleView, values: dict[str, float]) -> tuple[str, ...]:
+        failures = []
+        if abs(values["acceleration"]) > self.acceleration_limit:
+            failures.append("acceleration")
+        if abs(values["lateral_acceleration"]) > self.lateral_limit:
+            failures.append("lateral_acceleration")
+        if abs(values["jerk"]) > self.jerk_limit:
+            failures.append("jerk")
+        if self._standing > self.gridlock_after:
+            failures.append("gridlock")
+        if self._clearance is None and view.time > self.clearance_limit:
+            failures.append("clearance_time")
+        latency = view.proposal.latency if view.proposal is not None else None
+        if (view.generator_seconds if latency is None else latency) > self.response_limit:
+            failures.append("response_time")
+        return tuple(failures)
+
+
+def _memory() -> float:
+    """Greatest resident size of the process so far in MiB."""
+    size = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return size / (1024.0 if sys.platform != "darwin" else 1024.0 * 1024.0)

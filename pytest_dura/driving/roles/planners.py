@@ -1,0 +1,235 @@
+"""Generators for driving: a competent default, and three that are wrong in known ways."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_dura.core.roles import Generator, Proposal, RoleContext
+from pytest_dura.core.seeding import stream
+from pytest_dura.core.state import GeneratorView
+from pytest_dura.driving import prediction
+from pytest_dura.driving.junction import SPEED_LIMIT
+from pytest_dura.driving.maneuvers import (
+    COMFORT_BRAKING,
+    MAX_BRAKING,
+    Command,
+    Maneuver,
+    acceleration_for,
+    braking_distance,
+    stop_at,
+)
+from pytest_dura.driving.radar import with_unexplained_returns
+from pytest_dura.driving.scene import HALF, InLane, Scene, crossing, time_to_cover
+from pytest_dura.driving.tracking import Tracker
+
+
+class RuleBased(Generator):
+    """Gap acceptance at the stop line, car following, and a look ahead inside the junction.
+
+    It perceives lidar objects, and radar returns that no lidar object explains.
+
+    Args:
+        margin: Seconds that must lie between its leaving the crossing lanes and a car's arrival.
+        separation: Predicted distance in m that it keeps to others inside the junction.
+    """
+
+    CANDIDATES = (3.5, 2.0, 0.0, -3.0, -8.0)
+    """Accelerations in m/s2 that are compared once the stop line is crossed."""
+
+    def __init__(self, margin: float = 1.5, separation: float = 1.0) -> None:
+        self.margin, self.separation = margin, separation
+        self._times = np.arange(1, 11) * 0.3
+        self._candidates = np.array(self.CANDIDATES)
+
+    def reset(self, context: RoleContext) -> None:
+        """Forget the bodies seen."""
+        self._tracker = Tracker()
+
+    def propose(self, view: GeneratorView) -> Proposal:
+        """The maneuver of this tick, with its acceleration."""
+        scene = Scene.of(view.percept)
+        scene.bodies = with_unexplained_returns(view.percept)
+        self._tracker.update(view.index, scene.bodies)
+        command, why = self._on_the_way(scene, view.dt)
+        acceleration = acceleration_for(command, scene.speed, scene.to_stop_line)
+        follow = self._follow(scene.leader(), scene.speed)
+        if follow < acceleration:
+            acceleration, why = follow, "follows"
+            command = Command(Maneuver.YIELD if follow > -COMFORT_BRAKING else Maneuver.EMERGENCY_BRAKE)
+        walker = self._for_pedestrians(scene)
+        if walker < acceleration:
+            acceleration, why = walker, "lets a pedestrian cross"
+            command = Command(Maneuver.WAIT if walker > -6.0 else Maneuver.EMERGENCY_BRAKE)
+        return Proposal(Command(command.maneuver, acceleration), why)
+
+    def _on_the_way(self, scene: Scene, dt: float) -> tuple[Command, str]:
+        if scene.cleared:
+            return Command(Maneuver.PROCEED), "leaves"
+        if not scene.entered:
+            to_line = scene.to_stop_line
+            if braking_distance(scene.speed, 0.8 * MAX_BRAKING) < to_line + 0.3:
+                blocked = self._who_comes(scene)
+                if blocked is not None:
+                    return Command(Maneuver.WAIT), f"gives way to {blocked}"
+                go = Maneuver.ACCELERATE if to_line < 20.0 else Maneuver.PROCEED
+                return Command(go), "accepts the gap"
+        return self._inside(scene, dt)
+
+    def _who_comes(self, scene: Scene) -> str | None:
+        """Who on the crossing road arrives before the ego has crossed, if it goes now."""
+        clear = time_to_cover(scene.exit - scene.s, scene.speed, 2.5, SPEED_LIMIT)
+        for other in crossing(scene):
+            arrives = time_to_cover(other.distance, other.speed, 2.5, SPEED_LIMIT)
+            if arrives < clear + self.margin:
+                return other.body.id
+        candidate = np.array([3.5 if scene.to_stop_line < 20.0 else 2.0])
+        apart, who = self._apart(scene, candidate, 0.1)
+        return who if apart[0] < self.separation else None
+
+    def _inside(self, scene: Scene, dt: float) -> tuple[Command, str]:
+        """The quickest way out that keeps its distance, or else the one that keeps most."""
+        apart, who = self._apart(scene, self._candidates, dt)
+        good = np.flatnonzero(apart >= self.separation)
+        choice = int(good[0]) if len(good) else int(apart.argmax())
+        acceleration = self.CANDIDATES[choice]
+        if acceleration > 0.0:
+            maneuver = Maneuver.ACCELERATE if acceleration > 2.0 else Maneuver.PROCEED
+            limit = acceleration_for(Command(maneuver), scene.speed, scene.to_stop_line)
+            return Command(maneuver, min(acceleration, limit)), "crosses"
+        if acceleration == 0.0:
+            return Command(Maneuver.PROCEED_CAUTIOUSLY, 0.0), f"keeps its distance to {who}"
+        maneuver = Maneuver.YIELD if acceleration > -5.0 else Maneuver.EMERGENCY_BRAKE
+        return Command(maneuver, acceleration), f"avoids {who}"
+
+    def _apart(
+        self, scene: Scene, accelerations: NDArray[np.float64], dt: float
+    ) -> tuple[NDArray[np.float64], str]:
+        """Least predicted separation of each candidate, and from whom for the first."""
+        near = prediction.near(scene.bodies, scene.x, scene.y, scene.speed, self._times[-1])
+        if not len(near):
+            return np.full(len(accelerations), 99.0), "nobody"
+        yaw = self._tracker.yaw_rates(dt)
+        if near is not scene.bodies:
+            yaw = yaw[[scene.bodies.ids.index(i) for i in near.ids]]
+        driven = prediction.advance(scene.speed, accelerations, self._times, SPEED_LIMIT)
+        ego = prediction.ego_discs(scene.route, scene.s + driven)
+        others = prediction.moving(near, self._times, yaw)
+        apart = prediction.separations(ego, others, prediction.radii(near))
+        apart = apart.min(axis=1)
+        return apart.min(axis=1), near.ids[int(apart[0].argmin())]
+
+    @staticmethod
+    def _follow(leader: InLane | None, speed: float) -> float:
+        """Acceleration in m/s2 that keeps a time gap of a second behind the leader."""
+        if leader is None:
+            return math.inf
+        room = leader.distance - 2.0
+        if room <= 0.0:
+            return -MAX_BRAKING if speed > 0.5 else -COMFORT_BRAKING
+        ahead = max(leader.speed, 0.0)
+        needed = max(speed - ahead, 0.0) ** 2 / (2.0 * room)
+        if ahead < 1.0:
+            return stop_at(room + braking_distance(ahead, COMFORT_BRAKING), speed)
+        gentle = 0.3 * (room - 1.0 * speed) + 0.8 * (ahead - speed)
+        return max(min(gentle, -needed if needed > 1.0 else math.inf), -MAX_BRAKING)
+
+    @staticmethod
+    def _for_pedestrians(scene: Scene) -> float:
+        """Acceleration in m/s2 that stops before a pedestrian who is on the path or nears it."""
+        slowest = math.inf
+        for body in scene.bodies:
+            if not body.is_pedestrian:
+                continue
+            s, lateral = scene.route.project(body.x, body.y)
+            room = s - scene.s - HALF - body.length / 2 - 1.5
+            if room < -1.5 - HALF or abs(lateral) > 7.0:
+                continue
+            heading = float(scene.route.pose(s)[2])
+            sideways = body.vy * math.cos(heading) - body.vx * math.sin(heading)
+            on_path = abs(lateral) < 2.0
+            nearing = sideways * lateral < -0.1
+            if (on_path or nearing) and room > braking_distance(scene.speed, MAX_BRAKING) - 0.5:
+                slowest = min(slowest, stop_at(room, scene.speed))
+            elif on_path and room > -1.5:
+                slowest = -MAX_BRAKING
+        return slowest
+
+
+class Reactive(Generator):
+    """Trusts whatever lidar reports, and reacts to what is near without reckoning ahead.
+
+    It approaches and crosses at a steady pace, slows down where anything on a collision course
+    comes near, and brakes hard where it is very near. It checks nothing against radar.
+
+    Args:
+        caution: Time to conflict in s below which it yields.
+        alarm: The same for an emergency brake.
+    """
+
+    def __init__(self, caution: float = 3.0, alarm: float = 1.4) -> None:
+        self.caution, self.alarm = caution, alarm
+
+    def propose(self, view: GeneratorView) -> Proposal:
+        """The maneuver of this tick."""
+        scene = Scene.of(view.percept)
+        if scene.cleared:
+            return Proposal(Command(Maneuver.PROCEED), "leaves")
+        conflict, who = self._conflict(scene)
+        if conflict < self.alarm:
+            return Proposal(Command(Maneuver.EMERGENCY_BRAKE), f"{who} is {conflict:.1f} s away")
+        if conflict < self.caution:
+            maneuver = Maneuver.YIELD if not scene.entered else Maneuver.PROCEED_CAUTIOUSLY
+            return Proposal(Command(maneuver), f"{who} is {conflict:.1f} s away")
+        return Proposal(Command(Maneuver.PROCEED), "sees no conflict")
+
+    @staticmethod
+    def _conflict(scene: Scene) -> tuple[float, str]:
+        """Least time until somebody is where the ego's path is, and who."""
+        worst, who = math.inf, "nobody"
+        for body in scene.bodies:
+            s, lateral = scene.route.project(body.x, body.y)
+            ahead = s - scene.s - HALF - body.length / 2
+            if s < scene.s or ahead > 40.0:
+                continue
+            heading = float(scene.route.pose(s)[2])
+            along = body.vx * math.cos(heading) + body.vy * math.sin(heading)
+            sideways = body.vy * math.cos(heading) - body.vx * math.sin(heading)
+            beside = abs(lateral) - 1.0 - body.width / 2
+            if beside <= 0.3:
+                closing = max(scene.speed - along, 0.0)
+                time = max(ahead - 1.0, 0.0) / max(closing, 0.1)
+            elif sideways * lateral < 0.0 and abs(sideways) > 0.5:
+                reach = (abs(lateral) - 1.0 - body.length / 2) / abs(sideways)
+                arrive = max(ahead, 0.0) / max(scene.speed, 3.0)
+                time = max(reach, arrive) if abs(reach - arrive) < 2.0 else math.inf
+            else:
+                continue
+            if time < worst:
+                worst, who = time, body.id
+        return worst, who
+
+
+class Aggressive(Generator):
+    """Never gives way: accelerates through."""
+
+    def propose(self, view: GeneratorView) -> Proposal:
+        """Always the same."""
+        return Proposal(Command(Maneuver.ACCELERATE), "never gives way")
+
+
+class RandomPlanner(Generator):
+    """Draws a maneuver every half second."""
+
+    def reset(self, context: RoleContext) -> None:
+        """Begin its stream of draws anew."""
+        self._rng = stream(context.seed, "generator:random")
+        self._maneuver = Maneuver.PROCEED
+
+    def propose(self, view: GeneratorView) -> Proposal:
+        """The drawn maneuver."""
+        if view.index % 5 == 0:
+            self._maneuver = list(Maneuver)[int(self._rng.integers(len(Maneuver)))]
+        return Proposal(Command(self._maneuver), "drawn")

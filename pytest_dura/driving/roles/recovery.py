@@ -1,0 +1,18 @@
+"""RecoveryPlanner: what is done instead of a refused proposal."""
+
+from __future__ import annotations
+
+from pytest_dura.core.roles import Recovery, RecoveryPlanner, RoleView
+from pytest_dura.driving.maneuvers import Command, Maneuver
+
+
+class EmergencyBrake(RecoveryPlanner):
+    """Brakes as hard as the car can, wherever it is.
+
+    Inside the conflict zone that may get it struck by others: braking is no general benefit, and
+    the paired runs of the benchmark say by how much.
+    """
+
+    def run(self, view: RoleView) -> Recovery:
+        """Full braking."""
+        return Recovery(Command(Maneuver.EMERGENCY_BRAKE), "emergency_brake", "; ".join(view.reasons))

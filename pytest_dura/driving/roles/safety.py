@@ -1,0 +1,105 @@
+"""SafetyMonitor: predicted separation, following distance and right of way for the proposal."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pytest_dura.core.roles import Assessed, Assessment, RoleContext, RoleView, SafetyMonitor
+from pytest_dura.driving import prediction
+from pytest_dura.driving.junction import SPEED_LIMIT
+from pytest_dura.driving.maneuvers import MAX_BRAKING, acceleration_for, braking_distance
+from pytest_dura.driving.scene import Scene, crossing, time_to_cover
+from pytest_dura.driving.tracking import Tracker
+
+SEPARATION_CAP = 10.0
+"""m; the score saturates here."""
+
+
+class SeparationMonitor(SafetyMonitor):
+    """Would the proposed command, kept up for a while, come too near to somebody?
+
+    Args:
+        horizon: Seconds that are predicted.
+        unsafe: Predicted separation in m below which the proposal is unsafe.
+        warning: The same for a warning.
+        reaction: Seconds before the ego can answer a braking leader.
+
+    The score is the least predicted separation in m.
+    """
+
+    def __init__(
+        self, horizon: float = 2.0, unsafe: float = 0.3, warning: float = 1.0, reaction: float = 0.3
+    ) -> None:
+        self.horizon, self.unsafe, self.warning, self.reaction = horizon, unsafe, warning, reaction
+        self._times = np.arange(1, round(horizon / 0.25) + 1) * 0.25
+        self._tracker = Tracker()
+
+    def reset(self, context: RoleContext) -> None:
+        """Forget the bodies seen."""
+        self._tracker.reset()
+
+    def run(self, view: RoleView) -> Assessment:
+        """The worst of separation, following distance and right of way."""
+        scene = Scene.of(view.percept)
+        self._tracker.update(view.index, scene.bodies)
+        if view.proposal is None:
+            return Assessment(Assessed.SAFE, SEPARATION_CAP)
+        acceleration = acceleration_for(view.proposal.action, scene.speed, scene.to_stop_line)
+        separation, who = self._separation(scene, acceleration, view.dt)
+        reasons, verdict = [], Assessed.SAFE
+        if separation < self.warning:
+            verdict = Assessed.UNSAFE if separation < self.unsafe else Assessed.WARNING
+            reasons.append(f"comes within {max(separation, 0.0):.1f} m of {who}")
+        following = self._following(scene, acceleration)
+        if following is not None:
+            verdict = Assessed.UNSAFE
+            reasons.append(following)
+        taken = self._right_of_way(scene, acceleration)
+        if taken is not None:
+            verdict = Assessed.UNSAFE
+            reasons.append(taken)
+        return Assessment(verdict, separation, tuple(reasons))
+
+    def _separation(self, scene: Scene, acceleration: float, dt: float) -> tuple[float, str]:
+        bodies = scene.bodies
+        near = prediction.near(bodies, scene.x, scene.y, scene.speed, self.horizon)
+        if not len(near):
+            return SEPARATION_CAP, ""
+        yaw = self._tracker.yaw_rates(dt)
+        if near is not bodies:
+            yaw = yaw[[bodies.ids.index(i) for i in near.ids]]
+        driven = prediction.advance(
+            scene.speed, np.array([acceleration]), self._times, SPEED_LIMIT
+        )
+        ego = prediction.ego_discs(scene.route, scene.s + driven)
+        others = prediction.moving(near, self._times, yaw)
+        apart = prediction.separations(ego, others, prediction.radii(near))[0].min(axis=0)
+        nearest = int(apart.argmin())
+        return min(float(apart[nearest]), SEPARATION_CAP), near.ids[nearest]
+
+    def _following(self, scene: Scene, acceleration: float) -> str | None:
+        """Could the ego still stop behind its leader if that brakes as hard as it can?"""
+        leader = scene.leader()
+        if leader is None or acceleration <= -0.9 * MAX_BRAKING:
+            return None
+        speed = max(scene.speed + acceleration * self.reaction, 0.0)
+        needed = scene.speed * self.reaction + braking_distance(speed, MAX_BRAKING)
+        needed -= braking_distance(max(leader.speed, 0.0), MAX_BRAKING)
+        if scene.speed > 0.5 and leader.distance < needed:
+            return f"follows {leader.body.id} at {max(leader.distance, 0.0):.1f} m, needs {needed:.1f} m"
+        return None
+
+    def _right_of_way(self, scene: Scene, acceleration: float) -> str | None:
+        """Does the proposal enter the junction in front of a car that must then brake?"""
+        to_line = scene.to_stop_line
+        if scene.entered or braking_distance(scene.speed, MAX_BRAKING) > to_line:
+            return None
+        within = prediction.advance(scene.speed, np.array([acceleration]), self._times[:2], 10.0)
+        if within[0, -1] < to_line:
+            return None
+        through = scene.exit - scene.s
+        clears = time_to_cover(through, scene.speed, max(acceleration, 1.5), SPEED_LIMIT)
+        for other in crossing(scene):
+            if other.speed > 1.0 and 0.0 < other.distance < other.speed * clears:
+                return f"takes the right of way of {other.body.id}"
+        return None

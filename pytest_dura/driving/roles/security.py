@@ -1,0 +1,148 @@
+"""SecurityAssessor: directs attacks, looks for their traces, and classes the component's reaction."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pytest_dura.core.roles import (
+    Alert,
+    Assessed,
+    RoleContext,
+    RoleView,
+    SecurityAssessment,
+    SecurityAssessor,
+)
+from pytest_dura.driving.maneuvers import MAX_ACCELERATION, MAX_BRAKING, Maneuver
+from pytest_dura.driving.radar import compare
+from pytest_dura.driving.reaction import ReactionWatch
+from pytest_dura.driving.sensors import RANGE
+from pytest_dura.driving.tracking import Tracker
+from pytest_dura.faults.model import Activation
+
+_ROAD_END = 85.0
+"""m from the centre; farther out, bodies come and go at the ends of the arms."""
+
+
+class PlausibilityAssessor(SecurityAssessor):
+    """Checks percept and command against known attack patterns.
+
+    Patterns: ``object_from_nowhere`` (a newcomer well inside the sensors' reach),
+    ``velocity_contradicts_displacement``, ``lidar_contradicts_radar`` (for some ticks in a row) and
+    ``command_outside_envelope``. Each is alerted when it begins, and again after a quiet time.
+
+    Args:
+        displacement_tolerance: m/s between reported velocity and displacement over time.
+        confirm: Ticks in a row before lidar and radar contradict each other.
+        quiet: Seconds without the pattern after which it is alerted anew.
+
+    The score is minus the number of suspicions at this tick. An alert is a warning: what the
+    suspicion means for the proposal is the SafetyMonitor's to say.
+    """
+
+    def __init__(
+        self, displacement_tolerance: float = 3.0, confirm: int = 2, quiet: float = 1.0
+    ) -> None:
+        self.displacement_tolerance = displacement_tolerance
+        self.confirm, self.quiet = confirm, quiet
+        self._tracker = Tracker()
+
+    def reset(self, context: RoleContext) -> None:
+        """Load the plan of attacks; forget what was seen."""
+        self._plan = {
+            fault["id"]: Activation.model_validate(fault["activation"])
+            for fault in context.faults
+            if fault["activation"]["by"] == self.name
+        }
+        self._last = -1.0
+        self._tracker.reset()
+        self._contradicted: dict[str, int] = {}
+        self._seen: dict[tuple[str, str], float] = {}
+        self._watch = ReactionWatch()
+        self._index = -1
+        self._suspicions: list[Alert] = []
+        self._directives: tuple[str, ...] = ()
+
+    def run(self, view: RoleView) -> SecurityAssessment:
+        """Directives, alerts, and the component's reaction once an attack is over."""
+        if view.index != self._index:  # a refined proposal does not change the percept
+            self._index = view.index
+            self._directives = self._direct(view)
+            self._suspicions = self._look(view)
+        suspicions = self._suspicions + self._check_command(view)
+        alerts = []
+        for alert in suspicions:
+            key = (alert.pattern, alert.subject)
+            if view.time - self._seen.get(key, -np.inf) > self.quiet:
+                alerts.append(alert)
+            self._seen[key] = view.time
+        reaction = self._watch.update(view, bool(self._suspicions))
+        if not suspicions and not self._directives and reaction is None:
+            return _QUIET
+        return SecurityAssessment(
+            verdict=Assessed.WARNING if suspicions else Assessed.SAFE,
+            score=-float(len(suspicions)),
+            reasons=tuple(f"{alert.pattern} ({alert.subject})" for alert in suspicions),
+            alerts=tuple(alerts),
+            directives=self._directives,
+            reaction=reaction,
+        )
+
+    def _direct(self, view: RoleView) -> tuple[str, ...]:
+        """The attacks that begin with the next percept."""
+        ahead = view.time + view.dt
+        due = tuple(name for name, when in self._plan.items() if when.due(ahead, self._last))
+        self._last = ahead
+        return due
+
+    def _look(self, view: RoleView) -> list[Alert]:
+        percept = view.percept
+        bodies, pose = percept["lidar"], percept["localisation"]
+        self._tracker.update(view.index, bodies)
+        found = []
+        for row in self._tracker.newcomers():
+            x, y = bodies.data[row, :2].tolist()
+            distance = float(np.hypot(x - pose.x, y - pose.y))
+            if distance < RANGE - 8.0 and max(abs(x), abs(y)) < _ROAD_END:
+                detail = f"appeared {distance:.1f} m away"
+                found.append(Alert("object_from_nowhere", bodies.ids[row], detail))
+        rows, moved = self._tracker.displacement()
+        if len(rows):
+            apart = np.hypot(*(moved / view.dt - bodies.data[rows, 3:5]).T)
+            for row in np.flatnonzero(apart > self.displacement_tolerance).tolist():
+                detail = f"reports a velocity {apart[row]:.1f} m/s off its displacement"
+                name = bodies.ids[int(rows[row])]
+                found.append(Alert("velocity_contradicts_displacement", name, detail))
+        return found + self._against_radar(view)
+
+    def _against_radar(self, view: RoleView) -> list[Alert]:
+        bodies = view.percept["lidar"]
+        confirmed, explained = compare(view.percept)
+        if confirmed.all() and explained.all():
+            self._contradicted.clear()
+            return []
+        names = [bodies.ids[row] for row in np.flatnonzero(~confirmed).tolist()]
+        if not explained.all():
+            names.append("radar")
+        self._contradicted = {name: self._contradicted.get(name, 0) + 1 for name in names}
+        return [
+            Alert("lidar_contradicts_radar", name, "one of them reports what the other does not")
+            for name, ticks in self._contradicted.items()
+            if ticks >= self.confirm
+        ]
+
+    def _check_command(self, view: RoleView) -> list[Alert]:
+        if view.proposal is None:
+            return []
+        command, asked = view.proposal.action, view.proposal.action.acceleration
+        if asked is None:
+            return []
+        if not -MAX_BRAKING - 1e-9 <= asked <= MAX_ACCELERATION + 1e-9:
+            detail = f"asks for {asked:.1f} m/s2"
+        elif command.maneuver is Maneuver.EMERGENCY_BRAKE and asked > 0.5:
+            detail = f"says {command} and asks for {asked:.1f} m/s2"
+        else:
+            return []
+        return [Alert("command_outside_envelope", "generator", detail)]
+
+
+_QUIET = SecurityAssessment()

@@ -1,0 +1,125 @@
+"""What a percept means for driving on: where the ego is on its route, and who is where around it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from pytest_dura.driving.bodies import CAR_LENGTH, CAR_WIDTH, Body, BodyList
+from pytest_dura.driving.junction import LANE_OFFSET, Route
+
+HALF = CAR_LENGTH / 2
+
+
+class InLane(NamedTuple):
+    """A body on the ego's path ahead: metres from bumper to bumper, and its speed along the path."""
+
+    body: Body
+    distance: float
+    speed: float
+
+
+@dataclass(slots=True)
+class Scene:
+    """The ego on its route, as perceived. ``s`` is metres along the route."""
+
+    route: Route
+    s: float
+    x: float
+    y: float
+    speed: float
+    stop_line: float
+    exit: float
+    bodies: BodyList
+
+    @classmethod
+    def of(cls, percept: Mapping[str, Any]) -> Scene:
+        """From the channels localisation, odometry, map and lidar."""
+        pose, route_map = percept["localisation"], percept["map"]
+        s, _ = route_map.route.project(pose.x, pose.y)
+        speed = max(percept["odometry"].speed, 0.0)
+        return cls(
+            route_map.route, s, pose.x, pose.y, speed,
+            route_map.stop_line, route_map.exit, percept["lidar"],
+        )  # fmt: skip
+
+    @property
+    def to_stop_line(self) -> float:
+        """Metres from the front bumper to the stop line; negative past it."""
+        return self.stop_line - self.s - HALF
+
+    @property
+    def entered(self) -> bool:
+        """Whether the front has crossed the stop line."""
+        return self.to_stop_line < 0.0
+
+    @property
+    def cleared(self) -> bool:
+        """Whether the rear has left the junction."""
+        return self.s - HALF > self.exit
+
+    def leader(self) -> InLane | None:
+        """The nearest body on the ego's path that stands or moves along it."""
+        nearest: InLane | None = None
+        for body in self.bodies:
+            s, lateral = self.route.project(body.x, body.y)
+            distance = s - self.s - HALF - body.length / 2
+            if s <= self.s or abs(lateral) > (body.width + CAR_WIDTH) / 2 + 0.2:
+                continue
+            heading = float(self.route.pose(s)[2])
+            along = body.vx * math.cos(heading) + body.vy * math.sin(heading)
+            across = abs(body.vy * math.cos(heading) - body.vx * math.sin(heading))
+            if across > max(along, 1.0):  # it crosses: that is no leader
+                continue
+            if nearest is None or distance < nearest.distance:
+                nearest = InLane(body, distance, along)
+        return nearest
+
+
+class Approach(NamedTuple):
+    """A car that comes towards the junction on a road that crosses the ego's.
+
+    ``distance`` is metres from its front to the ego's lane, and ``past`` metres until its rear has
+    left that lane.
+    """
+
+    body: Body
+    distance: float
+    past: float
+    speed: float
+
+
+def crossing(scene: Scene) -> list[Approach]:
+    """Cars on the east-west road that have yet to cross the ego's lane.
+
+    Their turns are unknown and taken to be straight on, which crosses the ego's lane.
+    """
+    found = []
+    for body in scene.bodies:
+        if body.is_pedestrian or abs(body.y) > 2 * LANE_OFFSET + 0.5:
+            continue
+        direction = math.cos(body.heading)
+        if abs(direction) < 0.5:
+            continue
+        to_lane = (LANE_OFFSET - body.x) * math.copysign(1.0, direction)
+        half = body.length / 2 + CAR_WIDTH / 2 + 0.5
+        past = to_lane + half
+        if past > 0.0:
+            found.append(Approach(body, max(to_lane - half, 0.0), past, math.hypot(body.vx, body.vy)))
+    return found
+
+
+def time_to_cover(distance: float, speed: float, acceleration: float, top: float) -> float:
+    """Seconds to cover a distance when accelerating to a top speed."""
+    if distance <= 0.0:
+        return 0.0
+    if speed >= top:
+        return distance / max(speed, 0.1)
+    ramp = (top * top - speed * speed) / (2.0 * acceleration)
+    if distance <= ramp:
+        return (math.sqrt(speed * speed + 2.0 * acceleration * distance) - speed) / acceleration
+    return (top - speed) / acceleration + (distance - ramp) / top
+
+
