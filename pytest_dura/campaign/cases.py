@@ -104,7 +104,8 @@ class Case:
         for role, entry in scenario.roles.items():
             chosen[role] = None if entry is None else RoleSpec(entry.path, entry.params)
         for role, spec in overrides.items():
-            check_role_name(role, switched_off=spec is None)
+            if role not in chosen:
+                check_role_name(role, switched_off=spec is None)
             chosen[role] = spec
         roles = {
             role: role_spec(role, spec, domain) for role, spec in chosen.items() if spec is not None

@@ -59,8 +59,10 @@ def parsed_fault(scenario: Scenario, index: int) -> dict[str, Any]:
     """
     from pytest_dura.faults.catalogue import parse_fault
 
+    data = scenario.faults[index].model_dump(mode="json", exclude_unset=True)
+    data = {key: value for key, value in data.items() if value is not None or key == "duration"}
     try:
-        return parse_fault(scenario.faults[index].model_dump(mode="json", exclude_unset=True))
+        return parse_fault(data)
     except ConfigurationError as error:
         key = f"faults.{index}.{error.key}" if error.key else f"faults.{index}"
         raise placed(error, file=scenario.file, line=scenario.line_of(key), key=key) from None

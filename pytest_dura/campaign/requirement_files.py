@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from pytest_dura.campaign.problems import combine, placed
-from pytest_dura.campaign.scenario import Entry
+from pytest_dura.campaign.scenario import Entry, not_empty
 from pytest_dura.campaign.validation import validate
 from pytest_dura.campaign.yaml_source import Document
 from pytest_dura.core.errors import ConfigurationError
@@ -38,7 +38,9 @@ class RequirementEntry(Entry):
 class RequirementFile(Entry):
     """A file of requirements."""
 
-    requirements: Annotated[tuple[RequirementEntry, ...], Field(strict=False, min_length=1)]
+    requirements: Annotated[
+        tuple[RequirementEntry, ...], Field(strict=False), AfterValidator(not_empty)
+    ]
     """The requirements."""
 
 

@@ -27,6 +27,13 @@ NAME = r"^[A-Za-z0-9][A-Za-z0-9_.-]*(/[A-Za-z0-9][A-Za-z0-9_.-]*)*$"
 IDENTIFIER = r"^[A-Za-z0-9][A-Za-z0-9_-]*$"
 
 
+def not_empty(values: tuple[Any, ...]) -> tuple[Any, ...]:
+    """Refuse an empty list. Pydantic's own check would also tell of entries that are in error."""
+    if not values:
+        raise ValueError("the list is empty; it must have at least one entry")
+    return values
+
+
 class Entry(BaseModel):
     """Base of everything in a scenario file: no unknown keys, no silent conversion, read-only."""
 
@@ -75,7 +82,7 @@ class Range(Entry):
 class Choice(Entry):
     """One of several values, each as likely as the others, drawn anew for each run."""
 
-    choice: Annotated[tuple[JsonValue, ...], Field(strict=False, min_length=1)]
+    choice: Annotated[tuple[JsonValue, ...], Field(strict=False), AfterValidator(not_empty)]
     """The values."""
 
 
@@ -170,7 +177,7 @@ class Scenario(Entry):
     def _consistent(self) -> Scenario:
         if self.time_step > self.duration:
             raise ValueError(
-                f"the time step is longer than the duration ({self.time_step:g} > {self.duration:g})"
+                f"the time step is longer than the duration: {self.time_step:g} > {self.duration:g}"
             )
         _unique(tuple(fault.name for fault in self.faults))
         return self

@@ -122,13 +122,12 @@ def _read_text(path: Path) -> str:
             expected=f"at most {MAX_BYTES} bytes",
             remedy="split it into several files",
         )
+    if b"\0" in raw:
+        _refuse_binary(file, raw, raw.index(b"\0"))
     try:
-        text = raw.decode("utf-8-sig")
+        return raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         _refuse_binary(file, raw, error.start)
-    if "\0" in text:
-        _refuse_binary(file, raw, raw.index(b"\0"))
-    return text
 
 
 def _refuse_binary(file: str, raw: bytes, position: int) -> NoReturn:
@@ -183,9 +182,7 @@ class _Loader(yaml.SafeLoader):
                 expected="one document",
                 remedy="put each into a file of its own",
             )
-        if isinstance(root, ScalarNode) and root.value == "" and root.tag == _TAG + "null":
-            return None
-        return root
+        return None if root is None or root.tag == _TAG + "null" else root
 
     def compose_node(self, parent: Node | None, index: int) -> Node | None:
         event = self.peek_event()  # type: ignore[no-untyped-call]

@@ -51,7 +51,9 @@ def load_fault(data: Mapping[str, Any]) -> Fault:
     try:
         return kind.model_validate(filled)
     except ValidationError as error:
-        first = error.errors()[0]
+        # A misspelt key is also a missing one; the misspelling is what helps.
+        found = error.errors()
+        first = next((one for one in found if one["type"] == "extra_forbidden"), found[0])
         place = ".".join(str(part) for part in first["loc"])
         expected, remedy = first["msg"], None
         if first["type"] == "extra_forbidden":

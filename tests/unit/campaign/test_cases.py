@@ -1,0 +1,262 @@
+"""Cases, their ids, and the specs of their episodes."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import pytest
+
+from pytest_dura import ConfigurationError, EpisodeSpec, Policy, RoleSpec, derive_seed
+from pytest_dura.campaign.cases import Case, expand_cases
+from pytest_dura.campaign.domains import DOMAINS
+from pytest_dura.campaign.scenario import Scenario
+from pytest_dura.core.roles import STANDARD_ROLES
+
+GHOST = {"type": "ghost-obstacle", "activation": {"at": 2.0}, "duration": 4.0}
+SPOOF = {"type": "trajectory-spoof", "id": "spoof", "activation": {"at": 1.0}}
+VARIATION = {
+    "world.traffic.headway": {"min": 20.0, "max": 24.0},
+    "faults.ghost-obstacle.activation.at": {"min": 1.5, "max": 3.0},
+}
+
+
+def make(name: str = "cross", **fields: Any) -> Scenario:
+    data = {"name": name, "simulator": "driving", "duration": 40.0, **fields}
+    return Scenario.model_validate(data)
+
+
+def ids(scenario: Scenario, faults: Any = None, select: Any = ()) -> list[str]:
+    return [case.id for case in expand_cases([scenario], faults, select)]
+
+
+def only(scenario: Scenario, faults: Any = None) -> Case:
+    (case,) = expand_cases([scenario], faults)
+    return case
+
+
+@pytest.mark.parametrize(
+    ("own", "faults", "expected"),
+    [
+        ([], None, ["cross"]),
+        ([GHOST], None, ["cross"]),
+        ([], ["none"], ["cross"]),
+        ([GHOST], ["none"], ["cross+none"]),
+        ([GHOST], [[]], ["cross+none"]),
+        ([], ["ghost-obstacle"], ["cross+ghost-obstacle"]),
+        ([GHOST], ["ghost-obstacle"], ["cross"]),
+        ([GHOST], ["trajectory-spoof"], ["cross+trajectory-spoof"]),
+        ([SPOOF], ["spoof"], ["cross"]),
+        ([SPOOF], ["trajectory-spoof"], ["cross+trajectory-spoof"]),
+        ([GHOST, SPOOF], [["spoof", "ghost-obstacle"]], ["cross"]),
+        ([GHOST, SPOOF], ["ghost-obstacle"], ["cross+ghost-obstacle"]),
+        (
+            [],
+            [["ghost-obstacle", "trajectory-spoof"]],
+            ["cross+ghost-obstacle+trajectory-spoof"],
+        ),
+        (
+            [],
+            ["ghost-obstacle+trajectory-spoof"],
+            ["cross+ghost-obstacle+trajectory-spoof"],
+        ),
+        ([], ["none", "ghost-obstacle", "none"], ["cross", "cross+ghost-obstacle"]),
+        ([], [["ghost-obstacle", "ghost-obstacle"]], ["cross+ghost-obstacle"]),
+        ([], [{**GHOST, "id": "near"}], ["cross+near"]),
+        ([GHOST], [], []),
+    ],
+)
+def test_case_ids(own: list[Any], faults: Any, expected: list[str]) -> None:
+    assert ids(make(faults=own), faults) == expected
+
+
+def test_cases_are_sorted_by_scenario_and_keep_the_order_of_campaigns() -> None:
+    scenarios = [make("b"), make("a")]
+    cases = expand_cases(scenarios, ["trajectory-spoof", "none"])
+    assert [case.id for case in cases] == ["a+trajectory-spoof", "a", "b+trajectory-spoof", "b"]
+    as_mapping = expand_cases({one.name: one for one in scenarios}, ["trajectory-spoof", "none"])
+    assert as_mapping == cases
+
+
+def test_a_case_carries_faults_with_defaults_and_requirements() -> None:
+    case = only(make(faults=[GHOST], requirements=["SAF-1"]))
+    (fault,) = case.faults
+    assert fault["id"] == "ghost-obstacle"
+    assert fault["target"] == "lidar"
+    assert fault["parameters"]["ahead"] > 0
+    assert case.requirements == ("SAF-1",)
+
+
+def test_a_name_means_the_scenarios_own_fault_before_the_catalogues() -> None:
+    own = {**GHOST, "duration": 1.25}
+    case = only(make(faults=[own, SPOOF]), ["ghost-obstacle"])
+    assert case.faults[0]["duration"] == 1.25
+
+
+def test_an_unknown_fault() -> None:
+    with pytest.raises(ConfigurationError) as caught:
+        ids(make(), ["gost-obstacle"])
+    assert caught.value.key == "faults"
+    assert caught.value.remedy == "did you mean 'ghost-obstacle'?"
+    assert "trajectory-spoof" in str(caught.value.expected)
+
+
+def test_none_stands_alone() -> None:
+    with pytest.raises(ConfigurationError, match="unknown fault 'none'"):
+        ids(make(), [["none", "ghost-obstacle"]])
+
+
+def test_two_faults_of_one_id_need_names_of_their_own() -> None:
+    with pytest.raises(ConfigurationError, match="two faults of one campaign"):
+        ids(make(), [["ghost-obstacle", {**GHOST, "duration": 9.0}]])
+    with pytest.raises(ConfigurationError, match="two fault campaigns make the same case"):
+        ids(make(), ["ghost-obstacle", {**GHOST, "duration": 9.0}])
+
+
+def test_select_by_case_id_or_scenario_name() -> None:
+    scenario = make(faults=[GHOST])
+    faults = ["none", "ghost-obstacle", "trajectory-spoof"]
+    assert ids(scenario, faults, ["cross"]) == ["cross+none", "cross", "cross+trajectory-spoof"]
+    assert ids(scenario, faults, ["*none", "*spoof"]) == ["cross+none", "cross+trajectory-spoof"]
+    with pytest.raises(ConfigurationError, match="no case matches 'cros'") as caught:
+        ids(scenario, faults, ["cros"])
+    assert caught.value.remedy == "did you mean 'cross'?"
+
+
+def test_a_spec_is_plain_data_and_survives_json() -> None:
+    scenario = make(faults=[GHOST], variation=VARIATION, world={"traffic": {}}, policy="refine(2)")
+    spec = only(scenario).spec(3, 7)
+    assert EpisodeSpec.from_json(json.loads(json.dumps(spec.to_json()))) == spec
+    assert spec.id == "cross#3"
+    assert spec.policy == Policy("refine", 2)
+    assert spec.termination.time_limit == 40.0
+    assert spec.scenario["name"] == "cross"
+    assert spec.scenario["world"]["courtesy"] == "occupied"
+
+
+def test_what_a_scenario_says_of_time_and_end_reaches_the_spec() -> None:
+    scenario = make(time_step=0.2, time_budget=None, end_at_violation=True)
+    spec = only(scenario).spec(0, 1)
+    assert (spec.time_step, spec.time_budget) == (0.2, None)
+    assert spec.termination.violation
+
+
+def test_arms_with_and_without_faults_share_seeds_and_worlds() -> None:
+    scenario = make(faults=[GHOST], variation=VARIATION, world={"traffic": {}})
+    arms = expand_cases([scenario], ["none", "ghost-obstacle", "trajectory-spoof"])
+    specs = [case.spec(4, 11) for case in arms]
+    assert {spec.seed for spec in specs} == {derive_seed(11, "cross", 4)}
+    assert len({json.dumps(spec.scenario) for spec in specs}) == 1
+    assert len({spec.key for spec in specs}) == 3
+
+
+def test_variation_differs_between_runs_and_stays_in_its_range() -> None:
+    scenario = make(faults=[GHOST], variation=VARIATION, world={"traffic": {}})
+    specs = [only(scenario).spec(run, 1) for run in range(20)]
+    headways = [spec.scenario["world"]["traffic"]["headway"] for spec in specs]
+    times = [spec.faults[0]["activation"]["at"] for spec in specs]
+    assert len(set(headways)) == len(set(times)) == 20
+    assert all(20.0 <= value <= 24.0 for value in headways)
+    assert all(1.5 <= value <= 3.0 for value in times)
+    assert max(headways) - min(headways) > 2.0
+
+
+def test_a_path_more_shifts_no_other_path() -> None:
+    world = {"traffic": {}}
+    first = make(variation={"world.traffic.headway": {"min": 20.0, "max": 24.0}}, world=world)
+    both = make(
+        variation={
+            "world.traffic.speed": {"min": 7.0, "max": 9.0},
+            "world.traffic.headway": {"min": 20.0, "max": 24.0},
+        },
+        world=world,
+    )
+    one, two = (only(s).spec(0, 1).scenario["world"]["traffic"] for s in (first, both))
+    assert one["headway"] == two["headway"]
+    assert one["speed"] != two["speed"]
+
+
+def test_a_choice_takes_every_value_at_some_time() -> None:
+    turns = ["left", "right"]
+    scenario = make(variation={"world.ego.turn": {"choice": turns}})
+    case = only(scenario)
+    drawn = {case.spec(run, 1).scenario["world"]["ego"]["turn"] for run in range(20)}
+    assert drawn == set(turns)
+
+
+def test_specs_do_not_share_mutable_data() -> None:
+    case = only(make(faults=[GHOST], world={"traffic": {}}))
+    spec = case.spec(0, 1)
+    spec.scenario["world"]["traffic"]["headway"] = -1  # type: ignore[index]
+    spec.faults[0]["activation"]["at"] = -1
+    again = case.spec(0, 1)
+    assert again.scenario["world"]["traffic"]["headway"] > 0
+    assert again.faults[0]["activation"]["at"] == 2.0
+
+
+def test_a_seed_and_a_policy_can_be_given() -> None:
+    spec = only(make()).spec(0, 1, seed=42, policy="log_only")
+    assert spec.seed == 42
+    assert spec.policy == Policy("log_only")
+
+
+def test_roles_given_come_before_the_scenarios_before_the_domains() -> None:
+    scenario = make(roles={"generator": "reactive", "safety_monitor": None, "watch": "my:Watch"})
+    case = only(scenario)
+    plain = case.spec(0, 1).roles
+    assert plain["generator"].path == "pytest_dura.driving.roles.planners:Reactive"
+    assert plain["fault_injector"].path == "pytest_dura.faults.injector:CampaignInjector"
+    assert list(plain) == [*(name for name in STANDARD_ROLES if name != "safety_monitor"), "watch"]
+    mine = {"generator": RoleSpec("a:B"), "safety_monitor": RoleSpec("a:S")}
+    given = case.spec(0, 1, {**mine, "recovery_planner": None}).roles
+    assert given["generator"] == RoleSpec("a:B")
+    assert given["safety_monitor"] == RoleSpec("a:S")
+    assert given["watch"] == RoleSpec("my:Watch")
+    assert "recovery_planner" not in given
+    assert "watch" not in case.spec(0, 1, {**mine, "watch": None}).roles
+    with pytest.raises(ConfigurationError, match="no role 'wach' to switch off"):
+        case.spec(0, 1, {**mine, "wach": None})
+
+
+def test_short_names_of_generators() -> None:
+    case = only(make())
+    for name, path in DOMAINS["driving"].generators.items():
+        assert case.spec(0, 1, {"generator": RoleSpec(name)}).roles["generator"].path == path
+    with pytest.raises(ConfigurationError) as caught:
+        case.spec(0, 1, {"generator": RoleSpec("agressive")})
+    assert caught.value.remedy == "did you mean 'aggressive'?"
+
+
+def test_a_misspelt_role_given_from_outside() -> None:
+    with pytest.raises(ConfigurationError) as caught:
+        only(make()).spec(0, 1, {"saftey_monitor": RoleSpec("a:B")})
+    assert caught.value.remedy == "did you mean 'safety_monitor'?"
+
+
+def test_another_simulator_has_no_default_roles() -> None:
+    scenario = make(simulator="thermostat:Thermostat", world={"start": 3.0})
+    with pytest.raises(ConfigurationError, match="no component under test") as caught:
+        only(scenario).spec(0, 1)
+    assert "`generator` fixture" in str(caught.value.remedy)
+    spec = only(scenario).spec(0, 1, {"generator": RoleSpec("thermostat:Controller")})
+    assert spec.simulator == RoleSpec("thermostat:Thermostat")
+    assert spec.scenario["world"] == {"start": 3.0}
+    assert list(spec.roles) == ["generator"]
+
+
+def test_the_domains_simulator_by_its_path_has_the_domains_roles() -> None:
+    scenario = make(simulator=DOMAINS["driving"].simulator)
+    assert only(scenario).spec(0, 1).roles == only(make()).spec(0, 1).roles
+
+
+def test_a_simulator_given_from_outside_replaces_the_scenarios() -> None:
+    spec = only(make()).spec(0, 1, simulator=RoleSpec("thermostat:Thermostat"))
+    assert spec.simulator.path == "thermostat:Thermostat"
+
+
+@pytest.mark.parametrize("domain", DOMAINS.values(), ids=DOMAINS)
+def test_everything_that_a_domain_names_can_be_built(domain: Any) -> None:
+    assert RoleSpec(domain.simulator).create()
+    paths = [*domain.roles.values(), *domain.generators.values()]
+    for path in paths:
+        assert RoleSpec(path).create()

@@ -1,0 +1,189 @@
+"""What one requirement says of a campaign."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import pytest
+
+from pytest_dura import ConfigurationError
+from pytest_dura.requirements.verdicts import CampaignVerdict, EpisodeVerdict, judge_campaign
+
+KEYS_OF_THE_RECORD = {
+    "requirement", "case", "component", "verdict", "planned", "episodes", "violations", "invalid",
+    "missing", "vacuous", "bound", "margin", "counterexamples",
+}  # fmt: skip
+
+
+def one(run: int, word: Any = "satisfied", margin: float | None = 1.0, **fields: Any) -> EpisodeVerdict:
+    plain = {
+        "requirement": "R", "episode": f"case#{run}", "component": "Planner", "verdict": word,
+        "margin": margin, "time": 2.0 if word == "violated" else None, "detail": "",
+        "proposals": 100, "valid_proposals": 100,
+    }  # fmt: skip
+    return EpisodeVerdict(**{**plain, **fields})
+
+
+def some(**counts: int) -> list[EpisodeVerdict]:
+    words = [word for word, count in counts.items() for _ in range(count)]
+    margins = {"violated": -1.0}
+    return [one(run, word, margins.get(word, 1.0)) for run, word in enumerate(words)]
+
+
+def judge(verdicts: list[EpisodeVerdict], planned: int | None = None, **rate: Any) -> CampaignVerdict:
+    planned = len(verdicts) if planned is None else planned
+    return judge_campaign("R", "case", verdicts, planned=planned, **rate)
+
+
+def test_supported_when_every_episode_satisfied_it() -> None:
+    found = judge(some(satisfied=15))
+    assert (found.verdict, found.episodes, found.run, found.planned) == ("supported", 15, 15, 15)
+    assert found.bound.upper == pytest.approx(0.181, abs=5e-4)
+    assert (found.bound.confidence, found.bound.at_most) == (0.95, None)
+    assert found.component == "Planner"
+    assert found.counterexamples == ()
+
+
+def test_one_violation_is_enough_whatever_else_is_wrong() -> None:
+    for verdicts in (
+        some(satisfied=14, violated=1),
+        some(violated=1, missing=9),
+        some(violated=1, invalid=9),
+    ):
+        assert judge(verdicts, planned=15).verdict == "violated"
+    found = judge(some(satisfied=14, violated=1))
+    assert (found.violations, found.episodes) == (1, 15)
+    assert "1 of 15" in found.reason
+
+
+def test_counterexamples_are_sorted_by_how_bad_they_are() -> None:
+    found = judge([one(0), one(1, "violated", -1.0), one(2, "violated", -5.0), one(3, "violated", 0.0)])
+    assert [example.episode for example in found.counterexamples] == ["case#2", "case#1", "case#3"]
+    assert (found.counterexamples[0].time, found.counterexamples[0].margin) == (2.0, -5.0)
+    assert found.margin == -5.0
+
+
+def test_fewer_than_planned_is_undecided() -> None:
+    found = judge(some(satisfied=14), planned=15)
+    assert found.verdict == "undecided"
+    assert found.reason == "only 14 of 15 planned episodes were run"
+    assert (found.planned, found.run) == (15, 14)
+
+
+def test_a_missing_episode_is_undecided() -> None:
+    found = judge(some(satisfied=14, missing=1))
+    assert (found.verdict, found.missing, found.episodes) == ("undecided", 1, 14)
+    assert "1 of 15 episodes are missing (infrastructure)" in found.reason
+
+
+def test_invalid_episodes_up_to_a_fifth_are_borne() -> None:
+    assert judge(some(satisfied=12, invalid=3)).verdict == "supported"
+    found = judge(some(satisfied=11, invalid=4))
+    assert (found.verdict, found.invalid, found.episodes) == ("undecided", 4, 11)
+    assert "4 of 15 episodes are invalid, more than 20%" in found.reason
+
+
+def test_further_runs_for_invalid_ones_count() -> None:
+    found = judge(some(satisfied=15, invalid=2), planned=15)
+    assert (found.verdict, found.run, found.episodes) == ("supported", 17, 15)
+
+
+def test_no_valid_episode_supports_nothing() -> None:
+    found = judge(some(invalid=3))
+    assert (found.verdict, found.bound.upper, found.margin) == ("undecided", None, None)
+    assert "no episode was valid" in found.reason
+
+
+def test_nothing_was_run() -> None:
+    found = judge([], planned=5, component="Planner")
+    assert (found.verdict, found.component, found.run) == ("undecided", "Planner", 0)
+    assert "only 0 of 5 planned" in found.reason
+    assert judge([], planned=0).verdict == "undecided"
+
+
+def test_a_component_that_rarely_proposes_is_not_supported_by_its_recovery() -> None:
+    rarely = [one(run, valid_proposals=49) for run in range(15)]
+    found = judge(rarely)
+    assert found.verdict == "undecided"
+    assert "valid proposal at only 735 of 1500 ticks" in found.reason
+    assert judge([one(run, valid_proposals=50) for run in range(15)]).verdict == "supported"
+
+
+def test_all_obstacles_are_named() -> None:
+    found = judge(some(satisfied=1, missing=1, invalid=2), planned=9)
+    assert found.reason.count(";") == 2
+
+
+def test_a_rate_that_n_supports() -> None:
+    found = judge(some(satisfied=59), at_most=0.05)
+    assert found.verdict == "supported"
+    assert found.bound.upper is not None
+    assert found.bound.upper <= 0.05
+    assert "at most 0.0495" in found.reason
+    assert judge(some(satisfied=92, violated=1), at_most=0.05).verdict == "supported"
+
+
+def test_a_rate_that_n_cannot_support_is_undecided_and_says_what_would() -> None:
+    found = judge(some(satisfied=58), at_most=0.05)
+    assert found.verdict == "undecided"
+    assert "does not support 0.05; 59 episodes with 0 violations would" in found.reason
+    found = judge(some(satisfied=91, violated=1), at_most=0.05)
+    assert found.verdict == "undecided"
+    assert "93 episodes with 1 violations would" in found.reason
+
+
+def test_a_rate_that_is_exceeded() -> None:
+    found = judge(some(satisfied=50, violated=10), at_most=0.05)
+    assert found.verdict == "violated"
+    assert "at most 0.05 is allowed" in found.reason
+    assert len(found.counterexamples) == 10
+
+
+def test_confidence_moves_the_bound() -> None:
+    assert judge(some(satisfied=59), at_most=0.05, confidence=0.99).verdict == "undecided"
+    assert judge(some(satisfied=90), at_most=0.05, confidence=0.99).verdict == "supported"
+
+
+def test_a_rate_is_undecided_for_the_same_obstacles() -> None:
+    for verdicts in (
+        some(satisfied=200, missing=1),
+        some(satisfied=200, invalid=60),
+        [one(run, valid_proposals=1) for run in range(200)],
+    ):
+        assert judge(verdicts, at_most=0.05).verdict == "undecided"
+    assert judge(some(satisfied=200), planned=201, at_most=0.05).verdict == "undecided"
+
+
+def test_what_was_not_run_cannot_make_a_rate_violated() -> None:
+    assert judge(some(violated=3), at_most=0.2).verdict == "violated"
+    assert judge(some(violated=3), planned=100, at_most=0.2).verdict == "undecided"
+    assert judge(some(violated=3, missing=97), at_most=0.2).verdict == "undecided"
+
+
+@pytest.mark.parametrize("rate", [{"at_most": 0.0}, {"at_most": 1.0}, {"confidence": 1.5}])
+def test_a_rate_outside_its_range(rate: dict[str, float]) -> None:
+    with pytest.raises(ConfigurationError, match="strictly between 0 and 1") as caught:
+        judge(some(satisfied=3), **rate)
+    assert caught.value.key in rate
+
+
+def test_of_several_attempts_a_violation_counts_and_otherwise_the_last() -> None:
+    found = judge([one(0, "violated"), one(0), one(1, "missing"), one(1)], planned=2)
+    assert (found.run, found.violations, found.missing) == (2, 1, 0)
+
+
+def test_two_components_are_two_campaigns() -> None:
+    with pytest.raises(ConfigurationError, match="one component") as caught:
+        judge([one(0), one(1, component="Other")])
+    assert caught.value.found == "Other, Planner"
+
+
+def test_the_record_has_the_keys_of_the_design_and_survives_json() -> None:
+    found = judge([one(0), one(1, "violated", -1.0)], at_most=0.3)
+    plain = json.loads(json.dumps(found.to_json()))
+    assert set(plain) >= KEYS_OF_THE_RECORD
+    assert set(plain["bound"]) >= {"confidence", "upper", "method"}
+    assert plain["counterexamples"] == [{"episode": "case#1", "time": 2.0, "margin": -1.0}]
+    assert plain["vacuous"] == 0
+    assert CampaignVerdict.from_json(plain) == found
