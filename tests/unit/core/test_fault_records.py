@@ -1,0 +1,248 @@
+"""The causal chain of a fault: planned, activated, manifested, detected, gone."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from loops import Says, doing, run_loop
+from pytest_dura import (
+    Alert,
+    Episode,
+    FaultInjector,
+    Injection,
+    Proposal,
+    SecurityAssessment,
+    SecurityAssessor,
+)
+from thermostat import Bias, Controller, HeatMonitor, JumpWatch, Meter, SwitchOff
+
+BIAS = {"id": "bias", "target": "thermometer", "activation": {"at": 0.5}, "duration": 0.3}
+
+
+def with_faults(generator: Any, *faults: Any, seconds: float = 1.5, **roles: Any) -> Episode:
+    roles.setdefault("fault_injector", Bias())
+    return run_loop(generator, seconds=seconds, spec={"faults": faults or (BIAS,)}, **roles)
+
+
+def kinds(episode: Episode) -> list[tuple[int, str]]:
+    return [(e.tick, e.kind) for e in episode.events if e.kind.startswith("fault")]
+
+
+def test_a_fault_is_recorded_from_plan_to_end() -> None:
+    episode = with_faults(Controller(), security_assessor=JumpWatch())
+    (fault,) = episode.faults
+    assert fault.planned_at == 0.5
+    assert fault.activated_at == pytest.approx(0.4)  # decided one tick ahead
+    assert fault.manifested_at == pytest.approx(0.5)
+    assert fault.deactivated_at == pytest.approx(0.7)
+    assert fault.manifest_ticks == 3
+    assert fault.success
+    assert (fault.detected_at, fault.detected_by) == (pytest.approx(0.5), "jump")
+    assert fault.detection_latency == pytest.approx(0.0)
+    assert episode.validity == "valid"
+    assert kinds(episode) == [
+        (4, "fault_activated"),
+        (5, "fault_manifested"),
+        (7, "fault_deactivated"),
+    ]
+
+
+def test_ground_truth_does_not_see_the_fault() -> None:
+    def blind(view: Any) -> Proposal:
+        return Proposal(0.5)
+
+    plain = run_loop(blind, seconds=1.5)
+    faulty = with_faults(blind)
+    assert faulty.signals["temperature"].tobytes() == plain.signals["temperature"].tobytes()
+    difference = plain.signals["percept.temperature"] - faulty.signals["percept.temperature"]
+    assert difference[5:8].tolist() == pytest.approx([10.0, 10.0, 10.0])
+    assert not difference[:5].any()
+
+
+def test_a_fault_that_the_component_did_not_read_has_not_manifested() -> None:
+    episode = with_faults(Says(lambda view: Proposal(float(view.percept["clock"] < 0.3))))
+    (fault,) = episode.faults
+    assert fault.activated_at is not None
+    assert fault.manifested_at is None
+    assert not fault.success
+    assert episode.validity == "invalid"
+    assert episode.invalid_reason == "never manifested: bias"
+
+
+@pytest.mark.parametrize(
+    "read",
+    [
+        lambda percept: percept["thermometer"],
+        lambda percept: percept.get("thermometer"),
+        lambda percept: list(percept.values()),
+        lambda percept: dict(percept.items()),
+        lambda percept: "thermometer" in percept,
+    ],
+)
+def test_every_way_of_reading_counts(read: Any) -> None:
+    def answer(view: Any) -> Proposal:
+        read(view.percept)
+        return Proposal(0.5)
+
+    assert with_faults(answer).validity == "valid"
+
+
+def test_what_other_roles_read_does_not_count() -> None:
+    episode = with_faults(
+        lambda view: Proposal(0.5), safety_monitor=HeatMonitor(), security_assessor=JumpWatch()
+    )
+    assert episode.validity == "invalid"
+    # An alert about a fault that reached nobody detects no fault.
+    assert episode.metrics.alerts > 0
+    assert episode.faults[0].detected_at is None
+
+
+def test_reading_in_a_refined_proposal_counts() -> None:
+    def answer(view: Any) -> Proposal:
+        if view.feedback:
+            view.percept["thermometer"]
+            return Proposal(0.0)
+        return Proposal(None)
+
+    assert with_faults(answer, policy="refine(1)").validity == "valid"
+
+
+def test_a_component_that_failed_before_reading_was_not_reached() -> None:
+    assert with_faults(lambda view: 1 / 0, recovery_planner=SwitchOff()).validity == "invalid"
+
+
+def test_a_fault_that_ends_before_the_plan_begins_it_is_invalid_and_one_by_chance_is_not() -> None:
+    late = {**BIAS, "activation": {"at": 99.0}}
+    assert with_faults(Controller(), late).validity == "invalid"
+    assert with_faults(Controller(), {**late, "by_chance": True}).validity == "valid"
+    assert with_faults(Controller(), BIAS, {**late, "id": "other"}).invalid_reason == (
+        "never manifested: other"
+    )
+
+
+def test_a_halt_does_not_hide_that_the_fault_manifested() -> None:
+    cold = {**BIAS, "activation": {"at": 0.3}}
+    episode = with_faults(
+        Controller(),
+        cold,
+        policy="halt",
+        fault_injector=Bias(+40.0),
+        safety_monitor=HeatMonitor(limit=-99.0),
+    )
+    assert episode.termination == "halt"
+    assert episode.ticks == 1
+    reached = with_faults(
+        lambda view: Proposal(float(view.percept["thermometer"] > 30.0)),
+        cold,
+        policy="halt",
+        fault_injector=Bias(+40.0),
+        safety_monitor=HeatMonitor(),
+    )
+    assert (reached.termination, reached.ticks) == ("halt", 4)
+    assert reached.validity == "valid"
+    assert reached.faults[0].flagged_ticks == 1
+
+
+class Scripted(FaultInjector):
+    """Changes channels and commands at the ticks it is told."""
+
+    def __init__(self, channels: dict[int, tuple[str, ...]], commands: dict[int, str]) -> None:
+        self.channels, self.commands = channels, commands
+
+    def run(self, view: Any) -> Injection:
+        return Injection()
+
+    def corrupt(self, channels: Any, time: float) -> Any:
+        ids = self.channels.get(round(time / 0.1), ())
+        return {**channels, "thermometer": 0.0} if ids else channels, {"thermometer": ids}
+
+    def corrupt_command(self, action: Any, time: float) -> Any:
+        fault = self.commands.get(round(time / 0.1))
+        return (0.25, (fault,)) if fault else (action, ())
+
+
+def test_a_command_fault_manifests_at_once_and_reaches_the_plant() -> None:
+    command = {"id": "weak", "target": "command"}
+    episode = with_faults(
+        lambda view: Proposal(1.0), command, fault_injector=Scripted({}, {3: "weak"})
+    )
+    (fault,) = episode.faults
+    assert fault.manifested_at == pytest.approx(0.3)
+    assert fault.manifest_ticks == 1
+    assert episode.decisions["executed"][3] == "100%"  # what was decided
+    assert episode.signals["power"][4] == 0.25  # what was carried out
+
+
+def test_two_faults_on_one_channel_both_manifest() -> None:
+    faults = ({"id": "a", "target": "thermometer"}, {"id": "b", "target": "thermometer"})
+    episode = with_faults(Controller(), *faults, fault_injector=Scripted({2: ("b", "a")}, {}))
+    assert [fault.manifest_ticks for fault in episode.faults] == [1, 1]
+    manifested = [e.subject for e in episode.events if e.kind == "fault_manifested"]
+    assert manifested == ["a", "b"]
+
+
+def test_a_fault_that_nobody_planned_is_recorded_as_such() -> None:
+    injector = doing(FaultInjector, lambda view: Injection(("stray",), ("other",)))
+    episode = run_loop(Controller(), fault_injector=injector)
+    assert [(f.id, f.target) for f in episode.faults] == [
+        ("stray", "unplanned"),
+        ("other", "unplanned"),
+    ]
+
+
+def alerts_at(*ticks: int) -> Any:
+    def output(view: Any) -> SecurityAssessment:
+        found = (Alert(f"pattern-{view.index}", "thermometer"),) if view.index in ticks else ()
+        return SecurityAssessment(alerts=found)
+
+    return doing(SecurityAssessor, output)
+
+
+@pytest.mark.parametrize(
+    ("ticks", "detected"),
+    [
+        ((), None),
+        ((2, 4), None),  # before it manifests, also while it is activated: a false alarm
+        ((2, 6, 7), 6),
+        ((5,), 5),
+        ((17,), 17),  # one second after its end is still in time
+        ((18,), None),
+    ],
+)
+def test_detection_is_the_first_alert_from_manifestation_to_shortly_after(
+    ticks: tuple[int, ...], detected: int | None
+) -> None:
+    episode = with_faults(Controller(), seconds=2.5, security_assessor=alerts_at(*ticks))
+    (fault,) = episode.faults
+    if detected is None:
+        assert (fault.detected_at, fault.detected_by, fault.detection_latency) == (None,) * 3
+    else:
+        assert fault.detected_by == f"pattern-{detected}"
+        assert fault.detection_latency == pytest.approx((detected - 5) * 0.1)
+    assert episode.metrics.alerts == len(ticks)
+
+
+def test_a_reaction_is_an_event_whenever_it_changes() -> None:
+    episode = with_faults(Controller(), security_assessor=JumpWatch())
+    reactions = [(e.tick, e.detail) for e in episode.events if e.kind == "reaction"]
+    assert reactions == [
+        (0, "unaffected"),
+        (5, "follows the fake"),
+        (6, "unaffected"),
+        (8, "follows the fake"),
+        (9, "unaffected"),
+    ]
+
+
+def test_what_the_injector_takes_to_corrupt_counts_as_its_time() -> None:
+    import time
+
+    class Slow(Scripted):
+        def corrupt(self, channels: Any, now: float) -> Any:
+            time.sleep(0.002)
+            return channels, {}
+
+    episode = run_loop(Controller(), seconds=0.3, fault_injector=Slow({}, {}), m=Meter())
+    assert min(episode.metrics.processing_ns["fault_injector"][1]) > 1_500_000

@@ -1,0 +1,178 @@
+"""One episode: triggers, views, outputs, decisions and their columns."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from loops import Says, doing, run_loop
+from pytest_dura import (
+    Assessed,
+    Assessment,
+    Proposal,
+    Recovery,
+    RecoveryPlanner,
+    Role,
+    SafetyMonitor,
+    Termination,
+)
+from thermostat import Controller, HeatMonitor, NightWatch, SwitchOff
+
+
+def test_an_episode_has_one_row_per_tick_and_one_decision_per_step() -> None:
+    episode = run_loop(Controller(target=99.0), seconds=1.0, safety_monitor=HeatMonitor())
+    assert episode.termination == "time"
+    assert episode.validity == "valid"
+    assert episode.ticks == 11
+    np.testing.assert_allclose(episode.time, np.arange(11) * 0.1)
+    assert {len(column) for column in episode.signals.values()} == {11}
+    assert {len(column) for column in episode.decisions.values()} == {10}
+    assert set(episode.signals) == {"temperature", "power", "headroom", "percept.temperature"}
+    assert episode.decisions["proposed"].tolist() == ["100%"] * 10
+    assert episode.decisions["source"].tolist() == ["proposal"] * 10
+
+
+def test_a_role_runs_only_when_its_trigger_holds_and_after_whom_it_named() -> None:
+    seen: list[Any] = []
+    watch = doing(
+        Role, lambda view: seen.append(view.outputs["night_watch"][0]), after=("night_watch",)
+    )
+    night = NightWatch()
+    run_loop(Controller(), seconds=1.0, safety_monitor=HeatMonitor(), night_watch=night, z=watch)
+    # Between its ticks, the latest output of the triggered role still stands.
+    assert seen == [0, 0, 0, 0, 0, 5, 5, 5, 5, 5]
+
+
+def test_a_role_sees_what_an_earlier_one_said_in_the_same_tick() -> None:
+    scores: list[tuple[int, float]] = []
+    monitor = doing(SafetyMonitor, lambda view: Assessment(score=float(view.index)))
+    reader = doing(
+        Role,
+        lambda view: scores.append((view.index, view.outputs["safety_monitor"].score)),
+        after=("safety_monitor",),
+    )
+    run_loop(Controller(), seconds=0.5, safety_monitor=monitor, reader=reader)
+    assert scores == [(i, float(i)) for i in range(5)]
+
+
+def test_roles_see_the_proposal_and_the_history_of_percepts() -> None:
+    rows: list[tuple[Any, ...]] = []
+
+    def look(view: Any) -> None:
+        temperatures = [percept["thermometer"] for percept in view.percepts]
+        rows.append((view.proposal.action, len(temperatures), temperatures[-1]))
+
+    episode = run_loop(lambda view: Proposal(0.5), seconds=0.5, watch=doing(Role, look))
+    assert [row[:2] for row in rows] == [(0.5, n + 1) for n in range(5)]
+    assert [row[2] for row in rows] == episode.signals["temperature"][:5].tolist()
+
+
+def test_the_worst_verdict_wins_and_reasons_name_their_role() -> None:
+    reasons: list[tuple[str, ...]] = []
+
+    def recover(view: Any) -> Recovery:
+        reasons.append(view.reasons)
+        return Recovery(0.0, "off")
+
+    episode = run_loop(
+        lambda view: Proposal(1.0),
+        seconds=0.1,
+        safety_monitor=doing(SafetyMonitor, lambda v: Assessment(Assessed.UNSAFE, -1.0, ("hot",))),
+        second=doing(SafetyMonitor, lambda v: Assessment(Assessed.WARNING, 1.0)),
+        third=doing(SafetyMonitor, lambda v: Assessment(Assessed.SAFE, 2.0, ("fine",))),
+        recovery_planner=doing(RecoveryPlanner, recover),
+    )
+    assert reasons == [("safety_monitor: hot", "second: WARNING")]
+    assert episode.decisions["verdict"].tolist() == [2]
+    assert episode.decisions["executed"].tolist() == ["0%"]
+    assert episode.decisions["proposed"].tolist() == ["100%"]
+
+
+def test_a_critical_assessment_refuses_the_proposal_whatever_its_verdict() -> None:
+    monitor = doing(SafetyMonitor, lambda view: Assessment(Assessed.SAFE, 1.0, critical=True))
+    episode = run_loop(
+        Controller(), seconds=0.1, safety_monitor=monitor, recovery_planner=SwitchOff()
+    )
+    assert episode.decisions["source"].tolist() == ["recovery"]
+    assert episode.metrics.violations["safety_monitor"] == 1
+
+
+def test_lasting_conditions_are_events_where_they_begin_and_end() -> None:
+    monitor = doing(
+        SafetyMonitor,
+        lambda view: Assessment(
+            Assessed.UNSAFE if view.index in (2, 3, 6) else Assessed.SAFE,
+            0.0,
+            (f"at {view.index}",),
+        ),
+    )
+    episode = run_loop(Controller(), seconds=1.0, policy="log_only", safety_monitor=monitor)
+    unsafe = [(e.tick, e.kind) for e in episode.events if "unsafe" in e.kind]
+    assert unsafe == [(2, "unsafe"), (4, "unsafe_ended"), (6, "unsafe"), (7, "unsafe_ended")]
+    assert episode.metrics.violations["safety_monitor"] == 3
+
+
+def test_the_simulators_own_events_are_kept() -> None:
+    episode = run_loop(lambda view: Proposal(float(view.index >= 2)), seconds=0.5)
+    switched = [(e.tick, e.subject, e.detail) for e in episode.events if e.kind == "switched"]
+    assert switched == [(3, "heater", "on")]
+
+
+def test_a_context_is_a_copy_and_the_component_does_not_learn_the_faults() -> None:
+    contexts: dict[str, Any] = {}
+
+    class Spoiler(Says):
+        def reset(self, context: Any) -> None:
+            contexts["generator"] = context
+            context.scenario["world"]["start"] = -40.0
+
+    class Watch(NightWatch):
+        def reset(self, context: Any) -> None:
+            contexts["watch"] = context
+
+    fault = {"id": "bias", "target": "thermometer", "activation": {"at": 5.0}, "duration": 1.0}
+    scenario = {"world": {"start": 17.0, "names": ["a"], "pair": (1, 2)}}
+    episode = run_loop(
+        Spoiler(lambda view: Proposal(0.0)),
+        seconds=0.1,
+        night_watch=Watch(),
+        spec={"scenario": scenario, "faults": (fault,)},
+    )
+    assert episode.signals["temperature"][0] == 17.0
+    assert scenario == {"world": {"start": 17.0, "names": ["a"], "pair": (1, 2)}}
+    assert contexts["generator"].faults == ()
+    assert contexts["generator"].seed != contexts["watch"].seed
+    assert contexts["watch"].scenario == scenario
+    assert contexts["watch"].faults == (fault,)
+
+
+def test_a_loop_can_be_run_again_with_its_parts() -> None:
+    from loops import spec_of
+    from pytest_dura import Orchestrator
+    from thermostat import Thermostat
+
+    roles = {"generator": Controller(), "safety_monitor": HeatMonitor()}
+    loop = Orchestrator(Thermostat(), roles)
+    spec = spec_of(roles, termination=Termination(1.0))
+    assert loop.run(spec).digest == loop.run(spec).digest
+
+
+def test_recovery_without_a_planner_lets_the_proposal_pass() -> None:
+    episode = run_loop(
+        lambda view: Proposal(1.0), seconds=1.0, safety_monitor=HeatMonitor(limit=0.0)
+    )
+    assert set(episode.decisions["source"]) == {"proposal"}
+    assert episode.flagged
+
+
+@pytest.mark.parametrize(("start", "flagged"), [(15.0, False), (35.0, True)])
+def test_flagged_says_whether_any_proposal_was_unsafe(start: float, flagged: bool) -> None:
+    episode = run_loop(
+        lambda view: Proposal(1.0),
+        seconds=0.3,
+        safety_monitor=HeatMonitor(),
+        spec={"scenario": {"world": {"start": start}}},
+    )
+    assert episode.flagged is flagged

@@ -1,0 +1,119 @@
+"""What roles can see, and what they cannot."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+from dataclasses import FrozenInstanceError, fields
+from typing import Any
+
+import pytest
+
+from pytest_dura import Event, GeneratorView, Lazy, Percept, RoleView, StateManager, Tick
+from pytest_dura.core.state import NOTHING, History
+
+
+def state_with(*channels: dict[str, Any]) -> StateManager:
+    state = StateManager(dt=0.1)
+    for index, values in enumerate(channels):
+        tick = Tick(index, index * 0.1, {"secret": 1.0}, values)
+        state.update(tick, Percept(values, {"a": ("fault",)}))
+    return state
+
+
+def test_the_generators_view_has_no_ground_truth() -> None:
+    names = {field.name for field in fields(GeneratorView)}
+    assert names == {"index", "time", "dt", "percept", "feedback"}
+    view = state_with({"a": 1.0}).generator_view()
+    assert not hasattr(view, "truth")
+    assert not hasattr(view, "__dict__")
+    with pytest.raises(AttributeError):
+        view.truth  # type: ignore[attr-defined]
+
+
+def test_no_view_tells_which_channels_were_tampered_with() -> None:
+    state = state_with({"a": 1.0})
+    assert state.percept.tampered == {"a": ("fault",)}
+    for view in (state.generator_view(), state.role_view()):
+        assert view.percept.tampered == {}
+    assert not {"truth", "ticks"} & {field.name for field in fields(RoleView)}
+
+
+def test_views_are_read_only() -> None:
+    state = state_with({"a": 1.0})
+    for view in (state.generator_view(), state.role_view()):
+        with pytest.raises(FrozenInstanceError):
+            view.index = 9  # type: ignore[misc]
+        with pytest.raises(TypeError, match="item assignment"):
+            view.percept["a"] = 2.0  # type: ignore[index]
+        with pytest.raises(TypeError):
+            del view.percept["a"]  # type: ignore[attr-defined]
+    with pytest.raises(TypeError, match="item assignment"):
+        state.role_view().outputs["mine"] = 1  # type: ignore[index]
+
+
+def test_a_view_does_not_change_when_the_simulator_reuses_its_mapping() -> None:
+    channels = {"a": 1.0}
+    state = state_with(channels)
+    view = state.role_view()
+    channels["a"] = 2.0
+    assert view.percept["a"] == 1.0
+
+
+def test_history_grows_and_is_read_only() -> None:
+    items = [1, 2]
+    history = History(items)
+    items.append(3)
+    assert (len(history), history[-1], list(history), 2 in history) == (3, 3, [1, 2, 3], True)
+    with pytest.raises(TypeError, match="item assignment"):
+        history[0] = 9  # type: ignore[index]
+    history[:].append(4)
+    assert items == [1, 2, 3]
+    assert not hasattr(history, "append")
+
+
+def test_roles_see_the_percepts_of_earlier_ticks() -> None:
+    view = state_with({"a": 1.0}, {"a": 2.0}).role_view()
+    assert [percept["a"] for percept in view.percepts] == [1.0, 2.0]
+
+
+def test_an_unknown_channel_is_told_with_the_known_ones() -> None:
+    with pytest.raises(KeyError, match="no sensor channel 'lidr'; there are: gps, lidar"):
+        Percept({"lidar": 1, "gps": 2})["lidr"]
+
+
+def test_reads_of_the_generator_are_remembered_per_tick() -> None:
+    state = state_with({"a": 1.0, "b": 2.0})
+    state.generator_view().percept["a"]
+    state.role_view().percept["b"]
+    assert state.generator_reads == {"a"}
+    assert "c" not in state.generator_view().percept
+    assert state.generator_reads == {"a", "c"}
+    state.update(Tick(1, 0.1, {}, {}), Percept({"a": 1.0}))
+    assert state.generator_reads == set()
+
+
+def test_a_lazy_channel_is_made_once_and_only_when_it_is_read() -> None:
+    made: list[int] = []
+    state = state_with({"camera": Lazy(lambda: made.append(1) or "frame"), "gps": 1.0})
+    view = state.generator_view()
+    assert "camera" in view.percept
+    assert list(view.percept) == ["camera", "gps"]
+    assert repr(view.percept) == "PerceptView(camera, gps)"
+    assert made == []
+    assert view.percept["camera"] == "frame"
+    assert state.role_view().percept["camera"] == "frame"
+    assert state.percept["camera"] == "frame"
+    assert made == [1]
+
+
+def test_nothing_is_an_empty_mapping_that_can_be_pickled() -> None:
+    assert NOTHING == {}
+    assert list(NOTHING) == []
+    assert pickle.loads(pickle.dumps(NOTHING)) is NOTHING
+    assert copy.deepcopy(NOTHING) is NOTHING
+    with pytest.raises(KeyError):
+        NOTHING["x"]
+    event = Event(1, 0.1, "alert", "V1")
+    assert pickle.loads(pickle.dumps(event)) == event
+    assert event.to_json()["data"] == {}
