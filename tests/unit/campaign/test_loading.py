@@ -95,9 +95,7 @@ def test_a_folder_without_scenarios(tmp_path: Path) -> None:
         ("requirements: []\n", 1, "requirements", "at least one entry"),
     ],
 )
-def test_a_bad_requirement_file(
-    tmp_path: Path, text: str, line: int, key: str, words: str
-) -> None:
+def test_a_bad_requirement_file(tmp_path: Path, text: str, line: int, key: str, words: str) -> None:
     file = tmp_path / "requirements.yaml"
     file.write_text(text)
     with pytest.raises(ConfigurationError) as caught:

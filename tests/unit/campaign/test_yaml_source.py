@@ -81,7 +81,9 @@ def test_a_byte_order_mark_is_no_content(tmp_path: Path) -> None:
     assert read_yaml(file).data == {"name": "a"}
 
 
-@pytest.mark.parametrize("text", ["", "\n\n", "# only a comment\n", "---\n", "---\n...\n", "null\n"])
+@pytest.mark.parametrize(
+    "text", ["", "\n\n", "# only a comment\n", "---\n", "---\n...\n", "null\n"]
+)
 def test_an_empty_file(tmp_path: Path, text: str) -> None:
     file = tmp_path / "empty.yaml"
     file.write_text(text)
@@ -228,14 +230,18 @@ def test_several_documents() -> None:
     assert caught.value.line == 2
 
 
-@pytest.mark.parametrize(("text", "found"), [("- a\n- b\n", "a list"), ("just text\n", "a single value")])
+@pytest.mark.parametrize(
+    ("text", "found"), [("- a\n- b\n", "a list"), ("just text\n", "a single value")]
+)
 def test_not_a_mapping(text: str, found: str) -> None:
     with pytest.raises(ConfigurationError, match="does not hold a mapping") as caught:
         parse_yaml(text, "f.yaml")
     assert caught.value.found == found
 
 
-@pytest.mark.parametrize("number", [".nan", ".inf", "-.INF", "1e999", "9" * 40, "9" * 5000, "!!int x"])
+@pytest.mark.parametrize(
+    "number", [".nan", ".inf", "-.INF", "1e999", "9" * 40, "9" * 5000, "!!int x"]
+)
 def test_numbers_that_are_not_finite(number: str) -> None:
     with pytest.raises(ConfigurationError, match="not a finite number") as caught:
         parse_yaml(f"a:\n  b: {number}\n", "f.yaml")

@@ -29,7 +29,9 @@ def episode(
         events=(),
         faults=faults,
         termination="infrastructure" if failure else "time",
-        metrics=DependabilityMetrics(proposals=max(0, ticks - 1), valid_proposals=max(0, ticks - 1)),
+        metrics=DependabilityMetrics(
+            proposals=max(0, ticks - 1), valid_proposals=max(0, ticks - 1)
+        ),
         failure=failure,
     )
 

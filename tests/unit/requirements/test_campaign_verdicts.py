@@ -16,7 +16,9 @@ KEYS_OF_THE_RECORD = {
 }  # fmt: skip
 
 
-def one(run: int, word: Any = "satisfied", margin: float | None = 1.0, **fields: Any) -> EpisodeVerdict:
+def one(
+    run: int, word: Any = "satisfied", margin: float | None = 1.0, **fields: Any
+) -> EpisodeVerdict:
     plain = {
         "requirement": "R", "episode": f"case#{run}", "component": "Planner", "verdict": word,
         "margin": margin, "time": 2.0 if word == "violated" else None, "detail": "",
@@ -31,7 +33,9 @@ def some(**counts: int) -> list[EpisodeVerdict]:
     return [one(run, word, margins.get(word, 1.0)) for run, word in enumerate(words)]
 
 
-def judge(verdicts: list[EpisodeVerdict], planned: int | None = None, **rate: Any) -> CampaignVerdict:
+def judge(
+    verdicts: list[EpisodeVerdict], planned: int | None = None, **rate: Any
+) -> CampaignVerdict:
     planned = len(verdicts) if planned is None else planned
     return judge_campaign("R", "case", verdicts, planned=planned, **rate)
 
@@ -58,7 +62,9 @@ def test_one_violation_is_enough_whatever_else_is_wrong() -> None:
 
 
 def test_counterexamples_are_sorted_by_how_bad_they_are() -> None:
-    found = judge([one(0), one(1, "violated", -1.0), one(2, "violated", -5.0), one(3, "violated", 0.0)])
+    found = judge(
+        [one(0), one(1, "violated", -1.0), one(2, "violated", -5.0), one(3, "violated", 0.0)]
+    )
     assert [example.episode for example in found.counterexamples] == ["case#2", "case#1", "case#3"]
     assert (found.counterexamples[0].time, found.counterexamples[0].margin) == (2.0, -5.0)
     assert found.margin == -5.0
