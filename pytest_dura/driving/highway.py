@@ -21,7 +21,7 @@ from pytest_dura.core.seeding import stream
 from pytest_dura.core.simulator import Simulator
 from pytest_dura.core.state import Percept, Tick
 from pytest_dura.driving import camera, signals
-from pytest_dura.driving.bodies import CAR_LENGTH, CAR_WIDTH, COLUMNS, NO_BODIES, BodyList
+from pytest_dura.driving.bodies import COLUMNS, NO_BODIES, BodyList
 from pytest_dura.driving.collisions import Contact, attribute
 from pytest_dura.driving.junction import ARM_LENGTH, ARMS, TURNS, Route, route
 from pytest_dura.driving.maneuvers import Command, Maneuver, acceleration_for
@@ -79,7 +79,6 @@ class HighwaySimulator(Simulator):
         self._contact: Contact | None = None
         self._background_crashes = 0
         self._wrecks: dict[str, float] = {}
-        self._removed: set[str] = set()
         self._ego = self._place(
             traffic.Ego, "EGO", self._route, ARM_LENGTH - world.ego.distance, world.ego.speed
         )
@@ -109,10 +108,11 @@ class HighwaySimulator(Simulator):
         self._road.act()
         self._road.step(dt)
         self._index += 1
+        events = self._collisions(before)
         self._clear()
         self._admit()
         self._state = self._observe_ego((ego.speed - before.speed) / dt, before.heading)
-        return self._tick(self._collisions(before))
+        return self._tick(events)
 
     def signals(self, ticks: Sequence[Tick]) -> dict[str, NDArray[np.float64]]:
         """See ``pytest_dura.driving.signals``."""
@@ -140,7 +140,7 @@ class HighwaySimulator(Simulator):
 
     def snapshot(self) -> object:
         """A deep copy of road, vehicles and bookkeeping; the road network is shared."""
-        return copy.deepcopy(self._variables(), {id(_network()): _network()})
+        return copy.deepcopy(vars(self), {id(_network()): _network()})
 
     def restore(self, snapshot: object) -> None:
         """Return to a snapshot."""
@@ -148,10 +148,7 @@ class HighwaySimulator(Simulator):
 
     def close(self) -> None:
         """Forget the road."""
-        self._road = None
-
-    def _variables(self) -> dict[str, Any]:
-        return {name: value for name, value in vars(self).items() if name != "_map"}
+        self._road = self._state = None
 
     def _place(self, kind: Any, body_id: str, plan: Route, s: float, speed: float) -> Any:
         x, y, heading = (float(value) for value in plan.pose(s))
@@ -215,12 +212,14 @@ class HighwaySimulator(Simulator):
     def _clear(self) -> None:
         """Take away who has left, and wrecks after a while."""
         now = self._index * self._dt
-        self._removed = {i for i, since in self._wrecks.items() if now - since >= WRECK_TIME}
+        gone = {i for i, since in self._wrecks.items() if now - since >= WRECK_TIME - 1e-9}
         self._road.vehicles = [
             v
             for v in self._road.vehicles
-            if v is self._ego or (v.s < v.plan.exit + _REMOVED_AT and v.body_id not in self._removed)
+            if v is self._ego or (v.s < v.plan.exit + _REMOVED_AT and v.body_id not in gone)
         ]
+        if gone:
+            self._road.objects = [p for p in self._road.objects if p.body_id not in gone]
 
     def _collisions(self, before: EgoState) -> tuple[tuple[str, str, str], ...]:
         """What has just crashed; a crash of background cars among themselves is not the ego's."""
@@ -230,13 +229,15 @@ class HighwaySimulator(Simulator):
             self._contact = attribute(ego, before, self._road, self._route.exit)
             events.append(("collision", self._contact.partner, self._contact.describe()))
         fresh = [
-            v for v in self._road.vehicles if v is not ego and v.crashed and v.body_id not in self._wrecks
+            body
+            for body in (*self._road.vehicles, *self._road.objects)
+            if body.crashed and body is not ego and body.body_id not in self._wrecks
         ]
         if fresh:
             now = self._index * self._dt
-            self._wrecks.update({v.body_id: now for v in fresh})
+            self._wrecks.update({body.body_id: now for body in fresh})
             partner = self._contact.partner if self._contact else None
-            others = [v.body_id for v in fresh if v.body_id != partner]
+            others = [body.body_id for body in fresh if body.body_id != partner]
             if others:
                 self._background_crashes += 1
                 events.append(("background_crash", "+".join(others), "not a collision of the ego"))
@@ -280,23 +281,24 @@ class HighwaySimulator(Simulator):
             index=self._index,
             time=self._index * self._dt,
             truth=truth,
-            channels=channels(state, bodies, self._map, self._signs, self._camera(self._index)),
+            channels=channels(
+                state, bodies, self._map, self._signs, self._camera(self._index, state)
+            ),
             goal=state.s > self._route.exit + GOAL_DISTANCE,
             critical=contact.describe() if contact else None,
             events=events,
         )
 
-    def _camera(self, index: int) -> Any:
+    def _camera(self, index: int, state: EgoState) -> Any:
         def frame(view: str) -> NDArray[np.uint8]:
-            if index != self._index:
+            if self._state is not state:
                 raise ConfigurationError(
                     "a camera frame can be read only during its tick",
                     key=f"camera_{view}",
-                    found=f"tick {index}, read at tick {self._index}",
+                    found=f"the frame of tick {index}, read at tick {self._index} or after a reset",
                     remedy="read the channel when the role runs, and keep the array",
                 )
             if view == "front":
-                state = self._state
                 return camera.front(self._road, state.x, state.y, state.heading)
             return camera.third_person(self._road, self._ego.position)
 

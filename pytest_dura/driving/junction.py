@@ -7,6 +7,7 @@ lanes 4 m wide, arms 100 m long, stop lines 11 m from the centre. The east-west 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
@@ -61,6 +62,10 @@ class Route:
     def priority(self) -> int:
         """Right of way, as highway-env has it: 3 and 2 east-west, 1 and 0 north-south; left turns less."""
         return (3 if self.origin % 2 else 1) - (self.turn == "left")
+
+    def __reduce__(self) -> tuple[Callable[[int, str], Route], tuple[int, str]]:
+        """Copies are the same object: who drives on one lane is told by identity."""
+        return route, (self.origin, self.turn)
 
     @cached_property
     def grid(self) -> Floats:

@@ -74,14 +74,29 @@ class Ego(ControlledVehicle):
         return self.executed
 
     def actuate(self, acceleration: float, dt: float) -> None:
-        """Command an acceleration in m/s2 for the next ``dt`` seconds; the car does not reverse."""
+        """Command an acceleration in m/s2 for the next ``dt`` seconds.
+
+        The car does not reverse, and the brake is let off in time for a stop within the slew rate.
+        """
         self.commanded = acceleration
         step = self.SLEW * dt
         wanted = max(-MAX_BRAKING, min(MAX_ACCELERATION, acceleration))
+        wanted = max(wanted, -_braking_to_stop(self.speed / dt, step))
         executed = max(self.executed - step, min(self.executed + step, wanted))
         if self.speed + executed * dt < 0.0:
             executed = -self.speed / dt
         self.executed = executed
+
+
+def _braking_to_stop(speed: float, step: float) -> float:
+    """Greatest braking from which the brake can be let off by ``step`` a tick until the car stands.
+
+    ``speed`` is in m/s per tick, the unit of ``step`` and of the result m/s2.
+    """
+    ticks = 1
+    while (braking := speed / ticks + step * (ticks - 1) / 2) > step * ticks:
+        ticks += 1
+    return braking
 
 
 class Pedestrian(Obstacle):
@@ -127,6 +142,18 @@ class JunctionRoad(Road):
         for vehicle in self.vehicles:
             vehicle.s = vehicle.plan.project(*vehicle.position.tolist())[0]
         super().act()
+
+    def step(self, dt: float) -> None:
+        """Move everybody, then see who touches whom.
+
+        highway-env flags a contact a step early, from predicted positions, and marks one side only
+        where the other is a pedestrian; here both are marked when their boxes overlap.
+        """
+        for vehicle in self.vehicles:
+            vehicle.step(dt)
+        for i, vehicle in enumerate(self.vehicles):
+            for other in (*self.vehicles[i + 1 :], *self.objects):
+                vehicle.handle_collisions(other)
 
     def limit_for(self, me: Driver) -> float:
         """The acceleration that leaders on the route and right of way allow, in m/s2."""
