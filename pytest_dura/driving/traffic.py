@@ -23,6 +23,8 @@ from pytest_dura.driving.maneuvers import MAX_ACCELERATION, MAX_BRAKING
 
 STOP_MARGIN = 1.0
 """Drivers stop this many metres before the stop line."""
+READY_BRAKING = 4.0
+"""m/s2 that a driver is ready to use for a stop line."""
 _COMFORT_SPEED = 8.0
 _MARGIN = 1.5
 """Seconds between leaving the conflict and the other's arrival that a driver wants."""
@@ -155,6 +157,18 @@ class JunctionRoad(Road):
             for other in (*self.vehicles[i + 1 :], *self.objects):
                 vehicle.handle_collisions(other)
 
+    def neighbour_vehicles(self, vehicle: Any, lane_index: Any = None) -> tuple[Any, Any]:
+        """highway-env's neighbours, without the leaders that are not on the vehicle's path.
+
+        Its test for being on a curved lane takes in cars that wait beside the curve.
+        """
+        front, rear = super().neighbour_vehicles(vehicle, lane_index)
+        if front is not None:
+            s, lateral = vehicle.plan.project(*front.position.tolist())
+            if s < vehicle.s or abs(lateral) > (vehicle.WIDTH + front.WIDTH) / 2 + 0.8:
+                front = None
+        return front, rear
+
     def limit_for(self, me: Driver) -> float:
         """The acceleration that leaders on the route and right of way allow, in m/s2."""
         limit = math.inf
@@ -162,7 +176,9 @@ class JunctionRoad(Road):
         before_line = me.s + CAR_LENGTH / 2 <= ARM_LENGTH
         near = before_line and me.s > ARM_LENGTH - _LOOK_AHEAD
         stop_distance = ARM_LENGTH - STOP_MARGIN - CAR_LENGTH / 2 - me.s
-        committed = me.speed**2 / (2 * self_braking(me)) > max(stop_distance, 0.01)
+        # Who can still stop before the line itself has not committed, though past the margin.
+        room = max(ARM_LENGTH - CAR_LENGTH / 2 - me.s, 0.0)
+        committed = me.speed**2 / (2 * READY_BRAKING) > room
         for other in self.vehicles:
             if other is me:
                 continue
@@ -195,11 +211,6 @@ class JunctionRoad(Road):
         other_arrives = (other_in - CAR_LENGTH / 2 - other.s) / speed
         other_leaves = (other_out + CAR_LENGTH / 2 - other.s) / speed
         return arrive - _MARGIN < other_leaves and other_arrives < leave + _MARGIN
-
-
-def self_braking(me: Driver) -> float:
-    """The braking in m/s2 that a driver is ready to use for a stop line."""
-    return 1.3 * -me.COMFORT_ACC_MIN
 
 
 def _time_to(me: Driver, s: float) -> float:

@@ -11,7 +11,8 @@ from pytest_dura.core.roles import Generator, Proposal, RoleContext
 from pytest_dura.core.seeding import stream
 from pytest_dura.core.state import GeneratorView
 from pytest_dura.driving import prediction
-from pytest_dura.driving.junction import SPEED_LIMIT
+from pytest_dura.driving.bodies import VX, VY
+from pytest_dura.driving.junction import SPEED_LIMIT, STOP_LINE
 from pytest_dura.driving.maneuvers import (
     COMFORT_BRAKING,
     MAX_BRAKING,
@@ -20,10 +21,14 @@ from pytest_dura.driving.maneuvers import (
     acceleration_for,
     braking_distance,
     stop_at,
+    track_speed,
 )
 from pytest_dura.driving.radar import with_unexplained_returns
 from pytest_dura.driving.scene import HALF, InLane, Scene, crossing, time_to_cover
 from pytest_dura.driving.tracking import Tracker
+
+SCALLOP = 0.35
+"""m; by so much three discs overstate a car's width where it is widest."""
 
 
 class RuleBased(Generator):
@@ -39,9 +44,12 @@ class RuleBased(Generator):
     CANDIDATES = (3.5, 2.0, 0.0, -3.0, -8.0)
     """Accelerations in m/s2 that are compared once the stop line is crossed."""
 
+    KERB_SPEED = 4.5
+    """m/s; from it the car stops within the second that a pedestrian needs to reach its path."""
+
     def __init__(self, margin: float = 1.5, separation: float = 1.0) -> None:
         self.margin, self.separation = margin, separation
-        self._times = np.arange(1, 11) * 0.3
+        self._times = np.arange(11) * 0.3
         self._candidates = np.array(self.CANDIDATES)
 
     def reset(self, context: RoleContext) -> None:
@@ -80,8 +88,10 @@ class RuleBased(Generator):
 
     def _who_comes(self, scene: Scene) -> str | None:
         """Who on the crossing road arrives before the ego has crossed, if it goes now."""
-        clear = time_to_cover(scene.exit - scene.s, scene.speed, 2.5, SPEED_LIMIT)
         for other in crossing(scene):
+            # Far enough for the rear to have left the other's lane.
+            beyond = scene.stop_line + STOP_LINE - other.body.y + other.body.width / 2 + HALF + 0.5
+            clear = time_to_cover(beyond - scene.s, scene.speed, 3.0, SPEED_LIMIT)
             arrives = time_to_cover(other.distance, other.speed, 2.5, SPEED_LIMIT)
             if arrives < clear + self.margin:
                 return other.body.id
@@ -118,7 +128,12 @@ class RuleBased(Generator):
         ego = prediction.ego_discs(scene.route, scene.s + driven)
         others = prediction.moving(near, self._times, yaw)
         apart = prediction.separations(ego, others, prediction.radii(near))
-        apart = apart.min(axis=1)
+        # Who is near already, such as a pedestrian beside a standing car, is no reason against a
+        # candidate that comes no nearer.
+        standing = np.hypot(near.data[:, VX], near.data[:, VY]) < 0.5
+        # Both widths are overstated; beside what stands, that would be taken for too narrow.
+        here, apart = apart[0, 0], apart[:, 1:].min(axis=1) + 2 * SCALLOP * standing
+        apart = np.where((apart > here - SCALLOP) & (here > 0.0), np.maximum(apart, 9.0), apart)
         return apart.min(axis=1), near.ids[int(apart[0].argmin())]
 
     @staticmethod
@@ -136,17 +151,22 @@ class RuleBased(Generator):
         gentle = 0.3 * (room - 1.0 * speed) + 0.8 * (ahead - speed)
         return max(min(gentle, -needed if needed > 1.0 else math.inf), -MAX_BRAKING)
 
-    @staticmethod
-    def _for_pedestrians(scene: Scene) -> float:
-        """Acceleration in m/s2 that stops before a pedestrian who is on the path or nears it."""
+    def _for_pedestrians(self, scene: Scene) -> float:
+        """Acceleration in m/s2 that stops before a pedestrian who is on the path or nears it.
+
+        One who stands at the kerb is passed slowly.
+        """
         slowest = math.inf
         for body in scene.bodies:
             if not body.is_pedestrian:
                 continue
             s, lateral = scene.route.project(body.x, body.y)
             room = s - scene.s - HALF - body.length / 2 - 1.5
-            if room < -1.5 - HALF or abs(lateral) > 7.0:
+            if room < -1.5 - HALF or abs(lateral) > 7.5:
                 continue
+            if room > -1.5:  # may step off at any moment
+                cautious = math.sqrt(self.KERB_SPEED**2 + 2.0 * 2.0 * max(room, 0.0))
+                slowest = min(slowest, track_speed(cautious, scene.speed, 2.0))
             heading = float(scene.route.pose(s)[2])
             sideways = body.vy * math.cos(heading) - body.vx * math.sin(heading)
             on_path = abs(lateral) < 2.0
