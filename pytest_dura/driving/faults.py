@@ -21,12 +21,18 @@ class GhostParameters(FaultPart):
     width: Positive = Field(CAR_WIDTH, description="In m.")
 
 
-class GhostObstacle(Fault):
+class ObjectFault(Fault):
+    """Base of the faults that tamper with a list of objects, which only lidar reports."""
+
+    target: Literal["lidar"] = Field(description="The sensor channel.")
+    default_target: ClassVar[str] = "lidar"
+
+
+class GhostObstacle(ObjectFault):
     """An object that is not there: lidar reports a standing car on the ego's route."""
 
     type: Literal["ghost-obstacle"]
     parameters: GhostParameters = GhostParameters()
-    default_target: ClassVar[str] = "lidar"
 
     @classmethod
     def example(cls) -> dict[str, Any]:
@@ -61,7 +67,7 @@ class SpoofParameters(FaultPart):
     duration: Positive = Field(4.0, description="Seconds until the false path meets the route.")
 
 
-class TrajectorySpoof(Fault):
+class TrajectorySpoof(ObjectFault):
     """A real vehicle's position and velocity are replaced by a course that cuts the ego off.
 
     Radar still sees the vehicle where it is.
@@ -69,7 +75,6 @@ class TrajectorySpoof(Fault):
 
     type: Literal["trajectory-spoof"]
     parameters: SpoofParameters = SpoofParameters()
-    default_target: ClassVar[str] = "lidar"
 
     @classmethod
     def example(cls) -> dict[str, Any]:
@@ -100,6 +105,9 @@ class TrajectorySpoof(Fault):
             return bodies
         time = min(elapsed, self.parameters.duration)
         moving = 1.0 if elapsed < self.parameters.duration else 0.0
-        false = (start.x + vx * time, start.y + vy * time, math.atan2(vy, vx), vx * moving, vy * moving)
+        # The shorter way round: halfway between 179 and -179 degrees lies 180.
+        turn = math.remainder(math.atan2(vy, vx) - real.heading, 2 * math.pi)
+        x, y = start.x + vx * time, start.y + vy * time
+        false = (x, y, real.heading + turn, vx * moving, vy * moving)
         mixed = [r + share * (f - r) for r, f in zip(real[1:6], false, strict=True)]
         return bodies.with_body(Body(real.id, *mixed, real.length, real.width))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import copy
 import math
+import re
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from types import SimpleNamespace
@@ -52,7 +53,7 @@ class HighwaySimulator(Simulator):
 
         Raises:
             pydantic.ValidationError: If the world is none of ours.
-            ConfigurationError: If two bodies have one id.
+            ConfigurationError: If two bodies have one id, or one has an id of random traffic.
         """
         model = DrivingWorld.model_validate(dict(world))
         ids = ["EGO", *(v.id for v in model.vehicles), *(p.id for p in model.pedestrians)]
@@ -64,13 +65,21 @@ class HighwaySimulator(Simulator):
                 found=twice[0],
                 expected="ids that are unique, and not EGO",
             )
+        reserved = next((i for i in ids if re.fullmatch(r"[VR][0-9]+", i)), None)
+        if reserved is not None:
+            raise ConfigurationError(
+                "random traffic and radar returns have ids of this form",
+                key="world.vehicles",
+                found=reserved,
+                expected="an id that is not V or R with a number",
+            )
         return model.model_dump(mode="json")
 
     def reset(self, scenario: Mapping[str, Any], seed: int) -> Tick:
         """Build the road and what the scenario puts on it at time 0."""
         from pytest_dura.driving import traffic
 
-        world = DrivingWorld.model_validate(dict(scenario.get("world", {})))
+        world = DrivingWorld.model_validate(self.check_scenario(scenario.get("world", {})))
         road = traffic.JunctionRoad(_network(), np_random=stream(seed, "highway_env"))
         road.courtesy = world.courtesy
         self._road, self._index, self._dt = road, 0, self.time_step
@@ -183,7 +192,7 @@ class HighwaySimulator(Simulator):
                 exponent = float(rng.uniform(3.5, 4.5))
                 plan = route(ARMS.index(arm), turn)
                 drawn.append((time, plan, float(np.clip(speed, 4.0, 10.0)), exponent))
-                mean = max(traffic.headway - traffic.minimum_headway, 0.1)
+                mean = traffic.headway - traffic.minimum_headway
                 time += traffic.minimum_headway + rng.exponential(mean)
         drawn.sort(key=lambda arrival: (arrival[0], arrival[1].origin))
         return [(t, f"V{i}", *rest) for i, (t, *rest) in enumerate(drawn, 1)]  # type: ignore[misc]

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
+from numbers import Real
 
-from pytest_dura.core.errors import ActionError
+from pytest_dura.core.errors import ActionError, shorten
 
 
 class Maneuver(str, Enum):
@@ -55,7 +57,8 @@ class Command:
         """
         if isinstance(action, Mapping):
             if not set(action) <= {"maneuver", "acceleration"} or "maneuver" not in action:
-                raise ActionError(f"a command has maneuver and acceleration, not {sorted(map(str, action))}")
+                found = ", ".join(sorted(map(_name, action)))
+                raise ActionError(f"a command has maneuver and acceleration, not {found or 'nothing'}")
             action = cls(action["maneuver"], action.get("acceleration"))
         maneuver, acceleration = action, None
         if isinstance(action, Command):
@@ -64,17 +67,25 @@ class Command:
             maneuver = Maneuver(maneuver)
         except ValueError:
             known = ", ".join(Maneuver)
-            raise ActionError(f"{maneuver!r} is not a maneuver; there are: {known}") from None
+            raise ActionError(f"{_name(maneuver)} is not a maneuver; there are: {known}") from None
         if acceleration is None:
             return cls(maneuver)
-        if isinstance(acceleration, bool) or not isinstance(acceleration, (int, float)):
-            raise ActionError(f"an acceleration is a number of m/s2, not {acceleration!r}")
-        if not math.isfinite(acceleration):
-            raise ActionError(f"the acceleration is {acceleration}, not a finite number of m/s2")
+        if isinstance(acceleration, bool) or not isinstance(acceleration, Real):
+            raise ActionError(f"an acceleration is a number of m/s2, not {_name(acceleration)}")
+        if not abs(acceleration) <= sys.float_info.max:
+            raise ActionError(
+                f"the acceleration is {shorten(acceleration)}, not a finite number of m/s2"
+            )
         return cls(maneuver, float(acceleration))
 
     def __str__(self) -> str:
         return self.maneuver.value
+
+
+def _name(value: object) -> str:
+    """A value in a message: other than plain data by its type, since a repr may hold an address."""
+    plain = value is None or isinstance(value, (str, bool, int, float))
+    return shorten(value) if plain else f"an object of type {type(value).__name__}"
 
 
 def braking_distance(speed: float, deceleration: float) -> float:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator
 
 Arm = Literal["south", "west", "north", "east"]
 Turn = Literal["left", "straight", "right"]
@@ -40,13 +41,28 @@ class Traffic(_Model):
     headway: Positive = Field(
         22.0, description="Mean time between two arrivals on one arm, in s (exponential, shifted)."
     )
-    minimum_headway: Positive = Field(2.5, description="Least time between two arrivals, in s.")
+    minimum_headway: Positive = Field(
+        2.5,
+        description="Least time between two arrivals, in s; less than the mean.",
+        validate_default=True,
+    )
     arms: tuple[Arm, ...] = Field(
         ("west", "north", "east"), strict=False, description="Arms with traffic."
     )
     speed: Annotated[float, Field(gt=0, le=10)] = Field(8.0, description="Mean speed, in m/s.")
     speed_deviation: Annotated[float, Field(ge=0, le=2)] = Field(0.7, description="In m/s.")
     turns: Turns = Turns()
+
+    @field_validator("minimum_headway")
+    @classmethod
+    def _below_the_mean(cls, minimum: float, info: ValidationInfo) -> float:
+        mean = info.data.get("headway", math.inf)
+        if minimum >= mean:
+            raise ValueError(
+                f"the least time between two arrivals, {minimum:g} s, is not below their mean,"
+                f" {mean:g} s"
+            )
+        return minimum
 
 
 class ExplicitVehicle(_Model):

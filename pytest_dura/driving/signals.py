@@ -86,7 +86,10 @@ def proximity(ego: Floats, bodies: Sequence[BodyList]) -> tuple[Floats, Floats]:
     others = np.concatenate([at_tick.data for at_tick in bodies])
     owner = np.repeat(np.arange(len(ego)), counts)
     mine = ego[owner]
-    near = np.hypot(others[:, 0] - mine[:, 0], others[:, 1] - mine[:, 1]) < GAP_CAP + 10.0
+    # Farther objects can neither be within the cap of the gap nor be met before that of the time.
+    closing = TTC_CAP * np.hypot(others[:, VX] - mine[:, 3], others[:, VY] - mine[:, 4])
+    apart = np.hypot(others[:, 0] - mine[:, 0], others[:, 1] - mine[:, 1])
+    near = apart < np.maximum(GAP_CAP, closing) + 10.0
     others, mine, owner = others[near], mine[near], owner[near]
     size = np.broadcast_to([CAR_LENGTH, CAR_WIDTH], (len(mine), 2))
     box = np.concatenate([mine[:, :3], size], axis=1)

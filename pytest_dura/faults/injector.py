@@ -36,8 +36,14 @@ class CampaignInjector(FaultInjector):
         self._random: dict[str, np.random.Generator] = {
             name: stream(context.seed, f"fault:{name}") for name in self._faults
         }
-        self._active: dict[str, _Active] = {}
-        self._last = -1.0
+        self._last = 0.0
+        # A fault that is planned for the beginning is in the first percept.
+        self._active: dict[str, _Active] = {
+            name: _Active(0.0)
+            for name, fault in self._faults.items()
+            if fault.activation.by == self.name and fault.activation.due(0.0, -1.0)
+        }
+        self._unreported = tuple(self._active)
 
     def run(self, view: RoleView) -> Injection:
         """Activate and end faults. One that is due at time t is in the percept at t."""
@@ -52,15 +58,17 @@ class CampaignInjector(FaultInjector):
         ]
         for name in ended:
             del self._active[name]
+        started = list(self._unreported)
+        self._unreported = ()
         directed = getattr(view.outputs.get("security_assessor"), "directives", ())
-        started = []
         for name, fault in self._faults.items():
-            by_plan = fault.activation.by == "fault_injector"
+            by_plan = fault.activation.by == self.name
             due = fault.activation.due(ahead, self._last) if by_plan else name in directed
             if due and name not in self._active:
                 self._active[name] = _Active(ahead)
                 started.append(name)
         self._last = ahead
+        ended = [name for name in ended if name not in self._active]  # it begins anew at once
         return Injection(tuple(started), tuple(ended)) if started or ended else _IDLE
 
     def corrupt(
