@@ -192,7 +192,8 @@ class JunctionRoad(Road):
         return limit
 
     def _must_yield(self, me: Driver, other: Any) -> bool:
-        if isinstance(other, Ego) and self.courtesy == "none":
+        has_priority = me.plan.priority > other.plan.priority
+        if isinstance(other, Ego) and self.courtesy == "none" and has_priority:
             return False
         meeting = conflict(me.plan, other.plan)
         if meeting is None:
