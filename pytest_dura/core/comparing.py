@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import fields, is_dataclass
 from enum import Enum
 from typing import Any
 
@@ -11,6 +10,7 @@ import numpy as np
 
 from pytest_dura.core.state import Lazy
 
+_HIDDEN = ("__dict__", "__weakref__")
 _PLAIN = (str, bytes, int, float, complex, type(None))
 
 
@@ -70,34 +70,25 @@ def _mutable(value: Any, path: str, above: tuple[int, ...]) -> Iterator[tuple[st
 def _parts(value: Any) -> Iterator[tuple[str, Any]]:
     """The named parts of a container or object."""
     if isinstance(value, Mapping):
-        for key in sorted(value, key=repr):
-            # Reading a lazy channel through a percept would make it.
-            channels = getattr(value, "_channels", value)
-            yield f"[{key!r}]", channels[key]
-    elif isinstance(value, tuple) and hasattr(value, "_fields"):
-        for name in value._fields:
-            yield f".{name}", getattr(value, name)
-    elif isinstance(value, (list, tuple)):
-        for index, item in enumerate(value):
-            yield f"[{index}]", item
-    elif isinstance(value, np.ndarray):
-        for index, item in enumerate(value.ravel().tolist()):
-            yield f"[{index}]", item
-    elif isinstance(value, (set, frozenset)):
-        for index, item in enumerate(sorted(value, key=repr)):
-            yield f"{{{index}}}", item
-    elif is_dataclass(value) and not isinstance(value, type):
-        for field in fields(value):
-            yield f".{field.name}", getattr(value, field.name)
-    elif not callable(value):
-        for name in _attributes(value):
-            yield f".{name}", getattr(value, name)
+        # Reading a lazy channel through a percept would make it.
+        items = getattr(value, "_channels", value)
+        return ((f"[{key!r}]", items[key]) for key in sorted(value, key=repr))
+    if isinstance(value, tuple) and hasattr(value, "_fields"):
+        return ((f".{name}", getattr(value, name)) for name in value._fields)
+    if isinstance(value, (list, tuple)):
+        return ((f"[{index}]", item) for index, item in enumerate(value))
+    if isinstance(value, np.ndarray):
+        return ((f"[{index}]", item) for index, item in enumerate(value.ravel().tolist()))
+    if isinstance(value, (set, frozenset)):
+        return ((f"{{{index}}}", item) for index, item in enumerate(sorted(value, key=repr)))
+    names = [] if callable(value) else _attributes(value)
+    return ((f".{name}", getattr(value, name)) for name in names)
 
 
 def _attributes(value: Any) -> list[str]:
-    names = set(getattr(value, "__dict__", ()))
-    for base in type(value).__mro__:
-        slots = getattr(base, "__slots__", ())
-        names.update((slots,) if isinstance(slots, str) else slots)
-    names -= {"__dict__", "__weakref__"}
-    return sorted(name for name in names if hasattr(value, name))
+    names: list[str] = []
+    for base in reversed(type(value).__mro__):
+        slots = vars(base).get("__slots__", ())
+        names += (slots,) if isinstance(slots, str) else slots
+    names += getattr(value, "__dict__", ())
+    return [name for name in names if name not in _HIDDEN and hasattr(value, name)]

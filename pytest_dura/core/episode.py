@@ -45,7 +45,7 @@ def _no_policy(found: object) -> ConfigurationError:
 
 @dataclass(frozen=True)
 class Policy:
-    """What follows a refused proposal; ``refine`` asks the Generator again at most ``attempts`` times."""
+    """What follows a refused proposal; ``refine`` asks again at most ``attempts`` times."""
 
     name: str = "recover"
     attempts: int = 0
@@ -244,7 +244,7 @@ class Episode:
 
     @property
     def validity(self) -> Validity:
-        """``missing`` after an infrastructure error; ``invalid`` if a planned fault never manifested.
+        """Missing after an infrastructure error; invalid if a planned fault never manifested.
 
         A violation counts all the same: requirements look at the signals first.
         """

@@ -47,7 +47,7 @@ def call_within(seconds: float | None, function: Callable[..., T], *args: Any) -
 def _call_with_alarm(seconds: float, function: Callable[..., T], *args: Any) -> T:
     armed, expired = True, False
 
-    def expire(signum: int, frame: object) -> None:
+    def expire(_signum: int, _frame: object) -> None:
         nonlocal expired
         if armed:
             expired = True

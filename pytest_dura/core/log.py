@@ -126,7 +126,7 @@ class EpisodeLog:
     def manifested(
         self, tick: Tick, state: StateManager, command: tuple[str, ...], verdict: Assessed
     ) -> None:
-        """Which active faults reached the Generator or the plant at this tick, and were detected."""
+        """Which active faults reached the Generator or the plant, and which were detected."""
         reached = set(command)
         for channel, faults in state.percept.tampered.items():
             if channel in state.generator_reads:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 @dataclass
 class FaultRecord:
-    """One fault from plan to detection; times in simulated seconds, ``None`` for what did not happen.
+    """One fault from plan to detection; times in s, ``None`` for what did not happen.
 
     A fault manifests when the value of a channel that the Generator read at that tick, or the
     command, was changed. ``detected_at`` is the first alert from then until one second after the

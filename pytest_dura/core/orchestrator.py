@@ -71,7 +71,7 @@ class Orchestrator:
         self.judge = judge
         self.metrics = metrics
         check_kind("generator", self.roles.get("generator"))
-        self.generator: Generator = cast(Generator, self.roles["generator"])
+        self.generator: Generator = cast("Generator", self.roles["generator"])
         self.injector = cast("FaultInjector | None", self.roles.get("fault_injector"))
         self.recovery = cast("RecoveryPlanner | None", self.roles.get("recovery_planner"))
         self.assessors = [
@@ -154,7 +154,7 @@ class Orchestrator:
         self._guard("simulator", self.simulator.set_time_step, spec.time_step)
         scenario = _plain_copy(spec.scenario)
         tick = self._guard("simulator", self.simulator.reset, scenario, spec.seed)
-        return cast(Tick, self._guard("simulator", self._checked, tick, 0))
+        return cast("Tick", self._guard("simulator", self._checked, tick, 0))
 
     def _checked(self, tick: Any, index: int) -> Tick:
         """The simulator's tick, which must be the one that is due: the loop counts on it to end."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 from pytest_dura.core.comparing import first_difference, leaves
@@ -63,29 +63,30 @@ def check_role(
             remedy="pass views=[...] or simulator=MySimulator",
         )
     name, build = builder(factory)
-    kit = _Kit(Findings(f"role {name}"), build, tuple(views), simulator, scenario, context, ticks)
+    world = builder(simulator)[1]() if simulator is not None and not views else None
+    context = context or RoleContext(0, world.time_step if world else views[0].dt, scenario)
+    kit = _Kit(
+        findings=Findings(f"role {name}"),
+        build=build,
+        views=views,
+        world=world,
+        scenario=scenario,
+        context=context,
+        ticks=ticks,
+    )
     kit.run()
     return kit.findings.report()
 
 
+@dataclass
 class _Kit:
-    def __init__(
-        self,
-        findings: Findings,
-        build: Callable[[], Role],
-        views: tuple[View, ...],
-        simulator: RoleSpec | Callable[[], Simulator] | None,
-        scenario: Mapping[str, Any],
-        context: RoleContext | None,
-        ticks: int,
-    ) -> None:
-        self.findings, self.build, self.views, self.ticks = findings, build, views, ticks
-        self.scenario = scenario
-        self.world: Simulator | None = None
-        if simulator is not None and not views:
-            self.world = builder(simulator)[1]()
-        dt = self.world.time_step if self.world else views[0].dt
-        self.context = context or RoleContext(0, dt, scenario)
+    findings: Findings
+    build: Callable[[], Role]
+    views: Sequence[View]
+    world: Simulator | None
+    scenario: Mapping[str, Any]
+    context: RoleContext
+    ticks: int
 
     def run(self) -> None:
         findings = self.findings
@@ -132,14 +133,10 @@ class _Kit:
         """What the role says at each view, after a reset."""
         role.reset(context)
         if self.world is not None:
-            return self._closed_loop(role, self.world, context.seed)
-        outputs = []
-        for view in self.views:
-            output = self._ask(role, view)
-            outputs.append(output)
-        return outputs
+            return self._closed_loop(role, self.world)
+        return [self._ask(role, view) for view in self.views]
 
-    def _closed_loop(self, role: Role, world: Simulator, seed: int) -> list[Any]:
+    def _closed_loop(self, role: Role, world: Simulator) -> list[Any]:
         outputs = []
         # The world keeps its seed: the second context differs for the role alone.
         tick = world.reset(self.scenario, self.context.seed)
@@ -184,7 +181,7 @@ class _Kit:
                     self.findings.breach(f"propose {problem}", "return a Proposal(action, ...)")
             else:
                 output = self._run(role, view)
-        except Exception as error:  # noqa: BLE001 - a kit reports whatever the role raises
+        except Exception as error:
             text = describe_error(error)
             self.findings.breach(f"raised {text}", "handle every view that can arise")
             output = text

@@ -123,7 +123,7 @@ class Role(ABC):
     def reset(self, context: RoleContext) -> None:  # noqa: B027 - stateless roles need none
         """Begin an episode; forget everything of the one before."""
 
-    def trigger(self, view: RoleView) -> bool:
+    def trigger(self, view: RoleView) -> bool:  # noqa: ARG002 - for those who override it
         """Whether the role runs at this tick."""
         return True
 
@@ -147,7 +147,7 @@ class Generator(Role):
 
 
 class SafetyMonitor(Role):
-    """Judges the proposal: is it safe to carry out?"""
+    """Judges whether the proposal is safe to carry out."""
 
     name = "safety_monitor"
 
@@ -183,12 +183,18 @@ class FaultInjector(Role):
         """Activate and deactivate what is planned or directed."""
 
     def corrupt(
-        self, channels: Mapping[str, Any], time: float
+        self,
+        channels: Mapping[str, Any],
+        time: float,  # noqa: ARG002 - for those who override it
     ) -> tuple[Mapping[str, Any], Mapping[str, tuple[str, ...]]]:
-        """Channels after active sensor faults, and by channel the ids of the faults that changed it."""
+        """Channels after active sensor faults, and by channel the faults that changed it."""
         return channels, NOTHING
 
-    def corrupt_command(self, action: Any, time: float) -> tuple[Any, tuple[str, ...]]:
+    def corrupt_command(
+        self,
+        action: Any,
+        time: float,  # noqa: ARG002 - for those who override it
+    ) -> tuple[Any, tuple[str, ...]]:
         """The command after active command faults, and the ids of the faults that changed it."""
         return action, ()
 
@@ -242,7 +248,7 @@ class RoleSpec:
 
     @classmethod
     def of(cls, value: object, params: Mapping[str, Any] | None = None) -> RoleSpec:
-        """A RoleSpec from a RoleSpec, an import path, a class, an importable factory or an instance.
+        """From a RoleSpec, an import path, a class, an importable factory or an instance.
 
         Raises:
             ConfigurationError: If a fresh instance could not be built from it elsewhere.
@@ -327,6 +333,8 @@ class RoleSpec:
                 expected=f"{self.label}{inspect.signature(factory)}",
                 remedy="correct the parameters",
             ) from None
+        except ValueError:  # a builtin without a signature: it will tell when it is called
+            pass
         try:
             return factory(**self.params)
         except ConfigurationError:
@@ -348,7 +356,7 @@ class RoleSpec:
         """The inverse of :meth:`to_json`.
 
         Raises:
-            ConfigurationError: For an opaque role, which was a bare instance in a process that is gone.
+            ConfigurationError: For an opaque role: a bare instance in a process that is gone.
         """
         if data.get("opaque"):
             raise ConfigurationError(

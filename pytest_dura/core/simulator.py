@@ -50,7 +50,10 @@ class Simulator(ABC):
         Called once per episode, so that it may be vectorised over time.
         """
 
-    def percept_signals(self, percepts: Sequence[Percept]) -> dict[str, NDArray[np.float64]]:
+    def percept_signals(
+        self,
+        percepts: Sequence[Percept],  # noqa: ARG002 - for those who override it
+    ) -> dict[str, NDArray[np.float64]]:
         """The signals that can be computed from percepts alone, one value per percept.
 
         The episode stores them with the prefix ``percept.``.

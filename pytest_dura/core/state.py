@@ -136,7 +136,7 @@ class Percept(Mapping[str, Any]):
 
 
 class PerceptView(Percept):
-    """A percept as a role sees it: without ``tampered``, and remembering which channels were read."""
+    """A percept as a role sees it: without ``tampered``; it notes which channels were read."""
 
     __slots__ = ("_reads",)
 
@@ -174,7 +174,7 @@ class History(Sequence[Any]):
 class GeneratorView:
     """All that the component under test may see. It has no ground truth.
 
-    ``feedback`` holds the reasons for which this tick's earlier proposals were refused (``refine``).
+    ``feedback`` says why this tick's earlier proposal was refused (policy ``refine``).
     """
 
     index: int
@@ -236,7 +236,7 @@ class StateManager:
     def perceive(self, percept: Percept) -> None:
         """How the newest tick is perceived, which opens it for the roles."""
         self.percepts.append(percept)
-        self._channels = MappingProxyType(dict(percept._channels))
+        self._channels = MappingProxyType(dict(percept._channels))  # noqa: SLF001 - lazy stays lazy
         self._role_percepts.append(PerceptView(self._channels, self._role_reads))
         self.proposal = None
         self.generator_reads = set()

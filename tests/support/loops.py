@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from thermostat import Thermostat
+
 from pytest_dura import (
     Episode,
     EpisodeSpec,
@@ -18,7 +20,6 @@ from pytest_dura import (
     Termination,
 )
 from pytest_dura.core.state import GeneratorView
-from thermostat import Thermostat
 
 
 class Says(Generator):
@@ -30,8 +31,7 @@ class Says(Generator):
 
     def propose(self, view: GeneratorView) -> Proposal:
         self.views.append(view)
-        answer = self.answer(view)
-        return answer  # type: ignore[no-any-return]
+        return self.answer(view)
 
 
 class Does(Role):

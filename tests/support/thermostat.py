@@ -1,4 +1,4 @@
-"""A second domain, in pure Python: a heated room. It shows that the loop knows nothing of driving."""
+"""A second domain, in pure Python: a heated room. The loop needs to know nothing of it."""
 
 from __future__ import annotations
 

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-
 from loops import Says, run_loop, spec_of
-from pytest_dura import Episode, Generator, Orchestrator, Proposal
 from thermostat import Controller, HeatMonitor, SwitchOff, Thermostat
+
+from pytest_dura import Episode, Generator, Orchestrator, Proposal
 
 TIGHT = {"time_budget": 0.05}
 
@@ -26,13 +26,13 @@ def explode(view: Any) -> Proposal:
     raise ValueError("no idea")
 
 
-class Unreadable(Exception):
+class UnreadableError(Exception):
     def __str__(self) -> str:
         raise RuntimeError("not even this")
 
 
 def raise_unreadable(view: Any) -> Proposal:
-    raise Unreadable
+    raise UnreadableError
 
 
 def leave(view: Any) -> Proposal:
@@ -48,10 +48,10 @@ def raise_odd(view: Any) -> Proposal:
 
 
 @pytest.mark.parametrize(
-    ("answer", "detail"),
+    "answer, detail",
     [
         (explode, "raised ValueError: no idea (test_component_failures.py:"),
-        (raise_unreadable, "raised Unreadable: (its message cannot be read)"),
+        (raise_unreadable, "raised UnreadableError: (its message cannot be read)"),
         (leave, "raised SystemExit: 3 (test_component_failures.py:"),
         (raise_odd, "Odd object at 0x…>"),
         (lambda view: None, "returned NoneType, not a Proposal"),

@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-
 from loops import Says, doing, run_loop
+from thermostat import Bias, Controller, HeatMonitor, JumpWatch, Meter, SwitchOff
+
 from pytest_dura import (
     Alert,
     Episode,
@@ -16,7 +17,6 @@ from pytest_dura import (
     SecurityAssessment,
     SecurityAssessor,
 )
-from thermostat import Bias, Controller, HeatMonitor, JumpWatch, Meter, SwitchOff
 
 BIAS = {"id": "bias", "target": "thermometer", "activation": {"at": 0.5}, "duration": 0.3}
 
@@ -201,7 +201,7 @@ def alerts_at(*ticks: int) -> Any:
 
 
 @pytest.mark.parametrize(
-    ("ticks", "detected"),
+    "ticks, detected",
     [
         ((), None),
         ((2, 4), None),  # before it manifests, also while it is activated: a false alarm

@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-
 from loops import doing, run_loop
+from thermostat import HeatMonitor, Thermostat
+
 from pytest_dura import (
     Alert,
     Assessed,
@@ -26,7 +27,6 @@ from pytest_dura import (
     SecurityAssessor,
     Tick,
 )
-from thermostat import HeatMonitor, Thermostat
 
 NAN = float("nan")
 A: Any = None
@@ -59,7 +59,7 @@ GOOD = {
 
 
 @pytest.mark.parametrize(
-    ("role", "bad", "cause"),
+    "role, bad, cause",
     [
         *((role, ZeroDivisionError("oh"), "ZeroDivisionError: oh") for role in GOOD),
         *((role, SystemExit("bye"), "SystemExit: bye") for role in GOOD),
@@ -143,7 +143,7 @@ def test_a_trigger_that_raises_is_infrastructure() -> None:
 
 
 @pytest.mark.parametrize(
-    ("recovery", "cause"),
+    "recovery, cause",
     [
         (lambda view: 1 / 0, "ZeroDivisionError"),
         (lambda view: None, "returned NoneType, not a Recovery"),
@@ -178,7 +178,7 @@ class Injector(FaultInjector):
 
 
 @pytest.mark.parametrize(
-    ("channels", "cause"),
+    "channels, cause",
     [
         (lambda channels, time: channels if time > 0.25 else (channels, {}), "ValueError"),
         (lambda channels, time: (None, {}) if time > 0.25 else (channels, {}), "NoneType"),
@@ -234,7 +234,7 @@ def replaced(**fields: Any) -> Any:
 
 
 @pytest.mark.parametrize(
-    ("way", "cause"),
+    "way, cause",
     [
         (lambda tick: 1 / 0, "ZeroDivisionError"),
         (lambda tick: None, "returned NoneType, not a Tick"),
@@ -286,7 +286,7 @@ def test_a_simulator_that_fails_anywhere_else(method: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("column", "cause"),
+    "column, cause",
     [
         (np.array([1.0, NAN, 3.0, NAN]), "at tick 1 (t = 0.1 s): signal 'x' is nan"),
         (np.array([1.0, 2.0, np.inf, 4.0]), "at tick 2 (t = 0.2 s): signal 'x' is inf"),

@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-
 from loops import Says, doing, run_loop
+from thermostat import Controller, HeatMonitor, NightWatch, SwitchOff
+
 from pytest_dura import (
     Assessed,
     Assessment,
@@ -18,7 +19,6 @@ from pytest_dura import (
     SafetyMonitor,
     Termination,
 )
-from thermostat import Controller, HeatMonitor, NightWatch, SwitchOff
 
 
 def test_an_episode_has_one_row_per_tick_and_one_decision_per_step() -> None:
@@ -150,8 +150,9 @@ def test_a_context_is_a_copy_and_the_component_does_not_learn_the_faults() -> No
 
 def test_a_loop_can_be_run_again_with_its_parts() -> None:
     from loops import spec_of
-    from pytest_dura import Orchestrator
     from thermostat import Thermostat
+
+    from pytest_dura import Orchestrator
 
     roles = {"generator": Controller(), "safety_monitor": HeatMonitor()}
     loop = Orchestrator(Thermostat(), roles)
@@ -167,7 +168,7 @@ def test_recovery_without_a_planner_lets_the_proposal_pass() -> None:
     assert episode.flagged
 
 
-@pytest.mark.parametrize(("start", "flagged"), [(15.0, False), (35.0, True)])
+@pytest.mark.parametrize("start, flagged", [(15.0, False), (35.0, True)])
 def test_flagged_says_whether_any_proposal_was_unsafe(start: float, flagged: bool) -> None:
     episode = run_loop(
         lambda view: Proposal(1.0),

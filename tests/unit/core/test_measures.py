@@ -7,8 +7,9 @@ import math
 from typing import Any
 
 import pytest
-
 from loops import doing, run_loop
+from thermostat import Bias, Controller, HeatMonitor, JumpWatch, Meter, Overheater, SwitchOff
+
 from pytest_dura import (
     Assessed,
     Assessment,
@@ -18,7 +19,6 @@ from pytest_dura import (
     Proposal,
     SafetyMonitor,
 )
-from thermostat import Bias, Controller, HeatMonitor, JumpWatch, Meter, Overheater, SwitchOff
 
 
 def unsafe_at(*ticks: int) -> Any:
@@ -81,7 +81,7 @@ def test_values_scores_and_times_are_kept_per_tick() -> None:
 
 
 @pytest.mark.parametrize(
-    ("ticks", "recoveries"),
+    "ticks, recoveries",
     [
         ((), []),
         ((2, 3), [(2, 3, True)]),

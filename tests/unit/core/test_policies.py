@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-
 from loops import Says, doing, run_loop
+from thermostat import HeatMonitor, SwitchOff
+
 from pytest_dura import (
     Alert,
     Assessed,
@@ -18,7 +19,6 @@ from pytest_dura import (
     SecurityAssessment,
     SecurityAssessor,
 )
-from thermostat import HeatMonitor, SwitchOff
 
 HOT = {"scenario": {"world": {"start": 40.0}}}
 

@@ -6,6 +6,17 @@ from itertools import count
 from typing import Any
 
 import pytest
+from thermostat import (
+    Bias,
+    Controller,
+    HeatMonitor,
+    JumpWatch,
+    Meter,
+    NightWatch,
+    Overheater,
+    SwitchOff,
+    Thermostat,
+)
 
 from pytest_dura import (
     Assessed,
@@ -32,17 +43,6 @@ from pytest_dura import (
     stream,
 )
 from pytest_dura.core.conformance import ConformanceError
-from thermostat import (
-    Bias,
-    Controller,
-    HeatMonitor,
-    JumpWatch,
-    Meter,
-    NightWatch,
-    Overheater,
-    SwitchOff,
-    Thermostat,
-)
 
 BIAS = {"id": "bias", "target": "thermometer", "activation": {"at": 0.3}, "duration": 0.5}
 CONTEXT = RoleContext(0, 0.1, {}, (BIAS,))
@@ -208,7 +208,7 @@ class TriggerSaysNone(NightWatch):
 
 
 @pytest.mark.parametrize(
-    ("kind", "breach"),
+    "kind, breach",
     [
         (Keeps, "the same instance, reset again gives another output at view 0: .action"),
         (Counts, "another instance gives another output at view 0: .action"),

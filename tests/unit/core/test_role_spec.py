@@ -8,10 +8,10 @@ from types import ModuleType
 from typing import Any
 
 import pytest
-
 import thermostat
-from pytest_dura import ConfigurationError, EpisodeSpec, Orchestrator, RoleSpec
 from thermostat import Controller
+
+from pytest_dura import ConfigurationError, EpisodeSpec, Orchestrator, RoleSpec
 
 
 def make_controller(target: float = 21.0) -> Controller:
@@ -67,7 +67,7 @@ def test_what_cannot_be_found_by_name_is_refused() -> None:
         pass
 
     assert "importable by name" in message_of(lambda: RoleSpec.of(Local))
-    assert "importable by name" in message_of(lambda: RoleSpec.of(lambda: Controller()))
+    assert "importable by name" in message_of(lambda: RoleSpec.of(lambda: Controller(20.0)))
 
 
 def test_a_class_that_another_one_of_its_name_shadows_is_refused() -> None:
@@ -76,7 +76,7 @@ def test_a_class_that_another_one_of_its_name_shadows_is_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    ("path", "problem"),
+    "path, problem",
     [
         ("thermostat.Controller", "has the form package.module:Name"),
         (":Controller", "has the form"),

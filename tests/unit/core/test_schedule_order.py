@@ -6,10 +6,7 @@ from itertools import permutations
 from typing import Any
 
 import pytest
-
 from loops import doing
-from pytest_dura import ConfigurationError, Generator, Orchestrator, Role, SafetyMonitor
-from pytest_dura.core.schedule import schedule
 from thermostat import (
     Bias,
     Controller,
@@ -20,6 +17,9 @@ from thermostat import (
     SwitchOff,
     Thermostat,
 )
+
+from pytest_dura import ConfigurationError, Generator, Orchestrator, Role, SafetyMonitor
+from pytest_dura.core.schedule import schedule
 
 
 def user_role(*after: str) -> Any:
@@ -93,7 +93,7 @@ def test_after_recovery_is_an_error() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "role", "message"),
+    "name, role, message",
     [
         ("safety_monitor", NightWatch(), "must be a SafetyMonitor"),
         ("mine", object(), "must be a Role"),

@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from thermostat import Thermostat
 
 import pytest_dura
 from pytest_dura import DuraError, RoleSpec, Simulator, Tick, check_simulator
 from pytest_dura.core.conformance import ConformanceError
 from pytest_dura.core.state import Lazy
-from thermostat import Thermostat
 
 ACTIONS = [1.0, 0.5, 0.0, 1.0, 1.0, 0.25, 0.0, 1.0]
 SCENARIO = {"world": {"start": 18.0}}
@@ -284,7 +284,7 @@ class OddEvent(Thermostat):
 
 
 @pytest.mark.parametrize(
-    ("kind", "breach"),
+    "kind, breach",
     [
         (CountsFromOne, "tick number 0 has the index 1"),
         (LateClock, "tick 0 has the time 0.05 s, expected 0 s"),

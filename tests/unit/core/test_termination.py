@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-
 from loops import run_loop
-from pytest_dura import ConfigurationError, EpisodeSpec, Proposal, RoleSpec, Termination
 from thermostat import Controller
+
+from pytest_dura import ConfigurationError, EpisodeSpec, Proposal, RoleSpec, Termination
 
 
 def heat(view: Any) -> Proposal:
@@ -16,7 +16,7 @@ def heat(view: Any) -> Proposal:
 
 
 @pytest.mark.parametrize(
-    ("seconds", "step", "steps"),
+    "seconds, step, steps",
     [
         (5.1, 0.1, 51),  # 50.99999999999999 in floats
         (4.0, 0.1, 40),

@@ -28,7 +28,7 @@ def test_the_generators_view_has_no_ground_truth() -> None:
     assert not hasattr(view, "truth")
     assert not hasattr(view, "__dict__")
     with pytest.raises(AttributeError):
-        view.truth  # type: ignore[attr-defined]
+        _ = view.truth  # type: ignore[attr-defined]
 
 
 def test_no_view_tells_which_channels_were_tampered_with() -> None:

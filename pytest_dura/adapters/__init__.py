@@ -1,0 +1,1 @@
+"""Adapters: other people's simulators as ours. Each imports its library at first use."""

@@ -1,0 +1,282 @@
+"""GymnasiumSimulator: any Gymnasium environment as a Simulator."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Mapping, Sequence
+from numbers import Real
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_dura.adapters.spaces import default_action, describe, to_action
+from pytest_dura.core.errors import ActionError, ConfigurationError
+from pytest_dura.core.roles import RoleSpec
+from pytest_dura.core.simulator import Simulator
+from pytest_dura.core.state import NOTHING, Percept, Tick
+
+if TYPE_CHECKING:
+    import gymnasium
+
+Signals = Callable[[Any, Mapping[str, Any], float], Mapping[str, float]]
+Sensors = Callable[[Any, Mapping[str, Any]], Mapping[str, Any]]
+Goal = Callable[[Any, Mapping[str, Any], float], bool]
+Critical = Callable[[Any, Mapping[str, Any], float], "str | None"]
+
+TERMINATED = "the environment has terminated"
+
+
+class GymnasiumSimulator(Simulator):
+    """Wraps a Gymnasium environment; says what is ground truth and what the sensors report.
+
+    Every callable may be given as an import path ``package.module:name``, so that a RoleSpec
+    holds plain data. ``scenario["world"]`` goes to the environment's ``reset`` as ``options``. The
+    environment's time limit is left out: the length of an episode is the scenario's.
+
+    Args:
+        env: A Gymnasium id, or an import path of an environment class or factory.
+        params: Keyword arguments for it. ``render_mode="rgb_array"`` makes ``render`` work.
+        time_step: Simulated seconds that one step of the environment takes.
+        signals: ``(observation, info, reward)`` to the ground-truth signals: the same names at
+            every tick, finite numbers.
+        sensors: ``(observation, info)`` to the sensor channels. Arrays, lists and dictionaries
+            in them are handed out as read-only copies.
+        goal: ``(observation, info, reward)`` to whether the task is done; never by default.
+        critical: ``(observation, info, reward)`` to why the episode cannot go on, or ``None``. An
+            environment that terminates without having reached the goal is critical anyway.
+        fallback: The action when nobody commands; by default the first of a discrete space, the
+            zero of a box.
+        time_step_attribute: Attribute of the unwrapped environment that holds its time step
+            (``tau`` of CartPole). Without it no other time step can be chosen.
+
+    Raises:
+        ConfigurationError: If a path cannot be imported.
+    """
+
+    def __init__(
+        self,
+        env: str,
+        params: Mapping[str, Any] = NOTHING,
+        *,
+        time_step: float,
+        signals: Signals | str,
+        sensors: Sensors | str,
+        goal: Goal | str | None = None,
+        critical: Critical | str | None = None,
+        fallback: Any = None,
+        time_step_attribute: str | None = None,
+    ) -> None:
+        self._fixed_step: float | None = None
+        self.set_time_step(time_step)
+        self._fixed_step = None if time_step_attribute else time_step
+        self._time_step_attribute = time_step_attribute
+        self._env_name, self._params = env, dict(params)
+        self._signals: Signals = _callable(signals)
+        self._sensors: Sensors = _callable(sensors)
+        self._goal: Goal | None = None if goal is None else _callable(goal)
+        self._critical: Critical | None = None if critical is None else _callable(critical)
+        self._fallback = fallback
+        self._env: gymnasium.Env[Any, Any] | None = None
+        self._index = 0
+
+    @property
+    def env(self) -> gymnasium.Env[Any, Any]:
+        """The environment, made at first use.
+
+        Raises:
+            ConfigurationError: If it cannot be made.
+        """
+        if self._env is None:
+            self._env = _make(self._env_name, self._params)
+        return self._env
+
+    def set_time_step(self, seconds: float) -> None:
+        """Choose the time step, where the environment lets it be chosen.
+
+        Raises:
+            ConfigurationError: If it does not, or for what is not a positive number.
+        """
+        if self._fixed_step is not None and 0.0 < seconds != self._fixed_step:
+            raise ConfigurationError(
+                f"one step of {self._env_name} takes {self._fixed_step:g} s",
+                key="time_step",
+                found=seconds,
+                expected=f"{self._fixed_step:g}",
+                remedy="give the scenario this time step, or name the time_step_attribute",
+            )
+        super().set_time_step(seconds)
+
+    def reset(self, scenario: Mapping[str, Any], seed: int) -> Tick:
+        """Reset the environment with this seed and ``scenario["world"]`` as its options."""
+        if self._time_step_attribute is not None:
+            self._set_attribute(self._time_step_attribute)
+        self.fallback_action()  # refuses a wrong one before anything has moved
+        self._index = 0
+        options = dict(scenario.get("world") or {})
+        observation, info = self.env.reset(seed=seed, options=options or None)
+        return self._tick(observation, info, 0.0, terminated=False, truncated=False)
+
+    def step(self, action: Any) -> Tick:
+        """One step of the environment."""
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        self._index += 1
+        return self._tick(
+            observation, info, float(reward), terminated=terminated, truncated=truncated
+        )
+
+    def signals(self, ticks: Sequence[Tick]) -> dict[str, NDArray[np.float64]]:
+        """What the ``signals`` callable said at each tick."""
+        return {
+            name: np.array([tick.truth[name] for tick in ticks], dtype=np.float64)
+            for name in ticks[0].truth
+        }
+
+    def percept_signals(self, percepts: Sequence[Percept]) -> dict[str, NDArray[np.float64]]:
+        """Every channel that is a plain number, by its name; NaN where a fault took it away."""
+        names = [name for name in percepts[0] if isinstance(percepts[0][name], Real)]
+        return {
+            name: np.array([_number(percept.get(name)) for percept in percepts]) for name in names
+        }
+
+    def check_action(self, action: Any) -> Any:
+        """An element of the action space; arrays come back as read-only copies.
+
+        Raises:
+            ActionError: For anything else, with what is expected.
+        """
+        return to_action(self.env.action_space, action)
+
+    def fallback_action(self) -> Any:
+        """The configured fallback.
+
+        Raises:
+            ConfigurationError: If it is none of the environment's actions.
+        """
+        space = self.env.action_space
+        wanted = default_action(space) if self._fallback is None else self._fallback
+        try:
+            return to_action(space, wanted)
+        except ActionError as error:
+            raise ConfigurationError(
+                f"{self._env_name} cannot fall back to that: {error}",
+                key="fallback",
+                found=wanted,
+                expected=f"an element of {space}",
+                remedy="configure a fallback action",
+            ) from None
+
+    def describe_action(self, action: Any) -> str:
+        """The action's numbers."""
+        return describe(action)
+
+    def render(self) -> NDArray[np.uint8]:
+        """What the environment renders, if its render mode is ``rgb_array``."""
+        if self.env.render_mode != "rgb_array":
+            raise NotImplementedError("pass params={'render_mode': 'rgb_array'} to render")
+        return np.asarray(self.env.render(), dtype=np.uint8)
+
+    def snapshot(self) -> object:
+        """A deep copy of the environment, without what pygame drew on."""
+        return _copy_of(self.env), self._index
+
+    def restore(self, snapshot: object) -> None:
+        """Return to a snapshot."""
+        env, self._index = cast("tuple[gymnasium.Env[Any, Any], int]", snapshot)
+        self._env = _copy_of(env)
+
+    def close(self) -> None:
+        """Close the environment."""
+        if self._env is not None:
+            self._env.close()
+            self._env = None
+
+    def _tick(
+        self, observation: Any, info: Mapping[str, Any], reward: float, *, terminated: bool,
+        truncated: bool,
+    ) -> Tick:  # fmt: skip
+        values = self._signals(observation, info, reward)
+        goal = self._goal is not None and bool(self._goal(observation, info, reward))
+        critical = None if self._critical is None else self._critical(observation, info, reward)
+        if critical is None and terminated and not goal:
+            critical = TERMINATED
+        return Tick(
+            index=self._index,
+            time=self._index * self.time_step,
+            truth=MappingProxyType({name: float(value) for name, value in values.items()}),
+            channels=read_only(self._sensors(observation, info)),
+            goal=goal,
+            critical=critical,
+            events=(("truncated", self._env_name, "by the environment"),) if truncated else (),
+        )
+
+    def _set_attribute(self, name: str) -> None:
+        if not hasattr(self.env.unwrapped, name):
+            raise ConfigurationError(
+                f"{self._env_name} has no attribute {name!r} that holds its time step",
+                key="time_step_attribute",
+                found=name,
+                remedy="name the attribute, or leave it out",
+            )
+        setattr(self.env.unwrapped, name, self.time_step)
+
+
+def read_only(value: Any) -> Any:
+    """A copy of plain data and arrays that nobody can write to; other values as they are."""
+    if isinstance(value, np.ndarray):
+        array = value.copy()
+        array.flags.writeable = False
+        return array
+    if isinstance(value, Mapping):
+        return MappingProxyType({key: read_only(item) for key, item in value.items()})
+    if type(value) in (list, tuple):
+        return tuple(read_only(item) for item in value)
+    return value
+
+
+def _copy_of(env: gymnasium.Env[Any, Any]) -> gymnasium.Env[Any, Any]:
+    # Clocks and windows cannot be copied. Environments make them anew where there are none.
+    memo: dict[int, Any] = {
+        id(part): None
+        for part in vars(env.unwrapped).values()
+        if type(part).__module__.partition(".")[0] == "pygame"
+    }
+    return copy.deepcopy(env, memo)
+
+
+def _number(value: Any) -> float:
+    return float(value) if isinstance(value, Real) else float("nan")
+
+
+def _callable(value: Callable[..., Any] | str) -> Any:
+    return RoleSpec(value).factory() if isinstance(value, str) else value
+
+
+def _make(name: str, params: Mapping[str, Any]) -> gymnasium.Env[Any, Any]:
+    import gymnasium
+
+    # "module:Name" is ours; "module:Name-v0" is Gymnasium's own way to import before making.
+    if ":" in name and "-" not in name.partition(":")[2]:
+        env = RoleSpec(name, params).create()
+    else:
+        try:
+            env = gymnasium.make(
+                name, **{"max_episode_steps": -1, "disable_env_checker": True, **params}
+            )
+        except (gymnasium.error.Error, TypeError, ImportError) as error:
+            raise ConfigurationError(
+                f"Gymnasium cannot make {name!r}: {error}",
+                key="env",
+                found=name,
+                expected="a registered id, or an import path package.module:Name",
+                remedy="check the id, and that the package which registers it is imported",
+            ) from error
+    if not isinstance(env, gymnasium.Env):
+        raise ConfigurationError(
+            f"{name!r} is not a Gymnasium environment",
+            key="env",
+            found=type(env).__name__,
+            expected="a gymnasium.Env",
+        )
+    return env

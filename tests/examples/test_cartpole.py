@@ -1,0 +1,57 @@
+"""The CartPole suite, copied and run as a user would."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).parents[2]
+SUITE = REPOSITORY / "example_suites" / "cartpole"
+
+
+def run_suite(folder: Path) -> subprocess.CompletedProcess[str]:
+    environment = {key: value for key, value in os.environ.items() if "PYTEST" not in key}
+    environment["PYTHONPATH"] = str(REPOSITORY)
+    return subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", "-W", "error", "-p", "no:cacheprovider", "."],
+        cwd=folder,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
+
+
+@pytest.fixture
+def suite(tmp_path: Path) -> Path:
+    return shutil.copytree(SUITE, tmp_path / "my_suite")
+
+
+def test_the_suite_passes_where_it_was_copied_to(suite: Path) -> None:
+    done = run_suite(suite)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert re.search(r"\b2\d passed", done.stdout)
+
+
+def test_a_worse_controller_fails_the_suite(suite: Path) -> None:
+    parts = suite / "cartpole_parts.py"
+    text = parts.read_text()
+    assert "damping: float = 0.4" in text
+    parts.write_text(text.replace("damping: float = 0.4", "damping: float = -0.4"))
+    done = run_suite(suite)
+    assert done.returncode == 1, done.stdout + done.stderr
+    assert "test_the_pole_stays_up[0]" in done.stdout
+
+
+def test_the_readme_names_what_there_is() -> None:
+    readme = (SUITE / "README.md").read_text()
+    for name in re.findall(r"^\| `(\w+\.py)`", readme, flags=re.MULTILINE):
+        assert (SUITE / name).is_file()
+    assert "cp -r example_suites/cartpole my_suite && pytest my_suite" in readme
