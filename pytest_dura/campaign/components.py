@@ -1,0 +1,149 @@
+"""From what a user names or hands over to a RoleSpec: options, fixtures, bare instances."""
+
+from __future__ import annotations
+
+import inspect
+import sys
+from collections.abc import Callable
+from typing import Any
+
+from pytest_dura.campaign.domains import DOMAINS
+from pytest_dura.campaign.problems import did_you_mean, placed
+from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.roles import STANDARD_ROLES, Generator, Role, RoleSpec
+from pytest_dura.core.simulator import Simulator
+
+
+class LocalRole(RoleSpec):
+    """A RoleSpec whose class or factory is at hand, wherever its import path leads by now.
+
+    A class in a ``conftest.py`` is such a case: of several modules of that name, the path reaches
+    one only.
+    """
+
+    target: Callable[..., Any]
+
+    def __init__(self, path: str, target: Callable[..., Any]) -> None:
+        super().__init__(path)
+        object.__setattr__(self, "target", target)
+
+    def factory(self) -> Callable[..., Any]:
+        """The class or factory that was given."""
+        return self.target
+
+
+def local_object(spec: RoleSpec) -> Any:
+    """What makes a spec mean something in this process only; ``None`` if nothing does."""
+    return spec.target if isinstance(spec, LocalRole) else spec.instance
+
+
+def given_role(role: str, value: object) -> RoleSpec | None:
+    """The RoleSpec of what a role's fixture returned; ``None`` switches the role off.
+
+    Args:
+        role: Name of the role, or ``simulator``.
+        value: A RoleSpec, a class, an importable factory, an import path, a bare instance or None.
+
+    Raises:
+        ConfigurationError: If it cannot serve as this role.
+    """
+    base: type[Role] | type[Simulator] = Simulator if role == "simulator" else STANDARD_ROLES[role]
+    if value is None:
+        if role in ("generator", "simulator"):
+            raise ConfigurationError(
+                f"the {role} cannot be switched off",
+                key=role,
+                found="None",
+                expected=f"a subclass of pytest_dura.{base.__name__}, or a RoleSpec",
+                remedy=f"return one from the fixture `{role}`, or remove the fixture",
+            )
+        return None
+    if isinstance(value, (str, RoleSpec)):
+        return RoleSpec.of(value)
+    if inspect.isclass(value):
+        fits = issubclass(value, base)
+    else:
+        fits = inspect.isroutine(value) or isinstance(value, base)
+    if not fits:
+        raise ConfigurationError(
+            f"what the fixture `{role}` returned is not a {base.__name__}",
+            key=role,
+            found=value,
+            expected=f"a subclass of pytest_dura.{base.__name__}, a factory, or a RoleSpec",
+            remedy=f"derive it from pytest_dura.{base.__name__}",
+        )
+    if _in_conftest(value):
+        assert callable(value)
+        return LocalRole(f"{value.__module__}:{getattr(value, '__qualname__', '')}", value)
+    return RoleSpec.of(value)
+
+
+def _in_conftest(value: Any) -> bool:
+    """Whether it is a class or function at the top level of a ``conftest.py``."""
+    if not (inspect.isclass(value) or inspect.isroutine(value)) or "<" in value.__qualname__:
+        return False
+    module = str(value.__module__)
+    if module.rpartition(".")[2] == "conftest":
+        return True
+    home = sys.modules.get(module)
+    return home is None
+
+
+def generator_option(text: str) -> RoleSpec:
+    """The component that ``--dura-generator`` names: a short name or ``package.module:Name``.
+
+    Raises:
+        ConfigurationError: If there is none, or it is no Generator.
+    """
+    key = "--dura-generator"
+    short = {name: path for one in DOMAINS.values() for name, path in one.generators.items()}
+    if ":" not in text and text not in short:
+        raise ConfigurationError(
+            f"unknown generator {text!r}",
+            key=key,
+            found=text,
+            expected=", ".join(sorted(short)) + ", or an import path package.module:Name",
+            remedy=did_you_mean(text, short),
+        )
+    spec = RoleSpec(short.get(text, text))
+    try:
+        factory = spec.factory()
+        if inspect.isclass(factory):
+            _check_class(factory, spec)
+        elif not inspect.isroutine(factory):
+            raise ConfigurationError(
+                f"{spec.path} is no class or factory",
+                found=factory,
+                expected="a subclass of pytest_dura.Generator, or a function that returns one",
+                remedy="name the class itself",
+            )
+    except ConfigurationError as error:
+        raise placed(error, file="", line=None, key=key) from None
+    return spec
+
+
+def _check_class(factory: type[Any], spec: RoleSpec) -> None:
+    if not issubclass(factory, Generator):
+        raise ConfigurationError(
+            f"{spec.path} is not a Generator",
+            found=spec.path,
+            expected="a subclass of pytest_dura.Generator",
+            remedy="derive it from pytest_dura.Generator, or name another class",
+        )
+    missing = sorted(getattr(factory, "__abstractmethods__", ()))
+    if missing:
+        raise ConfigurationError(
+            f"{spec.path} lacks {', '.join(missing)}",
+            found=spec.path,
+            expected="a class with `propose(self, view) -> Proposal`",
+            remedy=f"define {missing[0]} in {spec.label}",
+        )
+    try:
+        inspect.signature(factory).bind()
+    except TypeError as error:
+        raise ConfigurationError(
+            f"{spec.path} cannot be built without parameters: {error}",
+            found=f"{spec.label}{inspect.signature(factory)}",
+            expected="a constructor without required parameters",
+            remedy="return a RoleSpec with `params` from a fixture `generator` in your conftest.py",
+        ) from None

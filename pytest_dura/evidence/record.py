@@ -1,0 +1,211 @@
+"""EvidenceRecord: gathers what the items of a session report and makes the record of it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from pytest_dura.evidence.episodes import case_metrics
+from pytest_dura.requirements.campaigns import judge_campaign
+from pytest_dura.requirements.episodes import EpisodeVerdict
+
+SCHEMA_VERSION = "1"
+
+Status = Literal["running", "complete", "interrupted"]
+Data = dict[str, Any]
+
+
+@dataclass
+class ItemReport:
+    """What one test item tells; plain data, which crosses processes as JSON.
+
+    Args:
+        item: Node id.
+        components: Components under test, of :func:`describe_component`.
+        cases: ``{id, scenario, faults, component, requirements, planned}``.
+        requirements: ``Requirement.to_json()`` of each requirement involved.
+        episodes: Of :func:`episode_record`.
+        verdicts: ``CampaignVerdict.to_json()``, and the ``check`` that was judged.
+        outcomes: ``EpisodeVerdict.to_json()`` of tests that look at one episode, with ``case``.
+    """
+
+    item: str
+    components: list[Data] = field(default_factory=list)
+    cases: list[Data] = field(default_factory=list)
+    requirements: list[Data] = field(default_factory=list)
+    episodes: list[Data] = field(default_factory=list)
+    verdicts: list[Data] = field(default_factory=list)
+    outcomes: list[Data] = field(default_factory=list)
+
+    def to_json(self) -> Data:
+        """Plain data."""
+        return dict(vars(self))
+
+    def __bool__(self) -> bool:
+        """Whether there is anything to tell."""
+        return any(value for name, value in vars(self).items() if name != "item")
+
+
+@dataclass
+class EvidenceRecord:
+    """The record of a session while it grows. The same report may come twice.
+
+    Args:
+        header: ``created``, ``tool``, ``command``, ``base_seed``, ``environment``.
+    """
+
+    header: Data
+    _components: dict[str, Data] = field(default_factory=dict)
+    _requirements: dict[str, Data] = field(default_factory=dict)
+    _cases: dict[tuple[str, str], Data] = field(default_factory=dict)
+    _episodes: dict[tuple[str, str, str], Data] = field(default_factory=dict)
+    _verdicts: dict[tuple[str, ...], Data] = field(default_factory=dict)
+    _outcomes: dict[tuple[str, str, str], list[Data]] = field(default_factory=dict)
+    _expected: dict[str, Data] = field(default_factory=dict)
+    _waivers: dict[str, Data] = field(default_factory=dict)
+    _clashes: dict[tuple[str, str], str] = field(default_factory=dict)
+
+    def expect(self, item: str, requirement: Data, case: Data) -> None:
+        """A campaign's item that will run; if it never reports, its verdict is undecided."""
+        self._expected[item] = {"requirement": requirement["id"], "case": case}
+        self._requirements.setdefault(requirement["id"], requirement)
+        self._add_case(case)
+
+    def add(self, report: Mapping[str, Any]) -> None:
+        """What an item told."""
+        item = report["item"]
+        for component in report["components"]:
+            self._components.setdefault(component["name"], component)
+        for requirement in report["requirements"]:
+            self._requirements.setdefault(requirement["id"], requirement)
+        for case in report["cases"]:
+            self._add_case(case)
+        for episode in report["episodes"]:
+            self._add_episode(episode)
+        for verdict in report["verdicts"]:
+            self._add_verdict(item, verdict)
+        for outcome in report["outcomes"]:
+            key = outcome["requirement"], outcome["case"], outcome["component"]
+            told = self._outcomes.setdefault(key, [])
+            if (outcome | {"item": item}) not in told:
+                told.append(outcome | {"item": item})
+
+    def waive(self, item: str, kind: str, reason: str) -> None:
+        """The item's failure was excused: ``xfail``, ``rerun`` or ``skip``."""
+        self._waivers[item] = {"kind": kind, "reason": reason}
+
+    @property
+    def problems(self) -> list[str]:
+        """What casts doubt on the whole session; each begins with ``infrastructure:``."""
+        return sorted(self._clashes.values())
+
+    def to_json(self, status: Status) -> Data:
+        """The record as plain data, with the keys of the design."""
+        episodes = sorted(
+            self._episodes.values(),
+            key=lambda one: (one["case"], one["component"], one["spec"]["run"], one["seed"]),
+        )
+        cases = [self._case(key, episodes) for key in sorted(self._cases)]
+        components = [self._components[name] for name in sorted(self._components)]
+        under_test = components[0] if components else {"name": None, "version": None}
+        if len(components) > 1:
+            under_test = under_test | {"others": components[1:]}
+        return {
+            "schema_version": SCHEMA_VERSION,
+            "status": status,
+            **self.header,
+            "component_under_test": under_test,
+            "requirements": [self._requirements[name] for name in sorted(self._requirements)],
+            "cases": cases,
+            "episodes": episodes,
+            "verdicts": self.verdicts(),
+        }
+
+    def verdicts(self) -> list[Data]:
+        """All verdicts, also of campaigns that never reported, sorted by case and requirement."""
+        found = [dict(verdict) for verdict in self._verdicts.values()]
+        found += [self._of_outcomes(key, told) for key, told in self._outcomes.items()]
+        heard = {verdict["item"] for verdict in found}
+        for item, expected in self._expected.items():
+            if item not in heard:
+                found.append(self._not_run(item, expected))
+        for verdict in found:
+            self._qualify(verdict)
+        return sorted(found, key=lambda one: (one["case"], one["requirement"], one["item"]))
+
+    def _add_case(self, case: Data) -> None:
+        known = self._cases.setdefault((case["id"], case["component"]), dict(case))
+        known["planned"] = max(known["planned"], case["planned"])
+
+    def _add_episode(self, episode: Data) -> None:
+        inputs = {key: value for key, value in episode["spec"].items() if key != "timeouts"}
+        key = episode["id"], episode["component"], json.dumps(inputs, sort_keys=True)
+        known = self._episodes.setdefault(key, episode)
+        if known["digest"] != episode["digest"]:
+            self._clashes[episode["case"], episode["component"]] = (
+                f"infrastructure: nondeterministic: the episode {episode['id']} was run twice, "
+                f"with the digests {known['digest'][:12]} and {episode['digest'][:12]}"
+            )
+        known["planned"] = known["planned"] or episode["planned"]
+
+    def _add_verdict(self, item: str, verdict: Data) -> None:
+        key = item, verdict["requirement"], verdict["case"], verdict["component"], verdict["check"]
+        before = self._verdicts.get(key)
+        new = {**verdict, "item": item, "waiver": None, "attempts": []}
+        if before is None:
+            self._verdicts[key] = new
+            return
+        told = {name: value for name, value in before.items() if name in verdict}
+        if told == verdict:
+            return
+        # Of several attempts a violation counts before anything else; all of them are kept.
+        new["attempts"] = [*before["attempts"], told]
+        if before["verdict"] == "violated":
+            new = {**before, "attempts": [*before["attempts"], verdict]}
+        self._verdicts[key] = new
+
+    def _of_outcomes(self, key: tuple[str, str, str], told: list[Data]) -> Data:
+        """The verdict of tests that look at one episode each."""
+        requirement, case, component = key
+        planned = max(one["planned"] for one in told)
+        names = EpisodeVerdict.__dataclass_fields__
+        verdicts = [EpisodeVerdict(**{name: one[name] for name in names}) for one in told]
+        verdict = judge_campaign(
+            requirement, case, verdicts, planned=planned, component=component
+        ).to_json()
+        items = sorted({one["item"].partition("[")[0] for one in told})
+        waivers = [self._waivers[one["item"]] for one in told if one["item"] in self._waivers]
+        return {
+            **verdict,
+            "check": "",
+            "item": ", ".join(items),
+            "waiver": waivers[0] if waivers else None,
+            "attempts": [],
+        }
+
+    def _not_run(self, item: str, expected: Data) -> Data:
+        case = expected["case"]
+        verdict = judge_campaign(
+            expected["requirement"],
+            case["id"],
+            [],
+            planned=case["planned"],
+            component=case["component"],
+        ).to_json()
+        return {**verdict, "check": "", "item": item, "waiver": None, "attempts": []}
+
+    def _qualify(self, verdict: Data) -> None:
+        """Take waivers into account, and doubts about the case's episodes."""
+        verdict["waiver"] = self._waivers.get(verdict["item"], verdict["waiver"])
+        clash = self._clashes.get((verdict["case"], verdict["component"]))
+        if clash is not None and verdict["verdict"] == "supported":
+            verdict["verdict"], verdict["reason"] = "undecided", clash
+
+    def _case(self, key: tuple[str, str], episodes: Iterable[Data]) -> Data:
+        case = dict(self._cases[key])
+        own = [
+            one for one in episodes if (one["case"], one["component"]) == key and one["planned"]
+        ]
+        return {**case, "metrics": case_metrics(own, case["planned"])}

@@ -1,0 +1,68 @@
+"""The pytest plugin: hooks of a few lines, which hand over to one object per session.
+
+Every pytest run of whoever has the package installed loads this module, so it imports nothing
+heavy: what a session needs is imported when it is first used.
+"""
+
+from __future__ import annotations
+
+import pytest
+
+from pytest_dura.plugin.fixtures import (
+    _dura_roles,
+    campaign,
+    dura_metrics,
+    episode,
+    fault_injector,
+    generator,
+    orchestrator,
+    performance_oracle,
+    recovery_planner,
+    run_episode,
+    safety_monitor,
+    security_assessor,
+    simulator,
+)
+from pytest_dura.plugin.hooks import SessionHooks
+from pytest_dura.plugin.options import add_options
+from pytest_dura.plugin.session import session_of
+
+__all__ = [
+    "_dura_roles",
+    "campaign",
+    "dura_metrics",
+    "episode",
+    "fault_injector",
+    "generator",
+    "orchestrator",
+    "performance_oracle",
+    "recovery_planner",
+    "run_episode",
+    "safety_monitor",
+    "security_assessor",
+    "simulator",
+]
+
+MARKERS = (
+    "dura(scenario, faults=None, runs=None): run the test on each run (fixture `episode`) or each "
+    "case (fixture `campaign`) of these scenarios; `faults` replace the scenarios' own",
+    "requirement(id, text=None, kind='safety', source=''): the requirement that the test decides",
+)
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Declare options and ini settings."""
+    add_options(parser)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_cmdline_main(config: pytest.Config) -> int | None:
+    """Answer ``--dura-list`` and ``--dura-replay``, which run no tests."""
+    return session_of(config).run_command()
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Register the markers, and the hooks of this session."""
+    for marker in MARKERS:
+        config.addinivalue_line("markers", marker)
+    config.pluginmanager.register(SessionHooks(session_of(config)), "dura-session")

@@ -1,0 +1,49 @@
+"""The commands that we print: to run the same again, and nothing else."""
+
+from __future__ import annotations
+
+import os
+import shlex
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from pytest_dura.plugin.session import DuraSession
+
+
+def replay_command(session: DuraSession, episode: str) -> str:
+    """The command that runs one episode of the evidence again."""
+    options = [f"--dura-replay={episode}"]
+    options += [f"{name}={value}" for name, value in session.options.given if "evidence" in name]
+    # The same arguments load the same conftest files, where a component may be defined.
+    return _command(session, [*options, *_places(session)])
+
+
+def rerun_command(session: DuraSession, item: str) -> str:
+    """The command that runs one item again."""
+    options = [f"{name}={value}" for name, value in session.options.given]
+    return _command(session, [item, *options])
+
+
+def _places(session: DuraSession) -> list[str]:
+    config = session.config
+    if config.args_source is not config.ArgsSource.ARGS:
+        return []
+    here = config.invocation_params.dir
+    paths = dict.fromkeys(argument.partition("::")[0] for argument in config.args)
+    return [path for path in paths if os.path.lexists(here / path)]
+
+
+def _command(session: DuraSession, arguments: list[str]) -> str:
+    option = session.config.option
+    setup = ["-c", option.inifilename] if option.inifilename else []
+    if option.rootdir:
+        setup.append(f"--rootdir={option.rootdir}")
+    return " ".join(["pytest", *map(_quoted, [*setup, *arguments])])
+
+
+def _quoted(argument: str) -> str:
+    """Quote the value alone, which reads better: ``--dura-replay='case#run'``."""
+    name, equals, value = argument.partition("=")
+    if argument.startswith("--") and equals:
+        return f"{name}={shlex.quote(value)}"
+    return shlex.quote(argument)

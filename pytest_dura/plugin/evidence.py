@@ -1,0 +1,116 @@
+"""SessionEvidence: the record of a session, kept and written by the controller only."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from pytest_dura.plugin.reporter import ATTRIBUTE, case_record
+
+if TYPE_CHECKING:
+    from pytest_dura.evidence.record import EvidenceRecord, Status
+    from pytest_dura.plugin.session import DuraSession
+
+
+class SessionEvidence:
+    """Gathers the reports of all items, writes ``evidence.json``, and lets the gate fail closed.
+
+    Args:
+        session: The session of this process.
+    """
+
+    def __init__(self, session: DuraSession) -> None:
+        self.session = session
+        self.record: EvidenceRecord | None = None
+        self.file: Path | None = None
+        self.final: dict[str, Any] | None = None
+
+    def start(self) -> None:
+        """Begin the record. What a killed session leaves behind says that it was running.
+
+        Raises:
+            ConfigurationError: If it cannot be written.
+        """
+        config = self.session.config
+        if self.record is not None or self.session.is_worker or config.option.collectonly:
+            return
+        import pytest_dura
+        from pytest_dura.evidence.environment import describe_environment
+        from pytest_dura.evidence.record import EvidenceRecord
+
+        options = self.session.options
+        self.record = EvidenceRecord(
+            {
+                "created": datetime.now(timezone.utc).isoformat(timespec="seconds"),
+                "tool": {"name": "pytest-dura", "version": pytest_dura.__version__},
+                "command": shlex.join(["pytest", *map(str, config.invocation_params.args)]),
+                "base_seed": options.seed,
+                "runs_override": options.runs,
+                "environment": describe_environment(config.rootpath),
+            }
+        )
+        self._write("running")
+
+    def expect(self, items: list[str]) -> None:
+        """Note the scenario items that will run; those that never report are undecided."""
+        if self.record is None:
+            return
+        requirements = self.session.library().requirements if self.session.plan else {}
+        chosen = set(items)
+        for planned in self.session.plan:
+            case = planned.case
+            runs = self.session.options.runs or case.scenario.runs
+            roles = case.roles(self.session.chosen_roles())
+            record = case_record(case, roles["generator"].label, runs)
+            for name in planned.requirements:
+                item = f"{case.id}::{name}"
+                if item in chosen:
+                    self.record.expect(item, requirements[name].to_json(), record)
+
+    def gather(self, report: pytest.TestReport) -> None:
+        """Take in what an item told."""
+        told = getattr(report, ATTRIBUTE, None)
+        if self.session.is_worker:
+            return
+        if told is not None:
+            self.start()
+            if self.record is not None:
+                self.record.add(json.loads(told))
+        if self.record is not None:
+            self._waive(report)
+
+    def finish(self, session: pytest.Session) -> None:
+        """Write the record; a session whose episodes cannot be trusted has failed."""
+        if self.record is None:
+            return
+        interrupted = session.exitstatus in (
+            pytest.ExitCode.INTERRUPTED,
+            pytest.ExitCode.INTERNAL_ERROR,
+        )
+        if self.record.problems and session.exitstatus == pytest.ExitCode.OK:
+            session.exitstatus = pytest.ExitCode.TESTS_FAILED
+        self._write("interrupted" if interrupted else "complete")
+
+    def _waive(self, report: pytest.TestReport) -> None:
+        assert self.record is not None
+        reason = getattr(report, "wasxfail", None)
+        if reason is not None:
+            self.record.waive(report.nodeid, "xfail", reason)
+        elif report.outcome == "rerun":  # of pytest-rerunfailures
+            self.record.waive(report.nodeid, "rerun", "the item was run again")
+        elif report.skipped and report.when == "setup":
+            longrepr = report.longrepr
+            reason = longrepr[2] if isinstance(longrepr, tuple) else str(longrepr)
+            self.record.waive(report.nodeid, "skip", reason)
+
+    def _write(self, status: Status) -> None:
+        assert self.record is not None
+        from pytest_dura.evidence.bundle import write_record
+
+        self.final = self.record.to_json(status)
+        self.file = write_record(self.session.options.evidence, self.final)

@@ -1,0 +1,137 @@
+"""The fixtures. Those named after a role are the extension point: override one to swap the role."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.plugin.session import session_of
+
+if TYPE_CHECKING:
+    from pytest_dura.campaign.cases import Case
+    from pytest_dura.campaign.runner import Bench, Campaign
+    from pytest_dura.core.episode import Episode
+    from pytest_dura.core.roles import RoleSpec
+    from pytest_dura.requirements.verdicts import JudgedEpisode
+
+
+@pytest.fixture(scope="session")
+def simulator(request: pytest.FixtureRequest) -> RoleSpec:
+    """The simulator. Override it to run the scenarios in another one."""
+    return session_of(request.config).default_role("simulator")
+
+
+@pytest.fixture(scope="session")
+def generator(request: pytest.FixtureRequest) -> RoleSpec:
+    """The component under test. Override it: return your class, a factory or a RoleSpec."""
+    return session_of(request.config).default_role("generator")
+
+
+@pytest.fixture(scope="session")
+def safety_monitor(request: pytest.FixtureRequest) -> RoleSpec:
+    """The role that judges proposals. Override it; ``None`` switches it off."""
+    return session_of(request.config).default_role("safety_monitor")
+
+
+@pytest.fixture(scope="session")
+def security_assessor(request: pytest.FixtureRequest) -> RoleSpec:
+    """The role that watches for attacks. Override it; ``None`` switches it off."""
+    return session_of(request.config).default_role("security_assessor")
+
+
+@pytest.fixture(scope="session")
+def performance_oracle(request: pytest.FixtureRequest) -> RoleSpec:
+    """The role that measures performance. Override it; ``None`` switches it off."""
+    return session_of(request.config).default_role("performance_oracle")
+
+
+@pytest.fixture(scope="session")
+def fault_injector(request: pytest.FixtureRequest) -> RoleSpec:
+    """The role that injects faults. Override it; ``None`` switches it off."""
+    return session_of(request.config).default_role("fault_injector")
+
+
+@pytest.fixture(scope="session")
+def recovery_planner(request: pytest.FixtureRequest) -> RoleSpec:
+    """The role that replaces refused proposals. Override it; ``None`` switches it off."""
+    return session_of(request.config).default_role("recovery_planner")
+
+
+@pytest.fixture(scope="session")
+def dura_metrics() -> Mapping[str, Callable[[Episode], float]]:
+    """Metrics of your own: name to a function of the episode. Override it."""
+    return {}
+
+
+@pytest.fixture
+def _dura_roles(
+    request: pytest.FixtureRequest,
+    simulator: Any,
+    generator: Any,
+    safety_monitor: Any,
+    security_assessor: Any,
+    performance_oracle: Any,
+    fault_injector: Any,
+    recovery_planner: Any,
+) -> None:
+    """Let the bench run the roles that this item sees.
+
+    The bench itself is session-scoped, so that Hypothesis may use it; a conftest deeper down may
+    override a role for its own tests all the same.
+    """
+    given = {
+        "simulator": simulator,
+        "generator": generator,
+        "safety_monitor": safety_monitor,
+        "security_assessor": security_assessor,
+        "performance_oracle": performance_oracle,
+        "fault_injector": fault_injector,
+        "recovery_planner": recovery_planner,
+    }
+    try:
+        session_of(request.config).use_roles(given)
+    except ConfigurationError as error:
+        pytest.fail(str(error), pytrace=False)
+
+
+@pytest.fixture(scope="session")
+def orchestrator(
+    request: pytest.FixtureRequest, dura_metrics: Mapping[str, Callable[[Episode], float]]
+) -> Bench:
+    """Runs episodes and campaigns by name: ``orchestrator.run("intersection/nominal", seed=7)``."""
+    bench = session_of(request.config).bench
+    bench.metrics = dura_metrics
+    return bench
+
+
+@pytest.fixture(scope="session")
+def run_episode(orchestrator: Bench) -> Callable[..., JudgedEpisode]:
+    """A function that runs a case, given as such or by its name; session-scoped for Hypothesis."""
+
+    def run(case: Case | str, seed: int | None = None) -> JudgedEpisode:
+        __tracebackhide__ = True
+        if isinstance(case, str):
+            return orchestrator.run(case, seed)
+        return orchestrator.episode(case, seed=seed)
+
+    return run
+
+
+@pytest.fixture
+def episode(request: pytest.FixtureRequest, _dura_roles: None, orchestrator: Bench) -> JudgedEpisode:
+    """One run of a case, for tests with the marker ``dura``."""
+    target = request.param
+    try:
+        return orchestrator.episode(target.case, target.run)
+    except ConfigurationError as error:
+        pytest.fail(str(error), pytrace=False)
+
+
+@pytest.fixture
+def campaign(request: pytest.FixtureRequest, _dura_roles: None, orchestrator: Bench) -> Campaign:
+    """All runs of a case, for tests with the marker ``dura``; simulated when they are looked at."""
+    target = request.param
+    return orchestrator.campaign(target.case, target.planned, target.requirement)

@@ -1,0 +1,121 @@
+"""The hooks of a session; each hands over to whoever does the work."""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+if TYPE_CHECKING:
+    from xdist.remote import Producer
+    from xdist.scheduler import LoadScopeScheduling
+    from xdist.workermanage import WorkerController
+
+    from pytest_dura.plugin.session import DuraSession
+
+OWN_FIXTURES = frozenset({"episode", "campaign", "orchestrator", "run_episode"})
+
+
+class SessionHooks:
+    """Registered once per session, in the controller and in every worker alike."""
+
+    def __init__(self, session: DuraSession) -> None:
+        self.session = session
+
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_sessionstart(self) -> None:
+        """Check the options before anything runs."""
+        self.session.start()
+
+    def pytest_report_header(self) -> list[str]:
+        """Name the component under test."""
+        from pytest_dura.plugin.terminal import header
+
+        return header(self.session) if self.session.active else []
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_collection(self) -> Generator[None, Any, Any]:
+        """Take our own out of the arguments, which pytest would look up as files."""
+        self.session.take_arguments()
+        return (yield)
+
+    def pytest_generate_tests(self, metafunc: pytest.Metafunc) -> None:
+        """Make one test per case and run."""
+        if not OWN_FIXTURES.isdisjoint(metafunc.fixturenames):
+            from pytest_dura.plugin.parametrize import parametrize
+
+            parametrize(self.session, metafunc)
+
+    def pytest_itemcollected(self, item: pytest.Item) -> None:
+        """Let the bench follow the role fixtures that the item sees, before any other fixture."""
+        names: list[str] = getattr(item, "fixturenames", [])
+        if not OWN_FIXTURES.isdisjoint(names) and names[0] != "_dura_roles":
+            names.insert(0, "_dura_roles")
+
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_collection_modifyitems(
+        self, session: pytest.Session, items: list[pytest.Item]
+    ) -> None:
+        """Add the scenario items."""
+        if self.session.plan:
+            from pytest_dura.plugin.items import scenario_items
+
+            items += scenario_items(self.session, session)
+
+    def pytest_collection_finish(self, session: pytest.Session) -> None:
+        """Note what will run."""
+        self.session.evidence.expect([item.nodeid for item in session.items])
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_pyfunc_call(self, pyfuncitem: pytest.Function) -> Generator[None, Any, Any]:
+        """Refuse a pass that rests on an episode which says nothing."""
+        result = yield
+        if "episode" in pyfuncitem.funcargs:
+            self.session.reporter.body_passed(pyfuncitem)
+        return result
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_makereport(
+        self, item: pytest.Item, call: pytest.CallInfo[None]
+    ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+        """Attach what the item told to its report, which crosses processes."""
+        report = yield
+        self.session.reporter.attach(item, call, report)
+        return report
+
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        """Gather what items told."""
+        self.session.evidence.gather(report)
+
+    def pytest_sessionfinish(self, session: pytest.Session) -> None:
+        """Write the evidence."""
+        self.session.evidence.finish(session)
+
+    def pytest_terminal_summary(self, terminalreporter: Any) -> None:
+        """Show cases, verdicts and failures."""
+        if self.session.evidence.record is not None:
+            from pytest_dura.plugin.terminal import summary
+
+            summary(self.session, terminalreporter)
+
+    @pytest.hookimpl(optionalhook=True)
+    def pytest_xdist_make_scheduler(
+        self, config: pytest.Config, log: Producer
+    ) -> LoadScopeScheduling | None:
+        """Keep the items of a case in one worker, so that its episodes are simulated once."""
+        if not self.session.active or config.getoption("dist") != "load":
+            return None
+        from pytest_dura.plugin.xdist import CaseScheduling
+
+        return CaseScheduling(config, log)
+
+    @pytest.hookimpl(optionalhook=True)
+    def pytest_xdist_node_collection_finished(
+        self,
+        node: WorkerController,  # noqa: ARG002 - pluggy passes arguments by name
+        ids: list[str],
+    ) -> None:
+        """Note what will run: under xdist the controller does not collect."""
+        self.session.evidence.expect(ids)

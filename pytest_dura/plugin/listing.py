@@ -1,0 +1,45 @@
+"""``--dura-list``: what is known, and what would run."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from pytest_dura.plugin.session import DuraSession
+
+
+def show_list(session: DuraSession) -> int:
+    """Print everything and return the exit code."""
+    from pytest_dura.campaign.domains import DOMAINS
+    from pytest_dura.faults.catalogue import FAULT_TYPES
+
+    library, options = session.library(), session.options
+    lines = ["scenarios"]
+    for name, scenario in library.scenarios.items():
+        faults = ", ".join(fault.name for fault in scenario.faults) or "none"
+        lines.append(f"  {name}: {scenario.description}")
+        lines.append(f"      {scenario.runs} runs, {scenario.duration:g} s each, faults: {faults}")
+        lines.append(f"      requirements: {', '.join(scenario.requirements) or 'none'}")
+    lines += ["", "faults (name them in a marker or a scenario)"]
+    lines += [f"  {name}" for name in sorted(FAULT_TYPES)]
+    lines += ["", "requirements"]
+    for name, requirement in library.requirements.items():
+        lines.append(f"  {name} ({requirement.kind}): {requirement.text}")
+        lines.append(f"      {requirement.check or 'decided by test code'}")
+    for alias, domain in DOMAINS.items():
+        lines += ["", f"roles of the domain {alias} (override the fixture of that name)"]
+        lines += [f"  {role}: {path}" for role, path in domain.roles.items()]
+        lines += ["", f"generators of the domain {alias} (for --dura-generator)"]
+        lines += [f"  {name}: {path}" for name, path in domain.generators.items()]
+    lines += ["", f"would run with --dura-scenarios, base seed {options.seed}"]
+    episodes = 0
+    for planned in session.plan:
+        runs = options.runs or planned.case.scenario.runs
+        episodes += runs
+        lines += [f"  {planned.case.id}::{name}" for name in planned.requirements]
+        lines.append(f"      {runs} episodes")
+    items = sum(len(planned.requirements) for planned in session.plan)
+    lines.append(f"{items} items, {len(session.plan)} cases, {episodes} episodes")
+    lines += [f"warning: {one}" for one in library.warnings]
+    print("\n".join(lines))  # noqa: T201 - it is what was asked for
+    return 0

@@ -1,0 +1,190 @@
+"""The command-line options and ini settings, and their values once they are checked."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pytest_dura.core.errors import ConfigurationError
+
+DEFAULT_SEED = 0
+DEFAULT_EVIDENCE = "dura-evidence"
+
+
+def add_options(parser: pytest.Parser) -> None:
+    """Declare everything that can be set from outside."""
+    group = parser.getgroup("dura", "dependability of AI-enabled cyber-physical systems")
+    add = group.addoption
+    add(
+        "--dura-scenarios",
+        action="store_true",
+        help="run the built-in scenarios, and those of the ini setting dura_scenario_paths",
+    )
+    add(
+        "--dura-path",
+        action="append",
+        default=[],
+        metavar="DIR",
+        help="another directory with scenario and requirement files (repeatable)",
+    )
+    add(
+        "--dura-select",
+        action="append",
+        default=[],
+        metavar="GLOB",
+        help="run only scenario cases whose name matches (repeatable)",
+    )
+    add(
+        "--dura-list",
+        action="store_true",
+        help="list scenarios, faults, requirements and roles, and what would run; run nothing",
+    )
+    add(
+        "--dura-generator",
+        metavar="NAME",
+        help="the component under test: a short name such as rule_based, or package.module:Name",
+    )
+    add("--dura-runs", metavar="N", help="episodes per case, instead of what is planned")
+    add(
+        "--dura-seed",
+        metavar="N",
+        help=f"base seed, from which every episode's seed follows (default: {DEFAULT_SEED})",
+    )
+    add(
+        "--dura-evidence",
+        metavar="DIR",
+        help=f"where the evidence goes (default: {DEFAULT_EVIDENCE})",
+    )
+    add(
+        "--dura-replay",
+        metavar="EPISODE",
+        help="run an episode of the evidence again (case#run) and compare the digests",
+    )
+    add(
+        "--dura-undecided",
+        choices=("fail", "warn"),
+        default="fail",
+        help="what an undecided verdict does to its test: fail it, or skip it (default: fail)",
+    )
+    parser.addini(
+        "dura_scenario_paths",
+        "directories with scenario and requirement files (default: scenarios, if it exists)",
+        type="paths",
+        default=[],
+    )
+
+
+@dataclass(frozen=True)
+class Options:
+    """The options as the session uses them.
+
+    ``given`` are the options that a command for the same again must repeat.
+    """
+
+    scenarios: bool
+    paths: tuple[Path, ...]
+    select: tuple[str, ...]
+    list_only: bool
+    generator: str | None
+    runs: int | None
+    seed: int
+    evidence: Path
+    replay: str | None
+    warn_undecided: bool
+    given: tuple[tuple[str, str], ...]
+    any_given: bool
+
+    @classmethod
+    def of(cls, config: pytest.Config) -> Options:
+        """The options of a session.
+
+        Raises:
+            ConfigurationError: For a value that cannot be used.
+        """
+        get = config.getoption
+        runs = _whole_number("--dura-runs", get("dura_runs"), at_least=1)
+        seed = _whole_number("--dura-seed", get("dura_seed"), at_least=0)
+        select, scenarios = tuple(get("dura_select")), bool(get("dura_scenarios"))
+        list_only = bool(get("dura_list"))
+        if select and not (scenarios or list_only):
+            raise ConfigurationError(
+                "--dura-select chooses among scenario cases, and there are none without "
+                "--dura-scenarios",
+                key="--dura-select",
+                found=select[0],
+                remedy="add --dura-scenarios; choose test functions with -k",
+            )
+        given = [("--dura-path", path) for path in get("dura_path")]
+        for name in ("generator", "runs", "seed", "evidence"):
+            value = get(f"dura_{name}")
+            if value is not None:
+                given.append((f"--dura-{name}", str(value)))
+        return cls(
+            scenarios=scenarios,
+            paths=_paths(config),
+            select=select,
+            list_only=list_only,
+            generator=get("dura_generator"),
+            runs=runs,
+            seed=DEFAULT_SEED if seed is None else seed,
+            evidence=_evidence(config),
+            replay=get("dura_replay"),
+            warn_undecided=get("dura_undecided") == "warn",
+            given=tuple(given),
+            any_given=scenarios or bool(given),
+        )
+
+
+def _whole_number(option: str, text: Any, *, at_least: int) -> int | None:
+    if text is None:
+        return None
+    try:
+        number = int(str(text))
+    except ValueError:
+        number = at_least - 1
+    if number < at_least:
+        raise ConfigurationError(
+            f"{option} takes a whole number",
+            key=option,
+            found=text,
+            expected=f"a whole number of at least {at_least}",
+            remedy=f"for example {option}={max(at_least, 10)}",
+        )
+    return number
+
+
+def _paths(config: pytest.Config) -> tuple[Path, ...]:
+    """Where scenario files are, the built-in ones apart: ini setting, then ``--dura-path``."""
+    chosen = [("ini dura_scenario_paths", Path(path)) for path in config.getini("dura_scenario_paths")]
+    default = config.rootpath / "scenarios"
+    if not chosen and default.is_dir():
+        chosen.append(("ini dura_scenario_paths", default))
+    here = config.invocation_params.dir
+    chosen += [("--dura-path", here / path) for path in config.getoption("dura_path")]
+    for key, path in chosen:
+        if not path.exists():
+            raise ConfigurationError(
+                "there is no such directory",
+                key=key,
+                found=str(path),
+                expected="a directory with scenario or requirement files",
+                remedy="check the spelling; the path is relative to where pytest was started",
+            )
+    return tuple(path for _, path in chosen)
+
+
+def _evidence(config: pytest.Config) -> Path:
+    given = config.getoption("dura_evidence")
+    folder = Path(config.invocation_params.dir, given) if given else config.rootpath / DEFAULT_EVIDENCE
+    if folder.exists() and not folder.is_dir():
+        raise ConfigurationError(
+            "the evidence goes into a directory, and this is a file",
+            key="--dura-evidence",
+            found=str(folder),
+            expected="a directory, which is made if it does not exist",
+            remedy="choose another path",
+        )
+    return folder

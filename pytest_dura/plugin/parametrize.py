@@ -1,0 +1,181 @@
+"""One test per case and run, or per case, from the marker ``dura``."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, get_args
+
+import pytest
+
+from pytest_dura.core.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from pytest_dura.campaign.cases import Case
+    from pytest_dura.plugin.session import DuraSession
+    from pytest_dura.requirements.model import Requirement
+
+
+@dataclass(frozen=True)
+class Target:
+    """What a parametrized test looks at: a case, and a run where it looks at one episode."""
+
+    case: Case
+    run: int
+    planned: int
+    requirement: Requirement | None
+
+
+def parametrize(session: DuraSession, metafunc: pytest.Metafunc) -> None:
+    """Parametrize a test that uses our fixtures.
+
+    Raises:
+        pytest.Collector.CollectError: For a marker that cannot be used, at the test's place.
+    """
+    looked_at = [name for name in ("episode", "campaign") if name in metafunc.fixturenames]
+    definition = metafunc.definition
+    marker = definition.get_closest_marker("dura")
+    try:
+        if marker is None:
+            if looked_at:
+                raise _no_marker(looked_at[0])
+            return
+        requirements = marked_requirements(session, definition)
+        targets = _targets(session, marker, requirements, each_run="episode" in looked_at)
+    except ConfigurationError as error:
+        from pytest_dura.campaign.problems import placed
+
+        file, line, _ = definition.location
+        told = placed(error, file=file, line=None if line is None else line + 1)
+        raise pytest.Collector.CollectError(str(told)) from None
+    if looked_at:
+        metafunc.parametrize(
+            ",".join(looked_at),
+            [(target,) * len(looked_at) if len(looked_at) > 1 else target for target, _ in targets],
+            ids=[name for _, name in targets],
+            indirect=True,
+        )
+
+
+def marked_requirements(session: DuraSession, node: pytest.Item) -> list[Requirement]:
+    """The requirements that a test's markers name, the closest first.
+
+    Raises:
+        ConfigurationError: For a marker that cannot be used, and a requirement without a text.
+    """
+    return [_requirement(session, marker) for marker in node.iter_markers("requirement")]
+
+
+def _requirement(session: DuraSession, marker: pytest.Mark) -> Requirement:
+    from pytest_dura.campaign.problems import did_you_mean
+    from pytest_dura.requirements.model import Kind, Requirement
+
+    given = _arguments(marker, _requirement_marker)
+    name = given["id"]
+    known = session.library().requirements
+    if name in known and given["text"] is None:
+        return known[name]
+    if given["text"] is None:
+        raise ConfigurationError(
+            f"the requirement {name!r} has no text",
+            key="pytest.mark.requirement",
+            found=name,
+            expected="a requirement of the files, or a text in the marker",
+            remedy=f'{did_you_mean(str(name), known)} Or say what it asks for: requirement("{name}", '
+            'text="...")',
+        )
+    if given["kind"] not in get_args(Kind):
+        raise ConfigurationError(
+            f"there is no kind of requirement {given['kind']!r}",
+            key="pytest.mark.requirement",
+            found=given["kind"],
+            expected="one of " + ", ".join(get_args(Kind)),
+            remedy="correct the kind",
+        )
+    return Requirement(str(name), str(given["text"]), given["kind"], str(given["source"]))
+
+
+def _targets(
+    session: DuraSession, marker: pytest.Mark, requirements: list[Requirement], *, each_run: bool
+) -> list[tuple[Target, str]]:
+    given = _arguments(marker, _dura_marker)
+    cases = _cases(session, given["scenario"], given["faults"])
+    requirement = requirements[0] if requirements else None
+    targets = []
+    for case in cases:
+        planned = session.options.runs or _runs(given["runs"]) or case.scenario.runs
+        for run in range(planned) if each_run else [0]:
+            name = f"{case.id}#{run}" if each_run else case.id
+            targets.append((Target(case, run, planned, requirement), name))
+    return targets
+
+
+def _cases(session: DuraSession, scenario: Any, faults: Any) -> list[Case]:
+    from pytest_dura.campaign.cases import expand_cases
+    from pytest_dura.campaign.loading import select
+
+    names = [scenario] if isinstance(scenario, str) else scenario
+    if not isinstance(names, Sequence) or not names or not all(isinstance(n, str) for n in names):
+        raise _wrong("scenario", scenario, "a scenario's name or glob, or a list of them")
+    if isinstance(faults, str):
+        faults = [faults]
+    if faults is not None and not isinstance(faults, Sequence):
+        raise _wrong("faults", faults, 'a list such as ["none", "ghost-obstacle"]')
+    scenarios = session.library().scenarios
+    chosen = {name: scenarios[name] for name in select(scenarios, names)}
+    return expand_cases(chosen, faults)
+
+
+def _runs(value: Any) -> int | None:
+    if value is not None and (not isinstance(value, int) or isinstance(value, bool) or value < 1):
+        raise _wrong("runs", value, "a whole number of at least 1")
+    return value
+
+
+def _wrong(key: str, found: Any, expected: str) -> ConfigurationError:
+    return ConfigurationError(
+        f"the marker dura cannot be used: wrong `{key}`",
+        key=f"pytest.mark.dura({key}=)",
+        found=found,
+        expected=expected,
+        remedy=f"correct `{key}`",
+    )
+
+
+def _no_marker(fixture: str) -> ConfigurationError:
+    return ConfigurationError(
+        f"the fixture `{fixture}` needs to know which scenario to run",
+        key="pytest.mark.dura",
+        expected='a marker such as @pytest.mark.dura(scenario="intersection/nominal")',
+        remedy="add the marker, or use the fixture `orchestrator`",
+    )
+
+
+def _dura_marker(scenario: Any, faults: Any = None, runs: Any = None) -> None:
+    """The signature of the marker ``dura``."""
+
+
+def _requirement_marker(id: Any, text: Any = None, kind: Any = "safety", source: Any = "") -> None:  # noqa: A002
+    """The signature of the marker ``requirement``."""
+
+
+def _arguments(marker: pytest.Mark, signature: Any) -> dict[str, Any]:
+    """The marker's arguments by name, defaults filled in."""
+    known = inspect.signature(signature)
+    try:
+        bound = known.bind(*marker.args, **marker.kwargs)
+    except TypeError as error:
+        from pytest_dura.campaign.problems import did_you_mean
+
+        wrong = sorted(set(marker.kwargs) - set(known.parameters))
+        remedy = did_you_mean(wrong[0], known.parameters) if wrong else "add what is missing"
+        raise ConfigurationError(
+            f"the marker {marker.name} cannot be used: {error}",
+            key=f"pytest.mark.{marker.name}",
+            found=", ".join([*map(repr, marker.args), *sorted(marker.kwargs)]) or "nothing",
+            expected=f"{marker.name}({', '.join(known.parameters)})",
+            remedy=remedy,
+        ) from None
+    bound.apply_defaults()
+    return dict(bound.arguments)

@@ -1,0 +1,37 @@
+"""Progress while a campaign runs: a counter behind the line that pytest is writing."""
+
+from __future__ import annotations
+
+import sys
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from pytest_dura.campaign.cases import Case
+    from pytest_dura.plugin.session import DuraSession
+
+SAVE, RESTORE, CLEAR = "\x1b7", "\x1b8", "\x1b[K"
+
+
+class Progress:
+    """Shows how many runs of a case are done, where there is a terminal to show it on."""
+
+    def __init__(self, session: DuraSession) -> None:
+        self.enabled = session.shows_progress
+        self._capture = session.config.pluginmanager.getplugin("capturemanager")
+
+    def show(self, case: Case, done: int, planned: int) -> None:
+        """Write the counter, and wipe it when the last run is done."""
+        if not self.enabled:
+            return
+        text = "" if done >= planned else f"  {case.id} {done}/{planned}"
+        if self._capture is None:
+            _write(text)
+            return
+        with self._capture.global_and_fixture_disabled():
+            _write(text)
+
+
+def _write(text: str) -> None:
+    # The cursor returns to where it was, so that pytest goes on writing its own line.
+    sys.stdout.write(f"{SAVE}{text}{CLEAR}{RESTORE}")
+    sys.stdout.flush()

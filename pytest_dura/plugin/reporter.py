@@ -1,0 +1,198 @@
+"""Reporter: collects what the current item used and decided, and attaches it to its report."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.plugin.commands import replay_command
+
+if TYPE_CHECKING:
+    from pytest_dura.campaign.cases import Case
+    from pytest_dura.core.roles import RoleSpec
+    from pytest_dura.evidence.record import ItemReport
+    from pytest_dura.plugin.parametrize import Target
+    from pytest_dura.plugin.session import DuraSession
+    from pytest_dura.requirements.campaigns import CampaignVerdict
+    from pytest_dura.requirements.episodes import EpisodeWord
+    from pytest_dura.requirements.verdicts import JudgedEpisode
+
+ATTRIBUTE = "dura"
+"""Of a test report. pytest and xdist carry further attributes along, and unlike
+``user_properties`` they do not end up in JUnit files, where kilobytes per test have no place."""
+
+
+class Reporter:
+    """Works in whichever process runs the items.
+
+    Args:
+        session: The session of this process.
+    """
+
+    def __init__(self, session: DuraSession) -> None:
+        self.session = session
+        self._pending: ItemReport | None = None
+        self._told: set[tuple[int, bool]] = set()
+        self._components: dict[str, dict[str, Any]] = {}
+
+    def episode_used(self, case: Case, episode: JudgedEpisode, planned: bool) -> None:
+        """An item looked at an episode; ``planned`` if it is one of the case's own runs."""
+        from pytest_dura.evidence.episodes import episode_record
+
+        generator = episode.spec.roles["generator"]
+        self._case_used(case, generator, episode.spec.run + 1 if planned else 0)
+        # The bench keeps its episodes, so that their identity is theirs alone.
+        if (id(episode), planned) not in self._told:
+            self._told.add((id(episode), planned))
+            self._report.episodes.append(episode_record(episode, planned=planned))
+
+    def verdict_reached(self, verdict: CampaignVerdict, check: str) -> None:
+        """A campaign was judged."""
+        self._report.verdicts.append({**verdict.to_json(), "check": check})
+        self._planned(verdict.case, verdict.component, verdict.planned)
+
+    def body_passed(self, item: pytest.Function) -> None:
+        """A test on one episode passed: does the episode carry that?"""
+        episode = item.funcargs["episode"]
+        if not hasattr(episode, "validity") or not hasattr(item, "callspec"):
+            return  # a fixture of the user's own that happens to have this name
+        if episode.failure is not None:
+            pytest.fail(f"{episode.failure} (in {episode.id})", pytrace=False)
+        if episode.validity == "invalid":
+            message = f"invalid: {episode.id}: {episode.invalid_reason}"
+            if self.session.options.warn_undecided:
+                pytest.skip(message)
+            pytest.fail(message, pytrace=False)
+
+    def attach(
+        self, item: pytest.Item, call: pytest.CallInfo[None], report: pytest.TestReport
+    ) -> None:
+        """Put what the item told on its report, as JSON."""
+        if call.when == "call" and self._target(item) is not None:
+            self._test_outcome(item, call, report)
+        if self._pending is None:
+            return
+        told, self._pending = self._pending, None
+        told.item = item.nodeid
+        if told:
+            setattr(report, ATTRIBUTE, json.dumps(told.to_json(), allow_nan=False))
+
+    @property
+    def _report(self) -> ItemReport:
+        if self._pending is None:
+            from pytest_dura.evidence.record import ItemReport
+
+            self._pending = ItemReport("")
+        return self._pending
+
+    def _case_used(self, case: Case, generator: RoleSpec, planned: int) -> None:
+        from pytest_dura.evidence.environment import describe_component
+
+        report = self._report
+        component = generator.label
+        if component not in self._components:
+            factory = type(generator.instance) if generator.opaque else generator.factory()
+            described = describe_component(generator.path, factory, generator.params)
+            described |= {"name": component, "opaque": generator.opaque}
+            self._components[component] = described
+        if self._components[component] not in report.components:
+            report.components.append(self._components[component])
+        if not any((one["id"], one["component"]) == (case.id, component) for one in report.cases):
+            report.cases.append(case_record(case, component, planned))
+            for requirement in self._requirements(case):
+                if requirement not in report.requirements:
+                    report.requirements.append(requirement)
+        self._planned(case.id, component, planned)
+
+    def _planned(self, case: str, component: str, planned: int) -> None:
+        for one in self._report.cases:
+            if (one["id"], one["component"]) == (case, component):
+                one["planned"] = max(one["planned"], planned)
+
+    def _requirements(self, case: Case) -> list[dict[str, Any]]:
+        known = self.session.library().requirements
+        return [known[name].to_json() for name in case.requirements]
+
+    def _target(self, item: pytest.Item) -> Target | None:
+        """The run that a test looks at, if it looks at one."""
+        parameters = getattr(getattr(item, "callspec", None), "params", {})
+        target = parameters.get("episode")
+        return target if hasattr(target, "planned") else None
+
+    def _test_outcome(
+        self, item: pytest.Item, call: pytest.CallInfo[None], report: pytest.TestReport
+    ) -> None:
+        """What a test on one episode means for the requirements in its markers."""
+        target, episode = self._target(item), getattr(item, "funcargs", {}).get("episode")
+        if target is None or episode is None:
+            return
+        from pytest_dura.plugin.parametrize import marked_requirements
+
+        self._planned(target.case.id, episode.spec.component, target.planned)
+        error = None if call.excinfo is None else call.excinfo.value
+        if error is not None:
+            command = replay_command(self.session, episode.id)
+            report.sections.append(("dura", f"{episode.id}, replay: {command}"))
+        for requirement in marked_requirements(self.session, item):
+            if requirement.to_json() not in self._report.requirements:
+                self._report.requirements.append(requirement.to_json())
+            told = _episode_verdict(requirement, episode, error)
+            self._report.outcomes.append(
+                {**told, "case": target.case.id, "planned": target.planned}
+            )
+
+
+def case_record(case: Case, component: str, planned: int) -> dict[str, Any]:
+    """A case as the evidence holds it."""
+    return {
+        "id": case.id,
+        "scenario": case.scenario.name,
+        "faults": [dict(fault) for fault in case.faults],
+        "component": component,
+        "requirements": list(case.requirements),
+        "planned": planned,
+    }
+
+
+def _episode_verdict(
+    requirement: Any, episode: JudgedEpisode, error: BaseException | None
+) -> dict[str, Any]:
+    """The verdict of a test on an episode: by its outcome, and by the requirement's own check."""
+    word, detail = _word(episode, error)
+    margin = time = None
+    if requirement.check:
+        from pytest_dura.requirements.episodes import judge_episode
+
+        try:
+            judged = judge_episode(requirement, episode)
+        except ConfigurationError:  # the check is about signals of another domain
+            judged = None
+        if judged is not None and judged.verdict == "violated" and error is not None:
+            word, margin, time = "violated", judged.margin, judged.time
+    return {
+        "requirement": requirement.id,
+        "episode": episode.id,
+        "component": episode.spec.component,
+        "verdict": word,
+        "margin": margin,
+        "time": time,
+        "detail": detail,
+        "proposals": episode.metrics.proposals,
+        "valid_proposals": episode.metrics.valid_proposals,
+    }
+
+
+def _word(episode: JudgedEpisode, error: BaseException | None) -> tuple[EpisodeWord, str]:
+    first = str(error).partition("\n")[0] if error is not None else ""
+    if episode.failure is not None:
+        return "missing", episode.failure
+    if error is None:
+        return "satisfied", ""
+    if first.startswith("invalid: ") or isinstance(error, pytest.skip.Exception):
+        return "invalid", first
+    if isinstance(error, (AssertionError, pytest.fail.Exception)):
+        return "violated", first
+    return "missing", f"infrastructure: the test raised {type(error).__name__}: {first}"

@@ -1,0 +1,296 @@
+"""DuraSession: what a pytest session knows of us, made when it is first needed."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.plugin.evidence import SessionEvidence
+from pytest_dura.plugin.options import Options
+from pytest_dura.plugin.overrides import root_conftest_with
+from pytest_dura.plugin.reporter import Reporter
+
+if TYPE_CHECKING:
+    from pytest_dura.campaign.cases import Case
+    from pytest_dura.campaign.loading import Library
+    from pytest_dura.campaign.runner import Bench
+    from pytest_dura.core.roles import RoleSpec
+
+
+@dataclass(frozen=True)
+class Planned:
+    """A case whose requirements become scenario items."""
+
+    case: Case
+    requirements: tuple[str, ...]
+
+
+class DuraSession:
+    """Options, scenarios, the bench and the plan of one pytest session.
+
+    Args:
+        config: The session's configuration.
+    """
+
+    def __init__(self, config: pytest.Config) -> None:
+        self.config = config
+        self.is_worker = hasattr(config, "workerinput")
+        self.plan: list[Planned] = []
+        self.reporter = Reporter(self)
+        self.evidence = SessionEvidence(self)
+        self._own_arguments: set[str] = set()
+        self._library: Library | ConfigurationError | None = None
+        self._defaults: dict[str, RoleSpec] = {}
+
+    @cached_property
+    def options(self) -> Options:
+        """The checked options.
+
+        Raises:
+            pytest.UsageError: For a value that cannot be used.
+        """
+        with usage_errors():
+            return Options.of(self.config)
+
+    @property
+    def active(self) -> bool:
+        """Whether the session was asked for something of ours."""
+        return self.options.any_given or bool(self._own_arguments)
+
+    @property
+    def shows_progress(self) -> bool:
+        """Whether this process has a terminal whose user wants to see something."""
+        reporter = self.config.pluginmanager.getplugin("terminalreporter")
+        distributed = bool(self.config.getoption("numprocesses", None))
+        if self.is_worker or distributed or reporter is None:
+            return False
+        return bool(reporter.isatty) and self.config.get_verbosity() >= 0
+
+    def run_command(self) -> int | None:
+        """The exit code of ``--dura-list`` or ``--dura-replay``, ``None`` without either."""
+        if self.options.replay is not None:
+            from pytest_dura.plugin.replay import replay
+
+            with usage_errors():
+                return replay(self.config, self.options)
+        if self.options.list_only:
+            from pytest_dura.plugin.listing import show_list
+
+            with usage_errors():
+                self._make_plan()
+                return show_list(self)
+        return None
+
+    def start(self) -> None:
+        """Check everything that can be checked before something runs, and plan.
+
+        Raises:
+            pytest.UsageError: For options and files that cannot be used.
+        """
+        with usage_errors():
+            self._check_generator()
+            self._make_plan()
+            if self.active:
+                self.evidence.start()
+
+    def take_arguments(self) -> None:
+        """Leave to pytest the arguments that name files, and none if scenarios run alone."""
+        config = self.config
+        if self._own_arguments:
+            config.args = [one for one in config.args if one not in self._own_arguments]
+        elif self.options.scenarios and config.args_source is not config.ArgsSource.ARGS:
+            config.args = []
+
+    def library(self) -> Library:
+        """All scenarios and requirements, read at the first call.
+
+        Raises:
+            ConfigurationError: For files that cannot be used; the same one at every call.
+        """
+        if self._library is None:
+            from pytest_dura.campaign.loading import load_library
+
+            try:
+                self._library = load_library(self.options.paths)
+            except ConfigurationError as error:
+                self._library = error
+        if isinstance(self._library, ConfigurationError):
+            raise self._library.with_traceback(None)
+        return self._library
+
+    @cached_property
+    def bench(self) -> Bench:
+        """What runs episodes. Its roles follow the fixtures that the current item sees."""
+        from pytest_dura.campaign.runner import Bench
+        from pytest_dura.plugin.progress import Progress
+
+        return Bench(
+            self.library,
+            self.options.seed,
+            roles=self.chosen_roles(),
+            runs=self.options.runs,
+            on_episode=self.reporter.episode_used,
+            on_progress=Progress(self).show,
+            on_verdict=self.reporter.verdict_reached,
+        )
+
+    def default_role(self, role: str) -> RoleSpec:
+        """What a role's fixture returns unless it is overridden; the same object at every call."""
+        if role not in self._defaults:
+            from pytest_dura.campaign.components import generator_option
+            from pytest_dura.campaign.domains import DOMAINS
+            from pytest_dura.core.roles import RoleSpec
+
+            driving, option = DOMAINS["driving"], self.options.generator
+            if role == "simulator":
+                spec = RoleSpec(driving.simulator)
+            elif role == "generator" and option is not None:
+                spec = generator_option(option)
+            else:
+                spec = RoleSpec(driving.roles[role])
+            self._defaults[role] = spec
+        return self._defaults[role]
+
+    def chosen_roles(self) -> dict[str, RoleSpec | None]:
+        """The roles that options put in place of the scenarios' and domains' own."""
+        if self.options.generator is None:
+            return {}
+        return {"generator": self.default_role("generator")}
+
+    def use_roles(self, given: dict[str, Any]) -> None:
+        """Let the bench run what the role fixtures of an item returned.
+
+        Raises:
+            ConfigurationError: For something that is no such role, and for a generator that is
+                given twice.
+        """
+        from pytest_dura.campaign.components import given_role
+
+        overridden = {
+            role: given_role(role, value)
+            for role, value in given.items()
+            if value is not self.default_role(role)
+        }
+        if "generator" in overridden and self.options.generator is not None:
+            raise given_twice("a fixture")
+        self.bench.simulator = overridden.pop("simulator", None)
+        self.bench.roles = self.chosen_roles() | overridden
+
+    def _check_generator(self) -> None:
+        if self.options.generator is None:
+            return
+        self.default_role("generator")
+        conftest = root_conftest_with(self.config, "generator")
+        if conftest is not None:
+            raise given_twice(f"the fixture `generator` in {conftest}")
+
+    def _make_plan(self) -> None:
+        chosen = self._scenario_arguments()
+        self._own_arguments = set(chosen)
+        if not (self.options.scenarios or self.options.list_only or chosen):
+            return
+        from pytest_dura.campaign.cases import expand_cases
+
+        library = self.library()
+        cases = {case.id: case for case in expand_cases(library.scenarios)}
+        # A case of our own arguments may have other faults than its scenario.
+        wanted = dict.fromkeys(name for name, _ in chosen.values())
+        cases |= {name: self.bench.case(name) for name in wanted if name not in cases}
+        if self.options.select:
+            kept = {case.id for case in expand_cases(library.scenarios, select=self.options.select)}
+            cases = {name: case for name, case in cases.items() if name in kept}
+        for name in sorted(cases):
+            case = cases[name]
+            requirements = [
+                requirement
+                for requirement in case.requirements
+                if not chosen or any(_matches(one, name, requirement) for one in chosen.values())
+            ]
+            if requirements:
+                self.plan.append(Planned(case, tuple(requirements)))
+
+    def _scenario_arguments(self) -> dict[str, tuple[str, str]]:
+        """Arguments that name scenario items, as ``(case, requirement)``; "" stands for all."""
+        if self.config.args_source is not self.config.ArgsSource.ARGS:
+            return {}
+        found = {}
+        for argument in self.config.args:
+            path, _, requirement = argument.partition("::")
+            if path.endswith(".py") or os.path.lexists(self.config.invocation_params.dir / path):
+                continue
+            name = self._case_name(path)
+            if name is not None:
+                found[argument] = (name, self._requirement_name(name, requirement))
+        return found
+
+    def _case_name(self, path: str) -> str | None:
+        """The case that an argument names which is no file, if there is such a case."""
+        try:
+            library = self.library()
+        except ConfigurationError:
+            # Whoever misspelt a path and has nothing to do with us should hear of the path.
+            if self.options.any_given:
+                raise
+            return None
+        # Terminal lines are relative to where pytest was started.
+        absolute = os.path.normpath(self.config.invocation_params.dir / path)
+        relative = os.path.relpath(absolute, self.config.rootpath).replace(os.sep, "/")
+        for name in (path, relative):
+            if name.partition("+")[0] in library.scenarios:
+                return self.bench.case(name).id
+        return None
+
+    def _requirement_name(self, name: str, requirement: str) -> str:
+        known = self.bench.case(name).requirements
+        if requirement and requirement not in known:
+            from pytest_dura.campaign.problems import did_you_mean
+
+            raise ConfigurationError(
+                f"the case {name!r} has no requirement {requirement!r}",
+                found=f"{name}::{requirement}",
+                expected="one of " + ", ".join(known) if known else "a case with requirements",
+                remedy=did_you_mean(requirement, known),
+            )
+        return requirement
+
+
+def _matches(chosen: tuple[str, str], case: str, requirement: str) -> bool:
+    return chosen[0] == case and chosen[1] in ("", requirement)
+
+
+def given_twice(where: str) -> ConfigurationError:
+    """The component under test is named twice."""
+    return ConfigurationError(
+        "the component under test is given twice",
+        key="--dura-generator",
+        found=f"--dura-generator and {where}",
+        expected="one of them",
+        remedy="drop the option, or the fixture",
+    )
+
+
+class usage_errors:  # noqa: N801 - reads like a statement
+    """Context in which a configuration error becomes a usage error: one message, exit code 4."""
+
+    def __enter__(self) -> None:
+        """Nothing to prepare."""
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        """Translate."""
+        if isinstance(error, ConfigurationError):
+            raise pytest.UsageError(str(error)) from None
+
+
+_KEY = pytest.StashKey[DuraSession]()
+
+
+def session_of(config: pytest.Config) -> DuraSession:
+    """The one object of a configuration, made at the first call."""
+    if _KEY not in config.stash:
+        config.stash[_KEY] = DuraSession(config)
+    return config.stash[_KEY]

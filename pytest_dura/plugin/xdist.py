@@ -1,0 +1,16 @@
+"""How pytest-xdist spreads our items over its workers."""
+
+from __future__ import annotations
+
+from xdist.scheduler import LoadScopeScheduling
+
+
+class CaseScheduling(LoadScopeScheduling):  # type: ignore[misc, unused-ignore]
+    """Load balancing with the items of one case as the unit; any other item is a unit of its own."""
+
+    def _split_scope(self, nodeid: str) -> str:
+        name, bracket, parameters = nodeid.partition("[")
+        if bracket:
+            # A test on runs or cases: `name[intersection/nominal#3]`, maybe among other parameters.
+            return parameters.partition("#")[0].rstrip("]")
+        return name if ".py::" in name else name.rpartition("::")[0]
