@@ -122,6 +122,10 @@ class Pedestrian(Obstacle):
         self.position = self.position + self.speed * dt * self.direction
         self.walked += self.speed * dt
 
+    def clearance(self) -> float:
+        """Metres beside a path within which a driver stops: more while the pedestrian walks."""
+        return 3.5 if self.speed > 0.0 else 2.0
+
     def _blocked_by(self, vehicle: Any) -> bool:
         ahead = self.position + 1.0 * self.direction
         offset = ahead - vehicle.position
@@ -187,6 +191,11 @@ class JunctionRoad(Road):
                 limit = min(limit, _follow(me, distance, other.speed))
             elif near and not committed and not must_stop:
                 must_stop = self._must_yield(me, other)
+        for person in self.objects:
+            s, lateral = me.plan.project(*person.position.tolist())
+            if 0.0 < s - me.s < _LOOK_AHEAD and abs(lateral) < person.clearance():
+                # A pedestrian's centre is nearer to its edge than a car's, which IDM reckons with.
+                limit = min(limit, _follow(me, s - me.s + CAR_LENGTH / 2 - 1.0, 0.0))
         if must_stop:
             limit = min(limit, _follow(me, stop_distance + CAR_LENGTH + 2.0, 0.0))
         return limit

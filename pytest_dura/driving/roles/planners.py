@@ -21,7 +21,6 @@ from pytest_dura.driving.maneuvers import (
     acceleration_for,
     braking_distance,
     stop_at,
-    track_speed,
 )
 from pytest_dura.driving.radar import with_unexplained_returns
 from pytest_dura.driving.scene import HALF, InLane, Scene, crossing, time_to_cover
@@ -44,7 +43,7 @@ class RuleBased(Generator):
     CANDIDATES = (3.5, 2.0, 0.0, -3.0, -8.0)
     """Accelerations in m/s2 that are compared once the stop line is crossed."""
 
-    KERB_SPEED = 4.5
+    KERB_SPEED = 4.0
     """m/s; from it the car stops within the second that a pedestrian needs to reach its path."""
 
     def __init__(self, margin: float = 1.5, separation: float = 1.0) -> None:
@@ -165,8 +164,8 @@ class RuleBased(Generator):
             if room < -1.5 - HALF or abs(lateral) > 7.5:
                 continue
             if room > -1.5:  # may step off at any moment
-                cautious = math.sqrt(self.KERB_SPEED**2 + 2.0 * 2.0 * max(room, 0.0))
-                slowest = min(slowest, track_speed(cautious, scene.speed, 2.0))
+                cautious = math.sqrt(self.KERB_SPEED**2 + 2.0 * 1.5 * max(room - 1.0, 0.0))
+                slowest = min(slowest, max(min(3.0 * (cautious - scene.speed), 2.0), -4.0))
             heading = float(scene.route.pose(s)[2])
             sideways = body.vy * math.cos(heading) - body.vx * math.sin(heading)
             on_path = abs(lateral) < 2.0
