@@ -70,7 +70,7 @@ class Route:
     @cached_property
     def grid(self) -> Floats:
         """Sampled ``s, x, y, heading`` every half metre, shape ``(n, 4)``."""
-        s = np.arange(0.0, self.length + _SPACING / 2, _SPACING)
+        s = np.append(np.arange(0.0, self.length, _SPACING), self.length)
         t = np.clip((s - ARM_LENGTH) / self.inside, 0.0, 1.0)
         before, after = np.minimum(s, ARM_LENGTH), np.maximum(s - self.exit, 0.0)
         # In the frame of the south arm: driving up (towards -y) on x = 2, then turning.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
@@ -72,11 +71,15 @@ class Command:
             return cls(maneuver)
         if isinstance(acceleration, bool) or not isinstance(acceleration, Real):
             raise ActionError(f"an acceleration is a number of m/s2, not {_name(acceleration)}")
-        if not abs(acceleration) <= sys.float_info.max:
+        try:
+            number = float(acceleration)
+        except OverflowError:  # an int of hundreds of digits
+            number = math.inf
+        if not math.isfinite(number):
             raise ActionError(
                 f"the acceleration is {shorten(acceleration)}, not a finite number of m/s2"
             )
-        return cls(maneuver, float(acceleration))
+        return cls(maneuver, number)
 
     def __str__(self) -> str:
         return self.maneuver.value
