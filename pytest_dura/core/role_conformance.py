@@ -105,11 +105,12 @@ class _Kit:
             first = self._outputs(role, self.context)
             again = self._outputs(other, self.context)
             self._compare(first, again, "another instance", PURE)
+            forget = "forget everything in reset"
+            again = self._outputs(role, self.context)
+            self._compare(first, again, "the same instance, reset again", forget)
             self._outputs(role, replace(self.context, seed=self.context.seed + 1))
             again = self._outputs(role, self.context)
-            self._compare(
-                first, again, "the same instance, reset again", "forget everything in reset"
-            )
+            self._compare(first, again, "the same instance, after another seed", forget)
         if self.world is not None:
             self.world.close()
 

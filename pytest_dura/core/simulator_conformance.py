@@ -336,13 +336,13 @@ class _Kit:
             simulator.render()  # a renderer must not stand in the way
         snapshot = simulator.snapshot()
         rest = self.actions[middle : len(reference.ticks) - 1]
-        for attempt in ("the first", "the second"):
+        for attempt in ("the run on from", "the first return to", "the second return to"):
             expected = reference.copies[middle + 1 :]
             for action, copy in zip(rest, expected, strict=True):
                 tick = simulator.step(simulator.check_action(action))
                 if (path := first_difference(copy, leaves(tick))) is not None:
                     self.findings.breach(
-                        f"{attempt} run from a snapshot differs at tick {tick.index} in {path}",
+                        f"{attempt} a snapshot differs at tick {tick.index} in {path}",
                         "snapshot all state, random generators included, and restore copies of it",
                     )
                     return

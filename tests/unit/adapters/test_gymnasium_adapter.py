@@ -129,6 +129,12 @@ def test_a_tick_holds_truth_and_sensors_of_its_own_instant() -> None:
     assert columns["reward"].dtype == np.float64
 
 
+def test_the_seed_of_the_episode_seeds_the_environment() -> None:
+    simulator = tank()
+    levels = [simulator.reset({}, seed).truth["level"] for seed in (0, 1, 0)]
+    assert levels[0] == levels[2] != levels[1]
+
+
 def test_numeric_channels_are_percept_signals_and_nan_where_they_are_gone() -> None:
     simulator = tank()
     tick = simulator.reset({}, 0)

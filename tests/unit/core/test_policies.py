@@ -15,6 +15,7 @@ from pytest_dura import (
     ConfigurationError,
     Policy,
     Proposal,
+    Role,
     SafetyMonitor,
     SecurityAssessment,
     SecurityAssessor,
@@ -162,3 +163,31 @@ def test_a_component_that_fails_can_still_refine() -> None:
     episode = run_loop(answers, policy="refine(1)", seconds=0.1, recovery_planner=SwitchOff())
     assert answers.views[1].feedback == ("the component made no valid proposal",)
     assert episode.decisions["executed"].tolist() == ["50%"]
+
+
+def test_a_verdict_on_an_earlier_proposal_does_not_stick_to_one_that_was_not_assessed() -> None:
+    answers = Says(lambda view: None if view.feedback else Proposal(1.0))
+    episode = run_loop(
+        answers,
+        policy="refine(1)",
+        seconds=0.1,
+        safety_monitor=HeatMonitor(),
+        recovery_planner=SwitchOff(),
+        spec=HOT,
+    )
+    (event,) = (e for e in episode.events if e.kind == "recovery")
+    assert event.detail == "the component made no valid proposal"
+
+
+def test_a_users_role_may_take_its_verdict_back_by_saying_something_else() -> None:
+    unsafe = Assessment(Assessed.UNSAFE, -1.0, ("too loud",))
+    critic = doing(Role, lambda view: unsafe if view.proposal.action > 0.5 else 5)
+    episode = run_loop(
+        Says(lambda view: Proposal(0.5 if view.feedback else 1.0)),
+        policy="refine(1)",
+        seconds=0.1,
+        critic=critic,
+        recovery_planner=SwitchOff(),
+    )
+    assert episode.decisions["executed"].tolist() == ["50%"]
+    assert episode.decisions["verdict"].tolist() == [0]

@@ -117,6 +117,31 @@ class Keeps(Generator):
         return Proposal(min(self.total, 1.0))
 
 
+class KeepsItsStream(Generator):
+    """Draws on where it was, unless the seed is another one."""
+
+    seed: int | None = None
+
+    def reset(self, context: RoleContext) -> None:
+        if context.seed != self.seed:
+            self.seed, self.draws = context.seed, stream(context.seed, "generator")
+
+    def propose(self, view: GeneratorView) -> Proposal:
+        return Proposal(float(self.draws.random()))
+
+
+class KeepsTheWorst(Generator):
+    """Remembers the largest seed."""
+
+    worst = 0
+
+    def reset(self, context: RoleContext) -> None:
+        self.worst = max(self.worst, context.seed)
+
+    def propose(self, view: GeneratorView) -> Proposal:
+        return Proposal(float(self.worst))
+
+
 numbers = count()
 
 
@@ -211,6 +236,8 @@ class TriggerSaysNone(NightWatch):
     "kind, breach",
     [
         (Keeps, "the same instance, reset again gives another output at view 0: .action"),
+        (KeepsItsStream, "the same instance, reset again gives another output at view 0"),
+        (KeepsTheWorst, "the same instance, after another seed gives another output at view 0"),
         (Counts, "another instance gives another output at view 0: .action"),
         (TooStrong, "its action is none of this simulator's: 2.0 is not a heating power"),
         (SaysFloat, "propose returned float, not a Proposal"),
@@ -247,6 +274,7 @@ def test_a_role_that_writes_into_the_percept_is_found_out() -> None:
 def test_wall_clock_values_may_differ() -> None:
     class Timer(PerformanceOracle):
         def run(self, view: Any) -> PerformanceAssessment:
-            return PerformanceAssessment({}, {"s": float(next(numbers))}, ("s",))
+            number = next(numbers)
+            return PerformanceAssessment({}, {"s": float(number)}, ("s",) if number % 3 else ())
 
     check_role(Timer, simulator=Thermostat)

@@ -231,6 +231,42 @@ class OneUse(Thermostat):
         vars(self).update(snapshot)
 
 
+class TwoUses(Thermostat):
+    """Copies when it takes a snapshot, and hands over that very copy."""
+
+    def restore(self, snapshot: Any) -> None:
+        vars(self).update(snapshot)
+
+
+class NumpyIndex(Thermostat):
+    def _tick(self, events: Any) -> Tick:
+        tick = super()._tick(events)
+        return replace(tick, index=np.int64(tick.index))
+
+
+class CriticalFlag(Thermostat):
+    def _tick(self, events: Any) -> Tick:
+        return replace(super()._tick(events), critical=False)
+
+
+class CopiesGlobal(Thermostat):
+    """Reads the global generator without moving it on."""
+
+    def step(self, action: Any) -> Tick:
+        copy = random.Random()
+        copy.setstate(random.getstate())
+        self._temperature += copy.random()
+        return super().step(action)
+
+
+class DriftingSignal(Thermostat):
+    calls = 0
+
+    def signals(self, ticks: Any) -> Any:
+        DriftingSignal.calls += 1
+        return {"gap": np.full(len(ticks), float(DriftingSignal.calls))}
+
+
 class Black(Thermostat):
     def render(self) -> Any:
         return np.zeros((4, 6, 3), dtype=np.uint8)
@@ -308,8 +344,13 @@ class OddEvent(Thermostat):
         (RaisesTypeError, "check_action(None) raises TypeError"),
         (AddressInText, "describe_action gives '<object object at 0x"),
         (BadFallback, "fallback action: raised TypeError"),
-        (Forgets, "the second run from a snapshot differs at tick 5"),
-        (OneUse, "the second run from a snapshot differs at tick 5"),
+        (Forgets, "the first return to a snapshot differs at tick 5"),
+        (OneUse, "the first return to a snapshot differs at tick 5"),
+        (TwoUses, "the second return to a snapshot differs at tick 5"),
+        (NumpyIndex, "tick number 0 has the index np.int64(0)"),
+        (CriticalFlag, "critical is False at tick 0"),
+        (CopiesGlobal, "another instance differs at tick 1 in .truth['temperature']"),
+        (DriftingSignal, "another instance has another signal ['gap']"),
         (Black, "the rendered picture is all black"),
         (Grey, "render gives float64 (4, 6)"),
         (RenderMoves, "with rendering differs at tick 1"),

@@ -95,9 +95,9 @@ def test_one_that_swallows_every_interruption_is_ended_all_the_same() -> None:
 
     def retries() -> int:
         for _ in range(3):
-            try:  # noqa: PERF203 - what a component might do
+            try:
                 time.sleep(30)
-            except BaseException:
+            except BaseException:  # noqa: PERF203 - what a component might do
                 interrupted.append(time.monotonic())
         return 5
 
