@@ -279,7 +279,7 @@ def _all(action: Callable[[T], R], items: Iterable[T]) -> list[R]:
     for item in items:
         try:
             results.append(action(item))
-        except ConfigurationError as error:
+        except ConfigurationError as error:  # noqa: PERF203 - all errors are told at once
             errors.append(error)
     if errors:
         raise combine(errors)

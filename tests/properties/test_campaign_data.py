@@ -97,9 +97,12 @@ def test_a_spec_is_a_function_of_its_inputs_and_reads_back_equal(
 @relaxed
 @given(st.text(max_size=80) | st.text("a:-[]{}&*!#'\"|> \n0", max_size=80))
 def test_any_text_is_data_or_one_clear_error(text: str) -> None:
+    error = None
     try:
         document = parse_yaml(text, "some.yaml")
-    except ConfigurationError as error:
+    except ConfigurationError as caught:
+        error = caught
+    if error is not None:
         assert error.file == "some.yaml"
         assert error.line is not None
         assert error.remedy is not None

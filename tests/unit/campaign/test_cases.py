@@ -36,7 +36,7 @@ def only(scenario: Scenario, faults: Any = None) -> Case:
 
 
 @pytest.mark.parametrize(
-    ("own", "faults", "expected"),
+    "own, faults, expected",
     [
         ([], None, ["cross"]),
         ([GHOST], None, ["cross"]),

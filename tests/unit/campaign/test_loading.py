@@ -30,8 +30,8 @@ def requirement(name: str, check: str = "always (headroom > 0)") -> str:
 
 def test_folders_are_searched_and_sorted_by_name(tmp_path: Path) -> None:
     (tmp_path / "deep" / "er").mkdir(parents=True)
-    (tmp_path / "z.yaml").write_text(scenario("a"))
-    (tmp_path / "deep" / "er" / "a.yml").write_text(scenario("z/z"))
+    (tmp_path / "a.yaml").write_text(scenario("z/z"))
+    (tmp_path / "deep" / "er" / "a.yml").write_text(scenario("a"))
     (tmp_path / "deep" / "m.yaml").write_text(scenario("m"))
     (tmp_path / "notes.txt").write_text("no YAML: [")
     assert list(load_scenarios([tmp_path])) == ["a", "m", "z/z"]
@@ -85,7 +85,7 @@ def test_a_folder_without_scenarios(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "line", "key", "words"),
+    "text, line, key, words",
     [
         (requirement("A").replace("safety", "saftey"), 4, "requirements.0.kind", "'safety'"),
         (requirement("A", "always (gap >> 0)"), 5, "requirements.0.check", "^"),
@@ -116,6 +116,18 @@ def test_a_library_warns_of_requirements_that_nobody_uses(tmp_path: Path) -> Non
     assert library.requirements["A"].check == "always (headroom > 0)"
     place = tmp_path / "requirements.yaml"
     assert library.warnings == (f"{place}:6: no scenario uses the requirement 'B'",)
+
+
+def test_built_in_requirements_that_nobody_uses_are_no_warning(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for folder, name in (("builtin", "B"), ("own", "A")):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "requirements.yaml").write_text(requirement(name))
+    monkeypatch.setattr(loading, "builtin_paths", lambda: [tmp_path / "builtin"])
+    (warning,) = load_library([tmp_path / "own"]).warnings
+    assert "'A'" in warning
+    assert load_library([]).warnings == ()
 
 
 def test_a_library_warns_of_formulas_beyond_the_episode(tmp_path: Path) -> None:

@@ -43,7 +43,7 @@ def test_a_key_with_dots_has_a_line() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "value"),
+    "text, value",
     [
         ("yes", "yes"),
         ("on", "on"),
@@ -106,7 +106,7 @@ def test_a_folder_is_no_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("raw", "line"),
+    "raw, line",
     [
         (bytes(range(256)), 1),
         (b"\x89PNG\r\n\x1a\n\0\0", 3),
@@ -141,7 +141,7 @@ def test_a_file_above_the_limit(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "line"),
+    "text, line",
     [
         ("name: a\nworld: [1, 2\nx: 3\n", 3),
         ("name: a\n\tworld: 1\n", 2),
@@ -170,7 +170,7 @@ def test_a_key_that_stands_twice_names_both_lines() -> None:
 
 
 @pytest.mark.parametrize(
-    ("value", "tag"),
+    "value, tag",
     [
         ("!!python/object/apply:os.system ['echo hacked']", "python/object/apply:os.system"),
         ("!!python/name:os.system ''", "python/name:os.system"),
@@ -231,7 +231,7 @@ def test_several_documents() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "found"), [("- a\n- b\n", "a list"), ("just text\n", "a single value")]
+    "text, found", [("- a\n- b\n", "a list"), ("just text\n", "a single value")]
 )
 def test_not_a_mapping(text: str, found: str) -> None:
     with pytest.raises(ConfigurationError, match="does not hold a mapping") as caught:

@@ -19,7 +19,7 @@ def judge(text: str, time: Any = None, *, complete: bool = True, **signals: Any)
 
 
 @pytest.mark.parametrize(
-    ("text", "terms"),
+    "text, terms",
     [
         ("always (gap > 0)", [Term("always", "gap", ">", 0.0)]),
         ("always(gap>0)", [Term("always", "gap", ">", 0.0)]),
@@ -39,7 +39,7 @@ def test_formulas_that_can_be_read(text: str, terms: list[Term]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "column", "expected"),
+    "text, column, expected",
     [
         ("", 1, "`always` or `eventually`"),
         ("gap > 0", 1, "`always` or `eventually`"),
@@ -121,7 +121,7 @@ def test_eventually_takes_the_best_sample() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "status"),
+    "text, status",
     [
         ("always (x > 0)", "violated"),
         ("always (x >= 0)", "satisfied"),
@@ -152,10 +152,17 @@ def test_window_bounds_forgive_the_sum_of_float_steps() -> None:
     x[3] = -1.0
     assert judge("always[0:0.3] (x >= 0)", time=time, x=x).status == "violated"
     assert judge("always[0.3:1] (x >= 0)", time=time, x=x).status == "violated"
+    summed = [0.0]
+    for _ in range(10):
+        summed.append(summed[-1] + 0.1)
+    assert summed[8] < 0.8
+    x = [0.0] * 11
+    x[8] = -1.0
+    assert judge("always[0.8:1] (x >= 0)", time=summed, x=x).status == "violated"
 
 
 @pytest.mark.parametrize(
-    ("text", "x", "status", "interval"),
+    "text, x, status, interval",
     [
         ("always[0:5] (x > 0)", [1, 2, 3], "undecided", (-math.inf, 1.0)),
         ("always[0:5] (x > 0)", [1, -2, 3], "violated", (-math.inf, -2.0)),
@@ -198,6 +205,8 @@ def test_one_violated_part_decides_whatever_is_still_open() -> None:
     found = judge("always[0:9] (x > 0) and always (y > 0)", x=[1, 1], y=[-1, 1])
     assert (found.status, found.margin) == ("violated", -1.0)
     assert judge("always[0:9] (x > 0) and always (y > 0)", x=[1, 1], y=[1, 1]).status == "undecided"
+    far = judge("eventually[0:9] (x > 5) and always (y > 0)", x=[1, 1], y=[1, -1])
+    assert (far.status, far.margin) == ("violated", -1.0), "the margin is that of the violation"
 
 
 def test_huge_values_make_no_warning() -> None:
@@ -206,7 +215,7 @@ def test_huge_values_make_no_warning() -> None:
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 def test_samples_that_are_not_finite_are_refused(bad: float) -> None:
-    with pytest.raises(ConfigurationError, match="'x' is not finite at t = 2.00 s"):
+    with pytest.raises(ConfigurationError, match=r"'x' is not finite at t = 2\.00 s"):
         judge("always (x >= 2)", x=[5, 5, bad, 5, -9])
 
 
