@@ -71,7 +71,7 @@ def load_library(paths: Sequence[Path | str], *, builtin: bool = True) -> Librar
     scenarios = _scenarios(documents)
     requirements = _requirements(documents)
     _check_references(scenarios, requirements)
-    theirs = {document.file for document in _documents(own)} if own else set()
+    theirs = {str(file) for path in own for file in _files(path)}
     warnings = [*_unused(scenarios, requirements, theirs), *_too_long(scenarios, requirements)]
     plain = {name: one.requirement for name, one in requirements.items()}
     return Library(scenarios, plain, tuple(warnings))

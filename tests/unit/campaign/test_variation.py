@@ -14,7 +14,7 @@ from pytest_dura.campaign.scenario import Choice, Range
 from pytest_dura.campaign.variation import draw, replaced, split
 
 ROOM = (
-    'name: room\nsimulator: rooms:Room\nduration: 4.0\n'
+    "name: room\nsimulator: rooms:Room\nduration: 4.0\n"
     'roles: {generator: "thermostat:Controller"}\n'
 )
 
