@@ -108,20 +108,26 @@ class HighwaySimulator(Simulator):
 
     def step(self, action: Any) -> Tick:
         """Carry out a command for one time step."""
-        ego, dt, before = self._ego, self._dt, self._state
-        acceleration = acceleration_for(action, before.speed, ARM_LENGTH - before.front)
-        ego.actuate(acceleration, dt)
-        time = self._index * dt
+        before = self._state
+        self.drive(acceleration_for(action, before.speed, ARM_LENGTH - before.front))
+        events = self._collisions(before)
+        self._clear()
+        self._admit()
+        self._state = self._observe_ego((self._ego.speed - before.speed) / self._dt, before.heading)
+        return self._tick(events)
+
+    def drive(self, acceleration: float) -> None:
+        """Only the road: the ego at an acceleration in m/s2, everybody else as they decide.
+
+        This is what the benchmarks call bare stepping; nothing is sensed.
+        """
+        dt, time = self._dt, self._index * self._dt
+        self._ego.actuate(acceleration, dt)
         for person in self._road.objects:
             person.walk(time, dt, self._road.vehicles)
         self._road.act()
         self._road.step(dt)
         self._index += 1
-        events = self._collisions(before)
-        self._clear()
-        self._admit()
-        self._state = self._observe_ego((ego.speed - before.speed) / dt, before.heading)
-        return self._tick(events)
 
     def signals(self, ticks: Sequence[Tick]) -> dict[str, NDArray[np.float64]]:
         """See ``pytest_dura.driving.signals``."""

@@ -11,7 +11,7 @@ from pytest_dura.core.roles import Generator, Proposal, RoleContext
 from pytest_dura.core.seeding import stream
 from pytest_dura.core.state import GeneratorView
 from pytest_dura.driving import prediction
-from pytest_dura.driving.bodies import VX, VY
+from pytest_dura.driving.bodies import VX, VY, X, Y
 from pytest_dura.driving.junction import SPEED_LIMIT, STOP_LINE
 from pytest_dura.driving.maneuvers import (
     COMFORT_BRAKING,
@@ -43,8 +43,10 @@ class RuleBased(Generator):
     CANDIDATES = (3.5, 2.0, 0.0, -3.0, -8.0)
     """Accelerations in m/s2 that are compared once the stop line is crossed."""
 
-    KERB_SPEED = 4.0
-    """m/s; from it the car stops within the second that a pedestrian needs to reach its path."""
+    PATIENCE = 20
+    """Ticks after which a car that stands at its stop line counts as waiting for others itself."""
+    KERB_PATIENCE = 30
+    """Ticks that it stands before a pedestrian at the kerb until it takes them not to cross."""
 
     def __init__(self, margin: float = 1.5, separation: float = 1.0) -> None:
         self.margin, self.separation = margin, separation
@@ -54,12 +56,16 @@ class RuleBased(Generator):
     def reset(self, context: RoleContext) -> None:
         """Forget the bodies seen."""
         self._tracker = Tracker()
+        self._waits: dict[str, int] = {}
+        self._walked: set[str] = set()
+        self._given_way = 0
 
     def propose(self, view: GeneratorView) -> Proposal:
         """The maneuver of this tick, with its acceleration."""
         scene = Scene.of(view.percept)
         scene.bodies = with_unexplained_returns(view.percept)
         self._tracker.update(view.index, scene.bodies)
+        self._watch_who_waits(scene)
         command, why = self._on_the_way(scene, view.dt)
         acceleration = acceleration_for(command, scene.speed, scene.to_stop_line)
         follow = self._follow(scene.leader(), scene.speed)
@@ -85,9 +91,19 @@ class RuleBased(Generator):
                 return Command(go), "accepts the gap"
         return self._inside(scene, dt)
 
+    def _watch_who_waits(self, scene: Scene) -> None:
+        """For how many ticks each car has stood outside the junction."""
+        data = scene.bodies.data
+        outside = np.maximum(np.abs(data[:, X]), np.abs(data[:, Y])) > STOP_LINE
+        still = outside & (np.abs(data[:, VX]) + np.abs(data[:, VY]) < 0.3)
+        ids = scene.bodies.ids
+        self._waits = {ids[r]: self._waits.get(ids[r], 0) + 1 for r in np.flatnonzero(still)}
+
     def _who_comes(self, scene: Scene) -> str | None:
         """Who on the crossing road arrives before the ego has crossed, if it goes now."""
         for other in crossing(scene):
+            if self._waits.get(other.body.id, 0) >= self.PATIENCE:
+                continue
             # Far enough for the rear to have left the other's lane.
             beyond = scene.stop_line + STOP_LINE - other.body.y + other.body.width / 2 + HALF + 0.5
             clear = time_to_cover(beyond - scene.s, scene.speed, 3.0, SPEED_LIMIT)
@@ -151,9 +167,9 @@ class RuleBased(Generator):
         return max(min(gentle, -needed if needed > 1.0 else math.inf), -MAX_BRAKING)
 
     def _for_pedestrians(self, scene: Scene) -> float:
-        """Acceleration in m/s2 that stops before a pedestrian who is on the path or nears it.
+        """Acceleration in m/s2 that stops before a pedestrian who is on the path or may come.
 
-        One who stands at the kerb is passed slowly.
+        One who stands at the kerb and has not walked yet is given way for a few seconds.
         """
         slowest = math.inf
         for body in scene.bodies:
@@ -161,16 +177,19 @@ class RuleBased(Generator):
                 continue
             s, lateral = scene.route.project(body.x, body.y)
             room = s - scene.s - HALF - body.length / 2 - 1.5
+            walks = math.hypot(body.vx, body.vy) > 0.1
+            if walks:
+                self._walked.add(body.id)
             if room < -1.5 - HALF or abs(lateral) > 7.5:
                 continue
-            if room > -1.5:  # may step off at any moment
-                cautious = math.sqrt(self.KERB_SPEED**2 + 2.0 * 1.5 * max(room - 1.0, 0.0))
-                slowest = min(slowest, max(min(3.0 * (cautious - scene.speed), 2.0), -4.0))
             heading = float(scene.route.pose(s)[2])
             sideways = body.vy * math.cos(heading) - body.vx * math.sin(heading)
             on_path = abs(lateral) < 2.0
-            nearing = sideways * lateral < -0.1
-            if (on_path or nearing) and room > braking_distance(scene.speed, MAX_BRAKING) - 0.5:
+            expected = on_path or sideways * lateral < -0.1
+            if not walks and body.id not in self._walked:
+                self._given_way += scene.speed < 0.5
+                expected |= self._given_way < self.KERB_PATIENCE
+            if expected and room > braking_distance(scene.speed, MAX_BRAKING) - 0.5:
                 slowest = min(slowest, stop_at(room, scene.speed))
             elif on_path and room > -1.5:
                 slowest = -MAX_BRAKING
