@@ -99,6 +99,19 @@ class Route:
             np.interp(s, grid[:, 0], grid[:, 3]),
         )
 
+    def points(self, s: Floats) -> Floats:
+        """x and y at ``s``, shape ``(*s.shape, 2)``: quicker than ``pose``, for predictions."""
+        scaled = np.minimum(np.maximum(s * (1.0 / _SPACING), 0.0), len(self.grid) - 2.0)
+        index = scaled.astype(np.intp)
+        start, step = self._segments
+        found: Floats = start[index] + (scaled - index)[..., None] * step[index]
+        return found
+
+    @cached_property
+    def _segments(self) -> tuple[Floats, Floats]:
+        start = np.ascontiguousarray(self.grid[:, 1:3])
+        return start, np.diff(start, axis=0, append=start[-1:])
+
     def project(self, x: float, y: float) -> tuple[float, float]:
         """``s`` of the nearest point and the signed lateral offset (right of it positive)."""
         turn = -self.origin * math.pi / 2

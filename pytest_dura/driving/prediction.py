@@ -6,6 +6,8 @@ points. Vectorised over candidate accelerations, times, objects and discs.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,16 +22,24 @@ EGO_RADIUS = float(np.hypot(5.0 / 6.0, 1.0))
 """A disc of this radius covers a third of a car of 5 m by 2 m."""
 
 
-def advance(speed: float, acceleration: Floats, times: Floats, top: float) -> Floats:
+def advance(
+    speed: float, accelerations: Sequence[float], times: Sequence[float], top: float
+) -> Floats:
     """Metres driven after each time at constant acceleration, not reversing nor above ``top``.
 
-    Shape ``(accelerations, times)``.
+    Shape ``(accelerations, times)``. Plain arithmetic: the arrays are too small for NumPy to pay.
     """
-    a = acceleration[:, None]
-    rate = np.where(np.abs(a) < 1e-9, 1e-9, a)
-    limit = np.where(a < 0, 0.0, max(top, speed))
-    ramp = np.minimum(np.maximum((limit - speed) / rate, 0.0), times)
-    return speed * ramp + 0.5 * a * ramp**2 + np.where(a < 0, 0.0, limit) * (times - ramp)
+    rows = []
+    for a in accelerations:
+        limit = 0.0 if a < 0.0 else max(top, speed)
+        ramp_end = (limit - speed) / a if a else 0.0
+        cruise = speed if a == 0.0 else limit
+        row = []
+        for time in times:
+            ramp = min(ramp_end, time)
+            row.append(speed * ramp + 0.5 * a * ramp * ramp + cruise * (time - ramp))
+        rows.append(row)
+    return np.array(rows)
 
 
 def moving(bodies: BodyList, times: Floats, yaw_rates: Floats | None = None) -> Floats:
@@ -38,15 +48,20 @@ def moving(bodies: BodyList, times: Floats, yaw_rates: Floats | None = None) -> 
     Constant speed, and constant yaw rate where ``yaw_rates`` (rad/s, one per body) is given.
     """
     data = bodies.data
-    turned = np.zeros((len(times), len(data))) if yaw_rates is None else np.outer(times, yaw_rates)
+    reach = data[:, LENGTH, None] * _OFFSETS
+    points = np.empty((len(times), len(data), 3, 2))
+    if yaw_rates is None or not yaw_rates.any():
+        along = np.stack([np.cos(data[:, HEADING]), np.sin(data[:, HEADING])], axis=1)
+        discs = data[:, None, :2] + along[:, None] * reach[..., None]
+        points[:] = discs + times[:, None, None, None] * data[:, None, VX : VY + 1]
+        return points
+    turned = times[:, None] * yaw_rates
     half = turned / 2.0
     c, s = np.cos(half), np.sin(half)
     # A chord of the circle: for small angles its length is that of the arc.
     dx = times[:, None] * (c * data[:, VX] - s * data[:, VY])
     dy = times[:, None] * (s * data[:, VX] + c * data[:, VY])
     heading = data[:, HEADING] + turned
-    reach = data[:, LENGTH, None] * _OFFSETS
-    points = np.empty((len(times), len(data), 3, 2))
     points[..., 0] = (data[:, 0] + dx)[..., None] + np.cos(heading)[..., None] * reach
     points[..., 1] = (data[:, 1] + dy)[..., None] + np.sin(heading)[..., None] * reach
     return points
@@ -58,15 +73,12 @@ def radii(bodies: BodyList) -> Floats:
     return np.hypot(data[:, LENGTH] / 6.0, data[:, WIDTH] / 2.0)
 
 
-def ego_discs(route: Route, s: Floats, lateral: float = 0.0) -> Floats:
-    """Centres of the ego's discs at positions along its route, shape ``(*s.shape, 3, 2)``."""
-    x, y, heading = route.pose(s)
-    c, sn = np.cos(heading), np.sin(heading)
-    reach = 5.0 * _OFFSETS
-    points = np.empty((*s.shape, 3, 2))
-    points[..., 0] = (x - lateral * sn)[..., None] + c[..., None] * reach
-    points[..., 1] = (y + lateral * c)[..., None] + sn[..., None] * reach
-    return points
+def ego_discs(route: Route, s: Floats) -> Floats:
+    """Centres of the ego's discs at positions along its route, shape ``(*s.shape, 3, 2)``.
+
+    All three lie on the route, as the wheels of a car that follows it do.
+    """
+    return route.points(s[..., None] + 5.0 * _OFFSETS)
 
 
 def separations(ego: Floats, others: Floats, other_radii: Floats) -> Floats:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,7 +52,7 @@ class RuleBased(Generator):
     def __init__(self, margin: float = 1.5, separation: float = 1.0) -> None:
         self.margin, self.separation = margin, separation
         self._times = np.arange(11) * 0.3
-        self._candidates = np.array(self.CANDIDATES)
+        self._steps = self._times.tolist()
 
     def reset(self, context: RoleContext) -> None:
         """Forget the bodies seen."""
@@ -110,13 +111,13 @@ class RuleBased(Generator):
             arrives = time_to_cover(other.distance, other.speed, 2.5, SPEED_LIMIT)
             if arrives < clear + self.margin:
                 return other.body.id
-        candidate = np.array([3.5 if scene.to_stop_line < 20.0 else 2.0])
+        candidate = (3.5 if scene.to_stop_line < 20.0 else 2.0,)
         apart, who = self._apart(scene, candidate, 0.1)
         return who if apart[0] < self.separation else None
 
     def _inside(self, scene: Scene, dt: float) -> tuple[Command, str]:
         """The quickest way out that keeps its distance, or else the one that keeps most."""
-        apart, who = self._apart(scene, self._candidates, dt)
+        apart, who = self._apart(scene, self.CANDIDATES, dt)
         good = np.flatnonzero(apart >= self.separation)
         choice = int(good[0]) if len(good) else int(apart.argmax())
         acceleration = self.CANDIDATES[choice]
@@ -130,7 +131,7 @@ class RuleBased(Generator):
         return Command(maneuver, acceleration), f"avoids {who}"
 
     def _apart(
-        self, scene: Scene, accelerations: NDArray[np.float64], dt: float
+        self, scene: Scene, accelerations: Sequence[float], dt: float
     ) -> tuple[NDArray[np.float64], str]:
         """Least predicted separation of each candidate, and from whom for the first."""
         near = prediction.near(scene.bodies, scene.x, scene.y, scene.speed, self._times[-1])
@@ -139,7 +140,7 @@ class RuleBased(Generator):
         yaw = self._tracker.yaw_rates(dt)
         if near is not scene.bodies:
             yaw = yaw[[scene.bodies.ids.index(i) for i in near.ids]]
-        driven = prediction.advance(scene.speed, accelerations, self._times, SPEED_LIMIT)
+        driven = prediction.advance(scene.speed, accelerations, self._steps, SPEED_LIMIT)
         ego = prediction.ego_discs(scene.route, scene.s + driven)
         others = prediction.moving(near, self._times, yaw)
         apart = prediction.separations(ego, others, prediction.radii(near))

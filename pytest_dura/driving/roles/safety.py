@@ -32,6 +32,7 @@ class SeparationMonitor(SafetyMonitor):
     ) -> None:
         self.horizon, self.unsafe, self.warning, self.reaction = horizon, unsafe, warning, reaction
         self._times = np.arange(1, round(horizon / 0.25) + 1) * 0.25
+        self._steps = self._times.tolist()
         self._tracker = Tracker()
 
     def reset(self, context: RoleContext) -> None:
@@ -68,9 +69,7 @@ class SeparationMonitor(SafetyMonitor):
         yaw = self._tracker.yaw_rates(dt)
         if near is not bodies:
             yaw = yaw[[bodies.ids.index(i) for i in near.ids]]
-        driven = prediction.advance(
-            scene.speed, np.array([acceleration]), self._times, SPEED_LIMIT
-        )
+        driven = prediction.advance(scene.speed, [acceleration], self._steps, SPEED_LIMIT)
         ego = prediction.ego_discs(scene.route, scene.s + driven)
         others = prediction.moving(near, self._times, yaw)
         apart = prediction.separations(ego, others, prediction.radii(near))[0].min(axis=0)
@@ -94,7 +93,7 @@ class SeparationMonitor(SafetyMonitor):
         to_line = scene.to_stop_line
         if scene.entered or braking_distance(scene.speed, MAX_BRAKING) > to_line:
             return None
-        within = prediction.advance(scene.speed, np.array([acceleration]), self._times[:2], 10.0)
+        within = prediction.advance(scene.speed, [acceleration], self._steps[:2], SPEED_LIMIT)
         if within[0, -1] < to_line:
             return None
         through = scene.exit - scene.s
