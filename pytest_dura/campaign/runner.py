@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
+from typing import Any
 
 from pytest_dura.campaign.cases import Case, FaultCampaign, expand_cases, no_match
 from pytest_dura.campaign.loading import Library
@@ -26,7 +27,11 @@ EXTRA_SHARE = 0.2
 Metrics = Mapping[str, Callable[[Episode], float]]
 
 
-class RequirementViolated(DuraError):
+def _nobody_listens(*_: object) -> None:
+    """What a bench tells when nobody asked."""
+
+
+class RequirementViolated(DuraError):  # noqa: N818 - it is an outcome, not an error
     """A campaign does not support a requirement. ``verdict`` holds the counts it rests on."""
 
     def __init__(self, message: str, verdict: CampaignVerdict) -> None:
@@ -34,7 +39,7 @@ class RequirementViolated(DuraError):
         super().__init__(message)
 
 
-@dataclass
+@dataclass(repr=False)
 class Bench:
     """What the ``orchestrator`` fixture returns.
 
@@ -45,10 +50,10 @@ class Bench:
         simulator: Replaces the scenarios' simulators.
         runs: Replaces the planned runs of every campaign.
         metrics: User-defined metrics by name.
-        on_episode: Told of every use of an episode: the case, the episode, and whether it is
-            part of the case's plan (its seed was not chosen by hand).
+        on_episode: Told of every use of an episode: the case, the episode, and how many were
+            planned of this case; 0 if the episode's seed was chosen by hand.
         on_progress: Told how many runs of a case are done and planned.
-        on_verdict: Told of the verdict of every :meth:`Campaign.require`.
+        on_verdict: Told of every verdict of :meth:`Campaign.require`, and what it decides.
     """
 
     library: Callable[[], Library]
@@ -57,10 +62,13 @@ class Bench:
     simulator: RoleSpec | None = None
     runs: int | None = None
     metrics: Metrics = NOTHING
-    on_episode: Callable[[Case, JudgedEpisode, bool], None] = lambda case, episode, planned: None
-    on_progress: Callable[[Case, int, int], None] = lambda case, done, planned: None
-    on_verdict: Callable[[CampaignVerdict, str], None] = lambda verdict, check: None
+    on_episode: Callable[[Case, JudgedEpisode, int], None] = _nobody_listens
+    on_progress: Callable[[Case, int, int], None] = _nobody_listens
+    on_verdict: Callable[[CampaignVerdict, Requirement], None] = _nobody_listens
     store: EpisodeStore = field(default_factory=EpisodeStore)
+
+    def __repr__(self) -> str:
+        return f"Bench(base_seed={self.base_seed})"
 
     def run(
         self,
@@ -100,8 +108,16 @@ class Bench:
             faults = of_id
         return expand_cases([scenarios[scenario]], None if faults is None else [faults])[0]
 
-    def episode(self, case: Case, run: int = 0, seed: int | None = None) -> JudgedEpisode:
+    def episode(
+        self, case: Case, run: int = 0, seed: int | None = None, planned: int = 1
+    ) -> JudgedEpisode:
         """One run of a case; simulated once per process.
+
+        Args:
+            case: The case.
+            run: Number of the run.
+            seed: Seed of the episode; by default that of the run within the case.
+            planned: How many runs of this case are planned.
 
         Raises:
             ConfigurationError: If a role or the simulator cannot be built.
@@ -112,7 +128,7 @@ class Bench:
             episode = self.store.get(spec, lambda spec: self._simulate(case, spec))
         except ConfigurationError as error:
             raise error.with_traceback(None) from None
-        self.on_episode(case, episode, seed is None)
+        self.on_episode(case, episode, planned if seed is None else 0)
         return episode
 
     def campaign(
@@ -138,7 +154,7 @@ class Bench:
         return JudgedEpisode.of(run_episode(spec, judge, self.metrics))
 
 
-@dataclass
+@dataclass(repr=False)
 class Campaign:
     """All episodes of a case that a verdict rests on."""
 
@@ -146,6 +162,9 @@ class Campaign:
     case: Case
     planned: int
     requirement: Requirement | None = None
+
+    def __repr__(self) -> str:
+        return f"Campaign({self.case.id!r}, {self.planned} runs planned)"
 
     @property
     def component(self) -> str:
@@ -162,7 +181,7 @@ class Campaign:
         run, end = 0, self.planned
         while run < end:
             self.bench.on_progress(self.case, run, end)
-            episode = self.bench.episode(self.case, run)
+            episode = self.bench.episode(self.case, run, planned=self.planned)
             yield episode
             if episode.validity == "invalid" and end < self.planned + budget:
                 end += 1
@@ -211,7 +230,7 @@ class Campaign:
             verdict = self.judge(requirement, at_most, confidence)
         except ConfigurationError as error:
             raise error.with_traceback(None) from None
-        self.bench.on_verdict(verdict, check)
+        self.bench.on_verdict(verdict, requirement)
         if verdict.verdict != "supported":
             message = "\n".join(reasons(verdict, requirement, self.episodes))
             raise RequirementViolated(message, verdict)
@@ -249,7 +268,7 @@ def reasons(
         lines.append(f"check:    {requirement.check}")
     if verdict.counterexamples:
         worst = verdict.counterexamples[0]
-        lines.append(f"worst:    {describe_counterexample(worst.episode, worst.time, worst.margin)}")
+        lines.append(f"worst:    {describe_counterexample(asdict(worst))}")
         others = [one.episode.rpartition("#")[2] for one in verdict.counterexamples[1:]]
         if others:
             lines.append(f"also in:  {_runs(others)}")
@@ -262,11 +281,14 @@ def reasons(
     return lines
 
 
-def describe_counterexample(episode: str, time: float | None, margin: float | None) -> str:
-    """In which run, when, and by how much."""
+def describe_counterexample(example: Mapping[str, Any]) -> str:
+    """In which run, when, and by how much; from a counterexample's plain data."""
+    time, margin = example["time"], example["margin"]
     when = "" if time is None else f" at t = {time:.2f} s"
-    by = "" if margin is None else f", by {abs(margin):.3g}"
-    return f"run {episode}{when}{by}"
+    by = ""
+    if margin is not None:
+        by = f", by {abs(margin):.3g}" if margin else ", right at the bound"
+    return f"{example['episode']}{when}{by}"
 
 
 def component_failure(episodes: Sequence[Episode]) -> str | None:
@@ -284,5 +306,3 @@ def component_failure(episodes: Sequence[Episode]) -> str | None:
 def _runs(numbers: Sequence[str]) -> str:
     shown = ", ".join(f"#{number}" for number in numbers[:8])
     return shown + (f" and {len(numbers) - 8} more" if len(numbers) > 8 else "")
-
-

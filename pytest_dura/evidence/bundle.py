@@ -82,7 +82,7 @@ def _replace(file: Path, text: str) -> Path:
             os.fsync(stream.fileno())
         # mkstemp makes files for the owner alone; the record is for whoever may read the folder.
         Path(name).chmod(0o644)
-        os.replace(name, file)
+        Path(name).replace(file)
     except BaseException:
         Path(name).unlink(missing_ok=True)
         raise

@@ -120,7 +120,7 @@ def _share(
 
 
 def _user_metrics(valid: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Mean and count of each user-defined metric over the valid episodes in which it has a value."""
+    """Mean of each user-defined metric, over the valid episodes in which it has a value."""
     columns: dict[str, list[float]] = {}
     for one in valid:
         for name, value in one["metrics"]["user"].items():

@@ -205,7 +205,5 @@ class EvidenceRecord:
 
     def _case(self, key: tuple[str, str], episodes: Iterable[Data]) -> Data:
         case = dict(self._cases[key])
-        own = [
-            one for one in episodes if (one["case"], one["component"]) == key and one["planned"]
-        ]
+        own = [one for one in episodes if (one["case"], one["component"]) == key and one["planned"]]
         return {**case, "metrics": case_metrics(own, case["planned"])}

@@ -44,8 +44,10 @@ __all__ = [
 ]
 
 MARKERS = (
-    "dura(scenario, faults=None, runs=None): run the test on each run (fixture `episode`) or each "
-    "case (fixture `campaign`) of these scenarios; `faults` replace the scenarios' own",
+    (
+        "dura(scenario, faults=None, runs=None): run the test on each run (fixture `episode`) or "
+        "each case (fixture `campaign`) of these scenarios; `faults` replace the scenarios' own"
+    ),
     "requirement(id, text=None, kind='safety', source=''): the requirement that the test decides",
 )
 

@@ -50,7 +50,6 @@ class SessionEvidence:
                 "tool": {"name": "pytest-dura", "version": pytest_dura.__version__},
                 "command": shlex.join(["pytest", *map(str, config.invocation_params.args)]),
                 "base_seed": options.seed,
-                "runs_override": options.runs,
                 "environment": describe_environment(config.rootpath),
             }
         )
@@ -66,7 +65,7 @@ class SessionEvidence:
             case = planned.case
             runs = self.session.options.runs or case.scenario.runs
             roles = case.roles(self.session.chosen_roles())
-            record = case_record(case, roles["generator"].label, runs)
+            record = case_record(case, roles["generator"].label, runs, self.session.options.runs)
             for name in planned.requirements:
                 item = f"{case.id}::{name}"
                 if item in chosen:
@@ -101,7 +100,7 @@ class SessionEvidence:
         reason = getattr(report, "wasxfail", None)
         if reason is not None:
             self.record.waive(report.nodeid, "xfail", reason)
-        elif report.outcome == "rerun":  # of pytest-rerunfailures
+        elif str(report.outcome) == "rerun":  # of pytest-rerunfailures
             self.record.waive(report.nodeid, "rerun", "the item was run again")
         elif report.skipped and report.when == "setup":
             longrepr = report.longrepr

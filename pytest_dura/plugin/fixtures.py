@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from pytest_dura.campaign.runner import Bench, Campaign
     from pytest_dura.core.episode import Episode
     from pytest_dura.core.roles import RoleSpec
+    from pytest_dura.plugin.parametrize import Target
     from pytest_dura.requirements.verdicts import JudgedEpisode
 
 
@@ -67,7 +68,7 @@ def dura_metrics() -> Mapping[str, Callable[[Episode], float]]:
 
 
 @pytest.fixture
-def _dura_roles(
+def _dura_roles(  # noqa: PLR0917 - pytest passes them by name
     request: pytest.FixtureRequest,
     simulator: Any,
     generator: Any,
@@ -121,17 +122,33 @@ def run_episode(orchestrator: Bench) -> Callable[..., JudgedEpisode]:
 
 
 @pytest.fixture
-def episode(request: pytest.FixtureRequest, _dura_roles: None, orchestrator: Bench) -> JudgedEpisode:
+def episode(
+    request: pytest.FixtureRequest, _dura_roles: None, orchestrator: Bench
+) -> JudgedEpisode:
     """One run of a case, for tests with the marker ``dura``."""
-    target = request.param
+    target = _target(request)
     try:
-        return orchestrator.episode(target.case, target.run)
+        return orchestrator.episode(target.case, target.run, planned=target.planned)
     except ConfigurationError as error:
         pytest.fail(str(error), pytrace=False)
+
+
+def _target(request: pytest.FixtureRequest) -> Target:
+    """What the marker ``dura`` made of this test."""
+    target: Target | None = getattr(request, "param", None)
+    if target is None:
+        error = ConfigurationError(
+            f"the fixture `{request.fixturename}` needs to know which scenario to run",
+            key="pytest.mark.dura",
+            expected='a marker such as @pytest.mark.dura(scenario="intersection/nominal")',
+            remedy="add the marker, or use the fixture `orchestrator`",
+        )
+        pytest.fail(str(error), pytrace=False)
+    return target
 
 
 @pytest.fixture
 def campaign(request: pytest.FixtureRequest, _dura_roles: None, orchestrator: Bench) -> Campaign:
     """All runs of a case, for tests with the marker ``dura``; simulated when they are looked at."""
-    target = request.param
+    target = _target(request)
     return orchestrator.campaign(target.case, target.planned, target.requirement)

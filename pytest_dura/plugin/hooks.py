@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from pytest_dura.core.errors import DuraError
+
 if TYPE_CHECKING:
     from xdist.remote import Producer
     from xdist.scheduler import LoadScopeScheduling
@@ -14,7 +16,13 @@ if TYPE_CHECKING:
 
     from pytest_dura.plugin.session import DuraSession
 
-OWN_FIXTURES = frozenset({"episode", "campaign", "orchestrator", "run_episode"})
+
+def uses_bench(item: pytest.Item) -> bool:
+    """Whether the item runs episodes: our ``orchestrator`` alone asks for ``dura_metrics``.
+
+    Names such as ``episode`` or ``generator`` may be fixtures of other people's own.
+    """
+    return "dura_metrics" in getattr(item, "fixturenames", ())
 
 
 class SessionHooks:
@@ -42,16 +50,18 @@ class SessionHooks:
 
     def pytest_generate_tests(self, metafunc: pytest.Metafunc) -> None:
         """Make one test per case and run."""
-        if not OWN_FIXTURES.isdisjoint(metafunc.fixturenames):
+        marker = metafunc.definition.get_closest_marker("dura")
+        if marker is not None:
             from pytest_dura.plugin.parametrize import parametrize
 
-            parametrize(self.session, metafunc)
+            parametrize(self.session, metafunc, marker)
 
     def pytest_itemcollected(self, item: pytest.Item) -> None:
         """Let the bench follow the role fixtures that the item sees, before any other fixture."""
-        names: list[str] = getattr(item, "fixturenames", [])
-        if not OWN_FIXTURES.isdisjoint(names) and names[0] != "_dura_roles":
-            names.insert(0, "_dura_roles")
+        if uses_bench(item):
+            names: list[str] = item.fixturenames  # type: ignore[attr-defined]
+            if names[0] != "_dura_roles":
+                names.insert(0, "_dura_roles")
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_collection_modifyitems(
@@ -69,9 +79,12 @@ class SessionHooks:
 
     @pytest.hookimpl(wrapper=True)
     def pytest_pyfunc_call(self, pyfuncitem: pytest.Function) -> Generator[None, Any, Any]:
-        """Refuse a pass that rests on an episode which says nothing."""
-        result = yield
-        if "episode" in pyfuncitem.funcargs:
+        """Tell our own errors as failures, and refuse a pass on an episode that says nothing."""
+        try:
+            result = yield
+        except DuraError as error:
+            raise pytest.fail.Exception(str(error)).with_traceback(error.__traceback__) from None
+        if uses_bench(pyfuncitem):
             self.session.reporter.body_passed(pyfuncitem)
         return result
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import pytest
 
-from pytest_dura.core.errors import DuraError
+from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.plugin.commands import replay_command, rerun_command
 from pytest_dura.plugin.session import session_of
 
@@ -49,12 +49,6 @@ class ScenarioItem(pytest.Function):
         line = scenario.line_of("requirements") or 1
         return scenario.file, line - 1, self.nodeid
 
-    def repr_failure(self, excinfo: pytest.ExceptionInfo[BaseException]) -> Any:
-        """Our own errors tell all there is to tell without a traceback."""
-        if isinstance(excinfo.value, DuraError):
-            return str(excinfo.value)
-        return super().repr_failure(excinfo)
-
 
 def scenario_items(session: DuraSession, root: pytest.Session) -> list[pytest.Item]:
     """The items of all planned cases."""
@@ -74,11 +68,14 @@ def _judging(
     session: DuraSession, planned: Planned, requirement: Requirement
 ) -> Callable[..., None]:
     def judge(_dura_roles: None, orchestrator: Bench) -> None:
-        from pytest_dura.campaign.runner import RequirementViolated, reasons
+        from pytest_dura.campaign.runner import reasons
 
         campaign = orchestrator.campaign(planned.case, requirement=requirement)
-        verdict = campaign.judge(requirement)
-        session.reporter.verdict_reached(verdict, requirement.check)
+        try:
+            verdict = campaign.judge(requirement)
+        except ConfigurationError as error:
+            pytest.fail(str(error), pytrace=False)
+        session.reporter.verdict_reached(verdict, requirement)
         if verdict.verdict == "supported":
             return
         lines = reasons(verdict, requirement, campaign.episodes)
@@ -88,6 +85,6 @@ def _judging(
         message = "\n".join(lines)
         if verdict.verdict == "undecided" and session.options.warn_undecided:
             pytest.skip(message)
-        raise RequirementViolated(message, verdict)
+        pytest.fail(message, pytrace=False)
 
     return judge

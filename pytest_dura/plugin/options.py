@@ -158,10 +158,11 @@ def _whole_number(option: str, text: Any, *, at_least: int) -> int | None:
 
 def _paths(config: pytest.Config) -> tuple[Path, ...]:
     """Where scenario files are, the built-in ones apart: ini setting, then ``--dura-path``."""
-    chosen = [("ini dura_scenario_paths", Path(path)) for path in config.getini("dura_scenario_paths")]
+    ini = "ini dura_scenario_paths"
+    chosen = [(ini, Path(path)) for path in config.getini("dura_scenario_paths")]
     default = config.rootpath / "scenarios"
     if not chosen and default.is_dir():
-        chosen.append(("ini dura_scenario_paths", default))
+        chosen.append((ini, default))
     here = config.invocation_params.dir
     chosen += [("--dura-path", here / path) for path in config.getoption("dura_path")]
     for key, path in chosen:
@@ -178,7 +179,9 @@ def _paths(config: pytest.Config) -> tuple[Path, ...]:
 
 def _evidence(config: pytest.Config) -> Path:
     given = config.getoption("dura_evidence")
-    folder = Path(config.invocation_params.dir, given) if given else config.rootpath / DEFAULT_EVIDENCE
+    folder = config.rootpath / DEFAULT_EVIDENCE
+    if given:
+        folder = config.invocation_params.dir / given
     if folder.exists() and not folder.is_dir():
         raise ConfigurationError(
             "the evidence goes into a directory, and this is a file",

@@ -22,7 +22,7 @@ OVERRIDABLE = (
 def root_conftest_with(config: pytest.Config, role: str) -> str | None:
     """The root conftest's path, if it defines the fixture of this role."""
     root = config.rootpath / "conftest.py"
-    return next((str(file) for file, name in _overrides(config) if (file, name) == (root, role)), None)
+    return str(root) if (root, role) in _overrides(config) else None
 
 
 def overrides_deeper_down(config: pytest.Config) -> list[tuple[str, str]]:

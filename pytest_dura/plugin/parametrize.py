@@ -27,20 +27,15 @@ class Target:
     requirement: Requirement | None
 
 
-def parametrize(session: DuraSession, metafunc: pytest.Metafunc) -> None:
-    """Parametrize a test that uses our fixtures.
+def parametrize(session: DuraSession, metafunc: pytest.Metafunc, marker: pytest.Mark) -> None:
+    """Parametrize a test with the marker ``dura``.
 
     Raises:
         pytest.Collector.CollectError: For a marker that cannot be used, at the test's place.
     """
     looked_at = [name for name in ("episode", "campaign") if name in metafunc.fixturenames]
     definition = metafunc.definition
-    marker = definition.get_closest_marker("dura")
     try:
-        if marker is None:
-            if looked_at:
-                raise _no_marker(looked_at[0])
-            return
         requirements = marked_requirements(session, definition)
         targets = _targets(session, marker, requirements, each_run="episode" in looked_at)
     except ConfigurationError as error:
@@ -82,8 +77,8 @@ def _requirement(session: DuraSession, marker: pytest.Mark) -> Requirement:
             key="pytest.mark.requirement",
             found=name,
             expected="a requirement of the files, or a text in the marker",
-            remedy=f'{did_you_mean(str(name), known)} Or say what it asks for: requirement("{name}", '
-            'text="...")',
+            remedy=did_you_mean(str(name), known)
+            + f' Or say what it asks for: requirement("{name}", text="...")',
         )
     if given["kind"] not in get_args(Kind):
         raise ConfigurationError(
@@ -143,20 +138,16 @@ def _wrong(key: str, found: Any, expected: str) -> ConfigurationError:
     )
 
 
-def _no_marker(fixture: str) -> ConfigurationError:
-    return ConfigurationError(
-        f"the fixture `{fixture}` needs to know which scenario to run",
-        key="pytest.mark.dura",
-        expected='a marker such as @pytest.mark.dura(scenario="intersection/nominal")',
-        remedy="add the marker, or use the fixture `orchestrator`",
-    )
-
-
 def _dura_marker(scenario: Any, faults: Any = None, runs: Any = None) -> None:
     """The signature of the marker ``dura``."""
 
 
-def _requirement_marker(id: Any, text: Any = None, kind: Any = "safety", source: Any = "") -> None:  # noqa: A002
+def _requirement_marker(
+    id: Any,  # noqa: A002 - the marker is written so
+    text: Any = None,
+    kind: Any = "safety",
+    source: Any = "",
+) -> None:
     """The signature of the marker ``requirement``."""
 
 

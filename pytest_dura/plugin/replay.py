@@ -69,13 +69,16 @@ def _run(record: Data, spec: EpisodeSpec) -> Episode:
 
 
 def _show(told: Data, episode: Episode) -> bool:
-    same = told["digest"] == episode.digest
-    outcome = f"{episode.termination} after {episode.time[-1]:.1f} s" if episode.ticks else "no tick"
+    same: bool = told["digest"] == episode.digest
+    end = f"{episode.time[-1]:.1f} s" if episode.ticks else "no tick"
+    outcome = f"{episode.termination} after {end}"
     lines = [
         f"{episode.id} ({episode.spec.component}, seed {episode.spec.seed}): {outcome}",
         f"  recorded digest {told['digest']}",
         f"  replayed digest {episode.digest}",
-        "  the same" if same else "  DIFFERENT: the code, a package or the platform has changed, "
+        "  the same"
+        if same
+        else "  DIFFERENT: the code, a package or the platform has changed, "
         "or something is not deterministic",
     ]
     if episode.failure is not None:

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from pytest_dura.plugin.session import DuraSession
     from pytest_dura.requirements.campaigns import CampaignVerdict
     from pytest_dura.requirements.episodes import EpisodeWord
+    from pytest_dura.requirements.model import Requirement
     from pytest_dura.requirements.verdicts import JudgedEpisode
 
 ATTRIBUTE = "dura"
@@ -38,27 +39,31 @@ class Reporter:
         self._told: set[tuple[int, bool]] = set()
         self._components: dict[str, dict[str, Any]] = {}
 
-    def episode_used(self, case: Case, episode: JudgedEpisode, planned: bool) -> None:
-        """An item looked at an episode; ``planned`` if it is one of the case's own runs."""
+    def episode_used(self, case: Case, episode: JudgedEpisode, planned: int) -> None:
+        """An item looked at an episode of so many planned ones; 0 for one chosen by hand."""
         from pytest_dura.evidence.episodes import episode_record
 
         generator = episode.spec.roles["generator"]
-        self._case_used(case, generator, episode.spec.run + 1 if planned else 0)
+        self._case_used(case, generator, planned)
         # The bench keeps its episodes, so that their identity is theirs alone.
-        if (id(episode), planned) not in self._told:
-            self._told.add((id(episode), planned))
-            self._report.episodes.append(episode_record(episode, planned=planned))
+        key = id(episode), planned > 0
+        if key not in self._told:
+            self._told.add(key)
+            self._report.episodes.append(episode_record(episode, planned=planned > 0))
 
-    def verdict_reached(self, verdict: CampaignVerdict, check: str) -> None:
+    def verdict_reached(self, verdict: CampaignVerdict, requirement: Requirement) -> None:
         """A campaign was judged."""
-        self._report.verdicts.append({**verdict.to_json(), "check": check})
+        self._report.verdicts.append({**verdict.to_json(), "check": requirement.check})
+        self._requirement_used(requirement)
         self._planned(verdict.case, verdict.component, verdict.planned)
 
     def body_passed(self, item: pytest.Function) -> None:
-        """A test on one episode passed: does the episode carry that?"""
-        episode = item.funcargs["episode"]
-        if not hasattr(episode, "validity") or not hasattr(item, "callspec"):
-            return  # a fixture of the user's own that happens to have this name
+        """A test on one episode passed; fail it if the episode does not carry that."""
+        from pytest_dura.requirements.verdicts import JudgedEpisode
+
+        episode = item.funcargs.get("episode")
+        if not isinstance(episode, JudgedEpisode):
+            return
         if episode.failure is not None:
             pytest.fail(f"{episode.failure} (in {episode.id})", pytrace=False)
         if episode.validity == "invalid":
@@ -101,10 +106,10 @@ class Reporter:
         if self._components[component] not in report.components:
             report.components.append(self._components[component])
         if not any((one["id"], one["component"]) == (case.id, component) for one in report.cases):
-            report.cases.append(case_record(case, component, planned))
-            for requirement in self._requirements(case):
-                if requirement not in report.requirements:
-                    report.requirements.append(requirement)
+            report.cases.append(case_record(case, component, planned, self.session.options.runs))
+            known = self.session.library().requirements
+            for name in case.requirements:
+                self._requirement_used(known[name])
         self._planned(case.id, component, planned)
 
     def _planned(self, case: str, component: str, planned: int) -> None:
@@ -112,9 +117,9 @@ class Reporter:
             if (one["id"], one["component"]) == (case, component):
                 one["planned"] = max(one["planned"], planned)
 
-    def _requirements(self, case: Case) -> list[dict[str, Any]]:
-        known = self.session.library().requirements
-        return [known[name].to_json() for name in case.requirements]
+    def _requirement_used(self, requirement: Requirement) -> None:
+        if requirement.to_json() not in self._report.requirements:
+            self._report.requirements.append(requirement.to_json())
 
     def _target(self, item: pytest.Item) -> Target | None:
         """The run that a test looks at, if it looks at one."""
@@ -137,16 +142,17 @@ class Reporter:
             command = replay_command(self.session, episode.id)
             report.sections.append(("dura", f"{episode.id}, replay: {command}"))
         for requirement in marked_requirements(self.session, item):
-            if requirement.to_json() not in self._report.requirements:
-                self._report.requirements.append(requirement.to_json())
+            self._requirement_used(requirement)
             told = _episode_verdict(requirement, episode, error)
             self._report.outcomes.append(
                 {**told, "case": target.case.id, "planned": target.planned}
             )
 
 
-def case_record(case: Case, component: str, planned: int) -> dict[str, Any]:
-    """A case as the evidence holds it."""
+def case_record(
+    case: Case, component: str, planned: int, runs_override: int | None
+) -> dict[str, Any]:
+    """A case as the evidence holds it; ``runs_override`` replaced what its scenario plans."""
     return {
         "id": case.id,
         "scenario": case.scenario.name,
@@ -154,11 +160,12 @@ def case_record(case: Case, component: str, planned: int) -> dict[str, Any]:
         "component": component,
         "requirements": list(case.requirements),
         "planned": planned,
+        "runs_override": runs_override,
     }
 
 
 def _episode_verdict(
-    requirement: Any, episode: JudgedEpisode, error: BaseException | None
+    requirement: Requirement, episode: JudgedEpisode, error: BaseException | None
 ) -> dict[str, Any]:
     """The verdict of a test on an episode: by its outcome, and by the requirement's own check."""
     word, detail = _word(episode, error)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pytest_dura.plugin.commands import replay_command, rerun_command
@@ -21,7 +22,10 @@ COLOURS = {"supported": {"green": True}, "violated": {"red": True}, "undecided":
 def header(session: DuraSession) -> list[str]:
     """Component under test, base seed, what will run, and what is probably not meant."""
     options, plan = session.options, session.plan
-    parts = [f"component under test {_component(session)}", f"base seed {options.seed}"]
+    parts = [f"base seed {options.seed}"]
+    component = _component(session)
+    if component:
+        parts.insert(0, f"component under test {component}")
     if plan:
         runs = sum(options.runs or planned.case.scenario.runs for planned in plan)
         parts.append(f"{_counted(len(plan), 'case')}, {_counted(runs, 'episode')}")
@@ -39,13 +43,14 @@ def header(session: DuraSession) -> list[str]:
 
 
 def _component(session: DuraSession) -> str:
+    """Its name, or where it comes from, as far as that is known before anything runs."""
     if session.options.generator is not None:
         return session.default_role("generator").label
     conftest = root_conftest_with(session.config, "generator")
     if conftest is not None:
-        return f"from the fixture `generator` in {os.path.relpath(conftest, session.config.rootpath)}"
+        return f"from the fixture `generator` in {Path(conftest).name}"
     names = {planned.case.roles({})["generator"].label for planned in session.plan}
-    return ", ".join(sorted(names)) or "of the scenarios"
+    return ", ".join(sorted(names))
 
 
 def summary(session: DuraSession, terminal: Any) -> None:
@@ -82,51 +87,55 @@ def case_table(cases: Sequence[Data]) -> list[str]:
     several = len({case["component"] for case in cases}) > 1
     users = sorted({name for case in cases for name in case["metrics"]["user"]})
     names = [f"{case['id']} ({case['component']})" if several else case["id"] for case in cases]
-    head = ["n", "flagged", "collided", "clearance time", "gridlock", "recov", "alerts", "invalid"]
-    rows = [_row(case["metrics"], users) for case in cases]
-    table = [[*head, *users], *rows]
+    table = [[*COLUMNS, *users], *(_row(case["metrics"], users) for case in cases)]
     widths = [max(len(row[i]) for row in table) for i in range(len(table[0]))]
-    room = max(20, WIDTH - sum(widths) - 2 * len(widths))
+    room = max(24, WIDTH - sum(widths) - 2 * len(widths))
     left = min(max(map(len, ["case", *names])), room)
     lines = []
     for name, row in zip(["case", *names], table, strict=True):
         cells = "".join(f"  {cell:>{width}}" for cell, width in zip(row, widths, strict=True))
         if len(name) > left:
-            lines.append(name)
-            name = ""  # noqa: PLW2901 - the cells stand on a line of their own
-        lines.append(f"{name:<{left}}{cells}")
-    return lines
+            lines += [name, " " * left + cells]
+        else:
+            lines.append(f"{name:<{left}}{cells}")
+    return [*lines, *LEGEND]
+
+
+COLUMNS = ("n", "flag %", "coll %", "clearance s", "grid", "recov", "alerts", "inv")
+LEGEND = (
+    "n: valid runs (of those planned); flag, coll: runs with an unsafe proposal, with a collision;",
+    "clearance: mean +- sd over cleared runs (their number); grid: gridlock, not cleared in time",
+)
 
 
 def _row(metrics: Data, users: Sequence[str]) -> list[str]:
-    invalid = str(metrics["invalid"])
-    if metrics["missing"]:
-        invalid += f" (+{metrics['missing']} missing)"
+    valid, planned = metrics["valid"], metrics["planned"]
+    grid = metrics["gridlock"]
+    missing = f"+{metrics['missing']} missing" if metrics["missing"] else ""
     return [
-        f"{metrics['valid']}" if metrics["valid"] == metrics["planned"]
-        else f"{metrics['valid']}/{metrics['planned']}",
+        str(valid) if valid == planned else f"{valid} ({planned})",
         _percent(metrics["flagged"]),
         _percent(metrics["collided"]),
         _time(metrics["clearance_time"]),
-        "-" if metrics["gridlock"] is None else str(metrics["gridlock"]["valid"]),
+        "-" if grid is None else str(grid["valid"]),
         str(metrics["recoveries"]),
         str(metrics["alerts"]),
-        invalid,
+        f"{metrics['invalid']}{missing}",
         *(_user(metrics["user"].get(name)) for name in users),
-    ]  # fmt: skip
+    ]
 
 
 def _percent(share: Data | None) -> str:
     if share is None or share["share_of_valid"] is None:
         return "-"
-    return f"{100 * share['share_of_valid']:.0f} %"
+    return f"{100 * share['share_of_valid']:.0f}"
 
 
 def _time(clearance: Data | None) -> str:
     if clearance is None or clearance["mean"] is None:
         return "-"
     spread = "" if clearance["sd"] is None else f" +- {clearance['sd']:.1f}"
-    return f"{clearance['mean']:.1f}{spread} s ({clearance['runs']})"
+    return f"{clearance['mean']:.1f}{spread} ({clearance['runs']})"
 
 
 def _user(value: Data | None) -> str:
@@ -143,49 +152,68 @@ def _show_verdicts(session: DuraSession, terminal: Any, record: Data) -> None:
         word = verdict["verdict"]
         terminal.write(f"{word:<9}", **COLOURS[word])
         counts = f"n = {verdict['episodes']}, {_counted(verdict['violations'], 'violation')}"
+        bound = verdict["bound"]
+        if bound["upper"] is not None:
+            counts += f" (rate <= {bound['upper']:.2g} at {bound['confidence']:.0%})"
         waiver = f" [{verdict['waiver']['kind']}]" if verdict["waiver"] else ""
         terminal.line(f"  {verdict['requirement']:<{wide}}  {verdict['case']}: {counts}{waiver}")
+    alike: dict[tuple[str, ...], list[Data]] = {}
     for verdict in verdicts:
         if verdict["verdict"] != "supported":
-            _show_failure(session, terminal, record, verdict)
+            # What is undecided for one reason is told once for all requirements of a case.
+            apart = (
+                verdict["requirement"] if verdict["verdict"] == "violated" else verdict["reason"]
+            )
+            alike.setdefault((verdict["case"], verdict["component"], apart), []).append(verdict)
+    for group in alike.values():
+        _show_failure(session, terminal, record, group)
 
 
-def _show_failure(session: DuraSession, terminal: Any, record: Data, verdict: Data) -> None:
+def _show_failure(
+    session: DuraSession, terminal: Any, record: Data, verdicts: Sequence[Data]
+) -> None:
+    first = verdicts[0]
+    names = ", ".join(dict.fromkeys(one["requirement"] for one in verdicts))
     terminal.line("")
-    terminal.line(
-        f"{verdict['verdict']}: {verdict['requirement']} on {verdict['case']}", **COLOURS["violated"]
-    )
-    terminal.line(f"  {verdict['reason']}")
-    requirement = next(
-        (one for one in record["requirements"] if one["id"] == verdict["requirement"]), None
-    )
-    check = verdict["check"] or (requirement["check"] if requirement else "")
-    if check and check != verdict["requirement"]:
+    terminal.line(f"{first['verdict']}: {names} on {first['case']}", **COLOURS[first["verdict"]])
+    terminal.line(f"  {first['reason']}")
+    check = first["check"] or _check_of(record, first["requirement"])
+    if check and len(verdicts) == 1 and check != first["requirement"]:
         terminal.line(f"  check:  {check}")
     episode = None
-    if verdict["counterexamples"]:
-        worst = verdict["counterexamples"][0]
-        episode = worst["episode"]
-        terminal.line(f"  worst:  {_counterexample(worst)}")
+    if first["counterexamples"]:
+        from pytest_dura.campaign.runner import describe_counterexample
+
+        episode = first["counterexamples"][0]["episode"]
+        terminal.line(f"  worst:  {describe_counterexample(first['counterexamples'][0])}")
     else:
-        failed = [
-            one
-            for one in record["episodes"]
-            if one["case"] == verdict["case"] and one["validity"] != "valid"
-        ]
-        if failed:
-            episode = failed[0]["id"]
-            terminal.line(f"  {failed[0]['failure'] or 'invalid: ' + failed[0]['invalid_reason']}")
+        spoilt = _spoilt(record, first)
+        if spoilt is not None:
+            episode = spoilt["id"]
+            terminal.line(f"  {spoilt['failure'] or 'invalid: ' + spoilt['invalid_reason']}")
     if episode is not None:
         terminal.line(f"  replay: {replay_command(session, episode)}")
-    for item in verdict["item"].split(", "):
+    items = list(dict.fromkeys(item for one in verdicts for item in one["item"].split(", ")))
+    if len(items) > 1 and all(item.startswith(f"{first['case']}::") for item in items):
+        items = [first["case"]]
+    for item in items:
         terminal.line(f"  rerun:  {rerun_command(session, item)}")
 
 
-def _counterexample(worst: Data) -> str:
-    when = "" if worst["time"] is None else f" at t = {worst['time']:.2f} s"
-    by = "" if worst["margin"] is None else f", by {abs(worst['margin']):.3g}"
-    return f"run {worst['episode']}{when}{by}"
+def _check_of(record: Data, requirement: str) -> str:
+    return next((one["check"] for one in record["requirements"] if one["id"] == requirement), "")
+
+
+def _spoilt(record: Data, verdict: Data) -> Data | None:
+    """The first episode of the case that says nothing; a missing one before an invalid one."""
+    found = [
+        one
+        for one in record["episodes"]
+        if (one["case"], one["component"]) == (verdict["case"], verdict["component"])
+        and one["planned"]
+        and one["validity"] != "valid"
+    ]
+    return min(found, key=lambda one: one["validity"] != "missing", default=None)
 
 
 def _counted(number: int, noun: str) -> str:

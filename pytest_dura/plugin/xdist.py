@@ -6,7 +6,7 @@ from xdist.scheduler import LoadScopeScheduling
 
 
 class CaseScheduling(LoadScopeScheduling):  # type: ignore[misc, unused-ignore]
-    """Load balancing with the items of one case as the unit; any other item is a unit of its own."""
+    """Load balancing in units: the items of a case together, any other item on its own."""
 
     def _split_scope(self, nodeid: str) -> str:
         name, bracket, parameters = nodeid.partition("[")

@@ -1,0 +1,77 @@
+from __future__ import annotations
+
+import importlib
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+# In-process runs forget what they imported, and numpy and its like cannot be imported twice.
+for module in (
+    "hypothesis.strategies",
+    "pytest_dura.campaign.runner",
+    "pytest_dura.driving.highway",
+    "pytest_dura.driving.roles.performance",
+    "pytest_dura.driving.roles.planners",
+    "pytest_dura.driving.roles.recovery",
+    "pytest_dura.driving.roles.safety",
+    "pytest_dura.driving.roles.security",
+    "pytest_dura.evidence.bundle",
+    "pytest_dura.evidence.environment",
+    "pytest_dura.faults.injector",
+    "scipy.special",
+):
+    importlib.import_module(module)
+
+PROJECT = Path(__file__).with_name("project")
+
+MODES = {
+    "plain": [],
+    "n0": ["-n", "0"],
+    "n2": ["-n", "2"],
+    "without xdist": ["-p", "no:xdist"],
+}
+
+
+class Project:
+    """A copy of the example project, in which pytest runs in this process."""
+
+    def __init__(self, pytester: pytest.Pytester) -> None:
+        self.pytester = pytester
+        self.path = pytester.path
+        shutil.copytree(PROJECT, self.path, dirs_exist_ok=True)
+
+    def run(self, *arguments):
+        return self.pytester.runpytest_inprocess(*arguments)
+
+    def scenarios(self, *arguments, select="corridor/*"):
+        return self.run("--dura-scenarios", f"--dura-select={select}", *arguments)
+
+    def write(self, name, text):
+        file = self.path / name
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(text)
+
+    def evidence(self, folder="dura-evidence"):
+        return json.loads((self.path / folder / "evidence.json").read_text())
+
+    def verdicts(self):
+        return {
+            (one["case"], one["requirement"]): one["verdict"] for one in self.evidence()["verdicts"]
+        }
+
+
+@pytest.fixture
+def project(pytester, monkeypatch):
+    monkeypatch.delenv("PYTEST_ADDOPTS", raising=False)
+    return Project(pytester)
+
+
+@pytest.fixture(params=list(MODES))
+def mode(request):
+    return MODES[request.param]
+
+
+def output(result):
+    return result.stdout.str() + result.stderr.str()

@@ -1,0 +1,200 @@
+from __future__ import annotations
+
+ITEMS = ["corridor/free::GAP-1", "corridor/free::GO-1", "corridor/tight::GAP-1"]
+
+
+def collected(result):
+    return [line for line in result.outlines if "::" in line and not line.startswith(" ")]
+
+
+def test_scenarios_run_in_every_mode(project, mode):
+    result = project.scenarios("-v", *mode)
+    result.assert_outcomes(passed=3)
+    assert all(item in result.stdout.str() for item in ITEMS)
+    evidence = project.evidence()
+    assert evidence["status"] == "complete"
+    assert [one["id"] for one in evidence["episodes"]] == [
+        "corridor/free#0",
+        "corridor/free#1",
+        "corridor/free#2",
+        "corridor/tight#0",
+        "corridor/tight#1",
+    ]
+    assert set(project.verdicts().values()) == {"supported"}
+
+
+def test_a_violation_fails_the_gate_in_every_mode(project, mode):
+    result = project.scenarios("--dura-generator=corridor:Reckless", *mode)
+    result.assert_outcomes(passed=1, failed=2)
+    assert result.ret == 1
+    text = result.stdout.str()
+    assert "violated: GAP-1 on corridor/tight (Reckless): 2 of 2 valid episodes" in text
+    assert "worst:    corridor/tight#0 at t = 0.20 s" in text
+    assert "Traceback" not in text
+    assert ".py:" not in text.partition("FAILURES")[2]
+    assert project.verdicts()["corridor/free", "GO-1"] == "supported"
+    assert project.verdicts()["corridor/free", "GAP-1"] == "violated"
+
+
+def test_collection_is_sorted_and_runs_nothing(project):
+    result = project.scenarios("--collect-only", "-q")
+    assert collected(result) == ITEMS
+    assert not (project.path / "dura-evidence").exists()
+    assert result.ret == 0
+
+
+def test_the_builtin_scenarios_are_there(project):
+    result = project.run("--dura-scenarios", "--collect-only", "-q")
+    text = result.stdout.str()
+    assert "intersection/ghost-obstacle::SAF-1" in text
+    assert "corridor/tight::GAP-1" in text
+
+
+def test_an_item_is_selected_by_its_node_id(project, mode):
+    result = project.run("corridor/free::GO-1", "-v", *mode)
+    result.assert_outcomes(passed=1)
+    assert "corridor/free::GO-1" in result.stdout.str()
+
+
+def test_a_case_is_selected_by_its_name(project):
+    project.run("corridor/free").assert_outcomes(passed=2)
+
+
+def test_items_and_functions_are_selected_together(project):
+    project.write("test_plain.py", "def test_one(): pass\ndef test_two(): pass\n")
+    result = project.run("corridor/free::GO-1", "test_plain.py::test_two", "-v")
+    result.assert_outcomes(passed=2)
+
+
+def test_a_case_with_other_faults_is_selected_by_its_id(project):
+    result = project.run("intersection/ghost-obstacle+none::SAF-1", "--collect-only", "-q")
+    assert collected(result) == ["intersection/ghost-obstacle+none::SAF-1"]
+
+
+def test_an_item_is_selected_from_a_folder_below(project, monkeypatch):
+    (project.path / "below").mkdir()
+    monkeypatch.chdir(project.path / "below")
+    result = project.run("../corridor/free::GO-1", "--rootdir=..", "-c", "../pytest.ini")
+    result.assert_outcomes(passed=1)
+
+
+def test_a_requirement_that_the_case_does_not_have(project):
+    result = project.run("corridor/free::GAP-9")
+    assert result.ret == 4
+    result.stderr.fnmatch_lines(
+        [
+            "ERROR: the case 'corridor/free' has no requirement 'GAP-9'",
+            "  expected: one of GAP-1, GO-1",
+            "  remedy:   did you mean 'GAP-1'?",
+        ]
+    )
+
+
+def test_a_path_that_does_not_exist_is_pytests_to_tell(project):
+    result = project.run("corridor/fre")
+    assert result.ret == 4
+    assert "file or directory not found: corridor/fre" in result.stderr.str()
+
+
+def test_a_misspelt_path_beside_a_broken_file_is_pytests_to_tell(project):
+    project.write("scenarios/broken.yaml", "name: [")
+    result = project.run("tsets")
+    assert "file or directory not found: tsets" in result.stderr.str()
+    assert "broken" not in result.stderr.str()
+
+
+def test_select_by_keyword(project):
+    project.scenarios("-k", "tight").assert_outcomes(passed=1, deselected=2)
+    project.scenarios("-k", "GAP-1").assert_outcomes(passed=2, deselected=1)
+    project.scenarios("-m", "requirement").assert_outcomes(passed=3)
+
+
+def test_flag_alone_runs_scenarios_only(project):
+    project.write("test_plain.py", "def test_one(): pass\n")
+    project.scenarios().assert_outcomes(passed=3)
+
+
+def test_flag_with_paths_adds_scenarios(project, mode):
+    project.write("tests/test_plain.py", "def test_one(): pass\n")
+    project.scenarios("tests", *mode).assert_outcomes(passed=4)
+
+
+def test_without_the_flag_nothing_changes(project):
+    project.write("test_plain.py", "def test_one(): pass\n")
+    result = project.run()
+    result.assert_outcomes(passed=1)
+    assert "dura:" not in result.stdout.str()
+    assert not (project.path / "dura-evidence").exists()
+
+
+def test_last_failed_reruns_a_scenario_item_beside_a_function(project):
+    project.write("test_plain.py", "def test_good(): pass\ndef test_bad(): assert False\n")
+    first = project.scenarios(".", "--dura-generator=corridor:Reckless")
+    first.assert_outcomes(passed=2, failed=3)
+    again = project.scenarios(".", "--dura-generator=corridor:Reckless", "--lf", "-v")
+    again.assert_outcomes(failed=3, deselected=1)
+    assert "test_good" not in again.stdout.str()
+
+
+def test_an_episode_is_simulated_once_however_many_items_look_at_it(project, monkeypatch):
+    log = project.path / "log"
+    monkeypatch.setenv("CORRIDOR_LOG", str(log))
+    project.scenarios()
+    lines = log.read_text().splitlines()
+    assert len(lines) == len(set(lines)) == 5
+
+
+def test_workers_share_cases_so_that_each_is_simulated_once(project, monkeypatch):
+    log = project.path / "log"
+    monkeypatch.setenv("CORRIDOR_LOG", str(log))
+    project.scenarios("-n", "2")
+    lines = log.read_text().splitlines()
+    assert len(lines) == len(set(lines)) == 5
+
+
+def test_runs_are_replaced_and_it_is_said(project):
+    result = project.scenarios("--dura-runs=1")
+    assert "dura: --dura-runs=1 replaces the planned number of runs" in result.stdout.str()
+    evidence = project.evidence()
+    assert len(evidence["episodes"]) == 2
+    assert {case["runs_override"] for case in evidence["cases"]} == {1}
+    assert {verdict["planned"] for verdict in evidence["verdicts"]} == {1}
+
+
+def test_the_seed_changes_the_runs(project):
+    project.scenarios("--dura-seed=1")
+    first = project.evidence()
+    project.scenarios("--dura-seed=2")
+    second = project.evidence()
+    assert (first["base_seed"], second["base_seed"]) == (1, 2)
+    assert first["episodes"][0]["seed"] != second["episodes"][0]["seed"]
+    assert first["episodes"][0]["digest"] != second["episodes"][0]["digest"]
+
+
+def test_autouse_fixtures_of_the_root_conftest_apply(project):
+    project.write(
+        "conftest.py",
+        "import pytest\n"
+        "@pytest.fixture(autouse=True)\n"
+        "def note(request): print('noted', request.node.name)\n",
+    )
+    result = project.scenarios("-s")
+    assert "noted GAP-1" in result.stdout.str()
+
+
+def test_xfail_is_a_waiver(project, mode):
+    project.write(
+        "conftest.py",
+        "import pytest\n"
+        "def pytest_collection_modifyitems(items):\n"
+        "    for item in items:\n"
+        "        if item.nodeid == 'corridor/tight::GAP-1':\n"
+        "            item.add_marker(pytest.mark.xfail(reason='ticket 7'))\n",
+    )
+    result = project.run("corridor/tight", "--dura-generator=corridor:Reckless", *mode)
+    result.assert_outcomes(xfailed=1)
+    assert result.ret == 0
+    (verdict,) = project.evidence()["verdicts"]
+    assert verdict["verdict"] == "violated"
+    assert verdict["waiver"] == {"kind": "xfail", "reason": "ticket 7"}
+    assert "[xfail]" in result.stdout.str()

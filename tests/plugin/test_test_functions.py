@@ -1,0 +1,213 @@
+from __future__ import annotations
+
+import pytest
+
+EPISODE_TEST = """
+import pytest
+
+@pytest.mark.dura(scenario="corridor/*")
+@pytest.mark.requirement("GAP-1")
+def test_never_touches(episode):
+    assert not episode.collided
+    assert episode.robustness("always (gap > 0)") > 0
+"""
+
+CAMPAIGN_TEST = """
+import pytest
+
+@pytest.mark.dura(scenario="corridor/free", runs=30)
+@pytest.mark.requirement("RATE-1", text="It rarely touches anything", kind="safety")
+def test_rate(campaign):
+    verdict = campaign.require("always (gap > 0)", at_most=0.1, confidence=0.95)
+    assert len(campaign.episodes) == verdict.run == 30
+"""
+
+
+def test_one_test_for_each_run(project, mode):
+    project.write("test_it.py", EPISODE_TEST)
+    result = project.run("test_it.py", "-v", *mode)
+    result.assert_outcomes(passed=5)
+    assert "test_it.py::test_never_touches[corridor/free#2]" in result.stdout.str()
+    verdict = project.evidence()["verdicts"][0]
+    assert (verdict["case"], verdict["requirement"]) == ("corridor/free", "GAP-1")
+    assert (verdict["verdict"], verdict["planned"], verdict["episodes"]) == ("supported", 3, 3)
+    assert verdict["item"] == "test_it.py::test_never_touches"
+
+
+def test_failures_count_and_name_their_replay(project):
+    project.write("test_it.py", EPISODE_TEST)
+    result = project.run("test_it.py", "--dura-generator=corridor:Reckless")
+    result.assert_outcomes(failed=5)
+    text = result.stdout.str()
+    assert "corridor/tight#1, replay: pytest --dura-replay='corridor/tight#1' test_it.py" in text
+    assert "violated: GAP-1 on corridor/free" in text
+    verdict = project.evidence()["verdicts"][0]
+    assert (verdict["verdict"], verdict["violations"]) == ("violated", 3)
+    assert verdict["counterexamples"][0]["time"] == pytest.approx(0.5)
+    frames = [line for line in text.splitlines() if line.startswith("pytest_dura/")]
+    assert frames == []
+
+
+def test_one_test_for_each_case(project, mode):
+    project.write("test_it.py", CAMPAIGN_TEST)
+    result = project.run("test_it.py", "-v", *mode)
+    result.assert_outcomes(passed=1)
+    assert "test_rate[corridor/free]" in result.stdout.str()
+    evidence = project.evidence()
+    assert len(evidence["episodes"]) == 30
+    (verdict,) = evidence["verdicts"]
+    assert verdict["requirement"] == "RATE-1"
+    assert verdict["check"] == "always (gap > 0)"
+    assert verdict["bound"]["at_most"] == 0.1
+    assert {one["id"]: one["text"] for one in evidence["requirements"]}["RATE-1"] == (
+        "It rarely touches anything"
+    )
+
+
+def test_too_few_runs_are_undecided(project):
+    project.write("test_it.py", CAMPAIGN_TEST)
+    result = project.run("test_it.py", "--dura-runs=10")
+    result.assert_outcomes(failed=1)
+    text = result.stdout.str()
+    assert "undecided: RATE-1 on corridor/free (Careful): 0 of 10" in text
+    assert "29" in text
+    assert "pytest_dura/" not in text.partition("FAILURES")[2].partition("= dura =")[0]
+    relaxed = project.run("test_it.py", "--dura-runs=10", "--dura-undecided=warn")
+    relaxed.assert_outcomes(skipped=1)
+
+
+def test_fault_campaigns_make_cases(project):
+    project.write(
+        "test_it.py",
+        "import pytest\n"
+        "@pytest.mark.dura(scenario='intersection/ghost-obstacle', "
+        "faults=['none', 'ghost-obstacle', ['ghost-obstacle', 'trajectory-spoof']], runs=2)\n"
+        "def test_it(episode): pass\n",
+    )
+    result = project.run("test_it.py", "--collect-only", "-q")
+    assert [line for line in result.outlines if "::" in line] == [
+        f"test_it.py::test_it[{case}#{run}]"
+        for case in (
+            "intersection/ghost-obstacle+none",
+            "intersection/ghost-obstacle",
+            "intersection/ghost-obstacle+ghost-obstacle+trajectory-spoof",
+        )
+        for run in (0, 1)
+    ]
+
+
+def test_by_hand(project):
+    project.write(
+        "test_it.py",
+        "def test_it(orchestrator):\n"
+        "    first = orchestrator.run('corridor/free', seed=7)\n"
+        "    again = orchestrator.run('corridor/free', seed=7)\n"
+        "    other = orchestrator.run('corridor/free', run=1)\n"
+        "    assert first is again\n"
+        "    assert first.spec.seed == 7 != other.spec.seed\n"
+        "    assert other.id == 'corridor/free#1'\n",
+    )
+    result = project.run("test_it.py")
+    result.assert_outcomes(passed=1)
+    assert "1 episode with a seed chosen by hand" in result.stdout.str()
+    evidence = project.evidence()
+    assert [one["planned"] for one in evidence["episodes"]] == [False, True]
+    assert evidence["cases"][0]["metrics"]["run"] == 1
+
+
+def test_run_episode_suits_hypothesis(project):
+    project.write(
+        "test_it.py",
+        "from hypothesis import given, settings, strategies as st\n"
+        "@settings(max_examples=5, deadline=None, database=None)\n"
+        "@given(seed=st.integers(0, 1000))\n"
+        "def test_it(run_episode, seed):\n"
+        "    assert not run_episode('corridor/free', seed=seed).collided\n",
+    )
+    project.run("test_it.py").assert_outcomes(passed=1)
+    assert len(project.evidence()["episodes"]) > 1
+
+
+def test_an_unknown_name_by_hand_shows_the_users_line_only(project):
+    project.write(
+        "test_it.py", "def test_it(orchestrator):\n    orchestrator.run('corridor/fre')\n"
+    )
+    result = project.run("test_it.py")
+    result.assert_outcomes(failed=1)
+    text = result.stdout.str()
+    assert "no scenario matches 'corridor/fre'" in text
+    assert "did you mean 'corridor/free'?" in text
+    assert "runner.py" not in text
+    assert "cases.py" not in text
+
+
+@pytest.mark.parametrize(
+    "marks, signature, lines",
+    [
+        (
+            ["dura(scenario='corridor/fre')"],
+            "episode",
+            ["*test_it.py:*: no scenario matches 'corridor/fre'", "*did you mean 'corridor/free'?"],
+        ),
+        (
+            ["dura(scenario='corridor/free', faults=['ghost'])"],
+            "campaign",
+            ["*test_it.py:*: unknown fault 'ghost'", "*ghost-obstacle*"],
+        ),
+        (
+            ["dura(scenaro='corridor/free')"],
+            "episode",
+            ["*the marker dura cannot be used*", "*did you mean 'scenario'?"],
+        ),
+        (["dura(scenario=3)"], "episode", ["*wrong `scenario`", "*found:*3"]),
+        (["dura(scenario='corridor/free', runs=0)"], "episode", ["*wrong `runs`", "*at least 1"]),
+        (["dura(scenario='corridor/free', faults=7)"], "episode", ["*wrong `faults`"]),
+        (
+            ["dura(scenario='corridor/free')", "requirement('SAF-99')"],
+            "episode",
+            [
+                "*test_it.py:*: the requirement 'SAF-99' has no text",
+                '*requirement("SAF-99", text=*',
+            ],
+        ),
+        (
+            ["dura(scenario='corridor/free')", "requirement('X', text='t', kind='safty')"],
+            "episode",
+            ["*no kind of requirement 'safty'", "*safety, security*"],
+        ),
+    ],
+)
+def test_a_marker_that_cannot_be_used_is_one_error(project, marks, signature, lines):
+    decorators = "".join(f"@pytest.mark.{mark}\n" for mark in marks)
+    project.write("test_it.py", f"import pytest\n{decorators}def test_it({signature}): pass\n")
+    result = project.run("test_it.py")
+    assert result.ret == 2
+    result.assert_outcomes(errors=1)
+    result.stdout.fnmatch_lines(lines)
+    assert "Traceback" not in result.stdout.str()
+
+
+def test_episode_without_a_marker(project):
+    project.write("test_it.py", "def test_it(episode): pass\n")
+    result = project.run("test_it.py")
+    result.assert_outcomes(errors=1)
+    result.stdout.fnmatch_lines(["the fixture `episode` needs to know which scenario to run"])
+    assert "fixtures.py" not in result.stdout.str()
+
+
+def test_markers_are_registered(project):
+    project.write("test_it.py", EPISODE_TEST)
+    project.run("test_it.py", "--strict-markers").assert_outcomes(passed=5)
+
+
+def test_a_fixture_named_episode_of_the_users_own_is_left_alone(project):
+    project.write(
+        "test_it.py",
+        "import pytest\n"
+        "@pytest.fixture\n"
+        "def episode(): return 'S01E01'\n"
+        "@pytest.fixture\n"
+        "def generator(): return 7\n"
+        "def test_it(episode, generator): assert episode == 'S01E01'\n",
+    )
+    project.run("test_it.py").assert_outcomes(passed=1)
