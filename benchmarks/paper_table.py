@@ -1,0 +1,158 @@
+"""The paper's table for one planner, and its two questions as exact paired tests.
+
+Run: python benchmarks/paper_table.py [--generator reactive] [--runs 200] [--jobs 2]
+
+Pairs share their seed, and so traffic, timing and variation. Do attacks raise flags and clearance
+time: each attack scenario with and without its fault, recovery on. Does switching recovery off
+raise collisions: each scenario with the policies recover and log_only. Binary outcomes are
+compared by the exact McNemar test, clearance times of pairs that cleared both times by the exact
+sign test; all p-values are two-sided and uncorrected.
+"""
+
+from __future__ import annotations
+
+import argparse
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from statistics import mean, stdev
+
+import numpy as np
+from machine import machine, table
+from scipy.stats import binomtest
+
+from pytest_dura.campaign.cases import Case, expand_cases
+from pytest_dura.campaign.domains import DOMAINS
+from pytest_dura.campaign.loading import load_library
+from pytest_dura.core.orchestrator import Orchestrator
+from pytest_dura.core.roles import RoleSpec
+
+Key = tuple[str, bool, str, int]
+"""Scenario, with its own faults, policy, run."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What the table needs of an episode."""
+
+    flagged: bool
+    collided: bool
+    struck: bool
+    clearance: float | None
+    recoveries: int
+    alerts: int
+    valid: bool
+
+
+def case_of(scenario: str, attacked: bool) -> Case:
+    """The scenario with its own faults, or without any."""
+    faults = None if attacked else ["none"]
+    (case,) = expand_cases(load_library([]).scenarios, faults=faults, select=[f"{scenario}*"])
+    return case
+
+
+def run(job: tuple[Key, str, int]) -> tuple[Key, Outcome]:
+    """One episode."""
+    key, generator, base_seed = job
+    scenario, attacked, policy, number = key
+    roles = {"generator": RoleSpec(DOMAINS["driving"].generators[generator])}
+    case = case_of(scenario, attacked)
+    spec = case.spec(number, base_seed, roles, policy=policy)
+    episode = Orchestrator.build(spec).run(spec)
+    if episode.failure is not None:
+        raise RuntimeError(episode.failure)
+    cleared = episode.signals["cleared"] > 0.5
+    return key, Outcome(
+        flagged=episode.flagged,
+        collided=episode.collided,
+        struck=episode.ever("struck"),
+        clearance=float(episode.time[np.argmax(cleared)]) if cleared.any() else None,
+        recoveries=len(episode.metrics.recoveries),
+        alerts=episode.metrics.alerts,
+        valid=episode.validity == "valid",
+    )
+
+
+def mcnemar(first: list[bool], second: list[bool]) -> tuple[int, int, float]:
+    """Pairs that only the first has, pairs that only the second has, exact p-value."""
+    only_first = sum(a and not b for a, b in zip(first, second, strict=True))
+    only_second = sum(b and not a for a, b in zip(first, second, strict=True))
+    total = only_first + only_second
+    return only_first, only_second, binomtest(only_first, total).pvalue if total else 1.0
+
+
+def main() -> None:
+    """Run, compare, print."""
+    arguments = argparse.ArgumentParser(description=__doc__)
+    arguments.add_argument("--generator", default="reactive")
+    arguments.add_argument("--runs", type=int, default=200)
+    arguments.add_argument("--jobs", type=int, default=2)
+    arguments.add_argument("--seed", type=int, default=0)
+    options = arguments.parse_args()
+    cases = expand_cases(load_library([]).scenarios)
+    scenarios = [case.id for case in cases]
+    attacks = [case.id for case in cases if case.faults]
+    runs = range(options.runs)
+    keys: list[Key] = [(s, True, p, n) for s in scenarios for p in ("recover", "log_only") for n in runs]
+    keys += [(s, False, "recover", n) for s in attacks for n in runs]
+    with ProcessPoolExecutor(options.jobs) as pool:
+        jobs = [(key, options.generator, options.seed) for key in keys]
+        found = dict(pool.map(run, jobs, chunksize=20))
+
+    def arm(scenario: str, attacked: bool = True, policy: str = "recover") -> list[Outcome]:
+        return [found[scenario, attacked, policy, number] for number in runs]
+
+    print(machine())
+    print(f"\n{options.generator}, {options.runs} paired seeds a scenario, base seed {options.seed}\n")
+    rows = []
+    for scenario in scenarios:
+        for policy in ("recover", "log_only"):
+            outcomes = arm(scenario, policy=policy)
+            times = [o.clearance for o in outcomes if o.clearance is not None]
+            share = 100 / len(outcomes)
+            rows.append([
+                scenario, policy, f"{share * sum(o.flagged for o in outcomes):.1f}",
+                f"{share * sum(o.collided for o in outcomes):.1f}",
+                f"{share * sum(o.struck for o in outcomes):.1f}",
+                f"{mean(times):.1f} +- {stdev(times):.1f} ({len(times)})" if len(times) > 1 else "-",
+                str(sum(o.clearance is None and not o.collided for o in outcomes)),
+                str(sum(o.recoveries for o in outcomes)), str(sum(o.alerts for o in outcomes)),
+                str(sum(not o.valid for o in outcomes)),
+            ])  # fmt: skip
+    print(table(["scenario", "policy", "flagged %", "collided %", "struck by others %",
+                 "clearance s (n)", "gridlock", "recoveries", "alerts", "invalid"], rows))  # fmt: skip
+    print("\nDo attacks raise flags and clearance time? (attack against none, recovery on)\n")
+    rows = []
+    for scenario in attacks:
+        attacked, free = arm(scenario), arm(scenario, attacked=False)
+        up, down, p = mcnemar([o.flagged for o in attacked], [o.flagged for o in free])
+        deltas = [
+            a.clearance - b.clearance
+            for a, b in zip(attacked, free, strict=True)
+            if a.clearance is not None and b.clearance is not None
+        ]
+        longer, shorter = sum(d > 0 for d in deltas), sum(d < 0 for d in deltas)
+        sign = binomtest(longer, longer + shorter).pvalue if longer + shorter else 1.0
+        rows.append([scenario, f"{up} / {down}", f"{p:.2g}", f"{mean(deltas):+.1f}",
+                     f"{longer} / {shorter}", f"{sign:.2g}"])  # fmt: skip
+    print(table(["scenario", "flagged only attacked / only free", "p", "mean change of clearance s",
+                 "longer / shorter", "p"], rows))  # fmt: skip
+    print("\nDoes switching recovery off raise collisions? (log_only against recover)\n")
+    rows, all_off, all_on = [], [], []
+    for scenario in scenarios:
+        off = [o.collided for o in arm(scenario, policy="log_only")]
+        on = [o.collided for o in arm(scenario)]
+        all_off, all_on = all_off + off, all_on + on
+        prevented, introduced, p = mcnemar(off, on)
+        futile = sum(a and b for a, b in zip(off, on, strict=True))
+        rows.append([scenario, str(sum(off)), str(sum(on)), str(prevented), str(introduced),
+                     str(futile), f"{p:.2g}"])  # fmt: skip
+    prevented, introduced, p = mcnemar(all_off, all_on)
+    futile = sum(a and b for a, b in zip(all_off, all_on, strict=True))
+    rows.append(["all", str(sum(all_off)), str(sum(all_on)), str(prevented), str(introduced),
+                 str(futile), f"{p:.2g}"])  # fmt: skip
+    print(table(["scenario", "collisions off", "collisions on", "prevented", "introduced",
+                 "in both", "p"], rows))  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()
