@@ -1,0 +1,144 @@
+"""Faults through the whole loop: they change the percept, and nothing else."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from roads import SCENARIOS, SIX, run, spec_of_drive, truth_of
+
+from pytest_dura import Episode
+from pytest_dura.campaign.cases import expand_cases
+from pytest_dura.campaign.loading import load_scenarios
+from pytest_dura.core.roles import RoleSpec
+from pytest_dura.driving.roles.planners import Aggressive
+
+WORLD: dict[str, Any] = {
+    "ego": {"distance": 50.0, "speed": 8.0},
+    "traffic": {"headway": 8.0},
+    "vehicles": [{"id": "E", "arm": "east", "distance": 70.0}],
+    "pedestrians": [{"id": "P1", "arm": "north", "start": 1.0}],
+}
+GHOST = {"type": "ghost-obstacle", "activation": {"at": 1.0}, "duration": 2.0}
+SPOOF = {"type": "trajectory-spoof", "activation": {"at": 0.8}, "duration": 3.0}
+
+
+class Oblivious(Aggressive):
+    """Drives the same whatever it is shown, but looks at it: a fault must reach it to manifest."""
+
+    def propose(self, view: Any) -> Any:
+        """Read all that is cheap, and ignore it."""
+        for name in view.percept:
+            if not name.startswith("camera"):
+                _ = view.percept[name]
+        return super().propose(view)
+
+
+def episode(*faults: Any, **options: Any) -> Episode:
+    options.setdefault("generator", RoleSpec("test_attacks:Oblivious"))
+    found = run(spec_of_drive(WORLD, faults=faults, **options))
+    assert found.failure is None
+    return found
+
+
+@pytest.mark.parametrize("faults", [[GHOST], [SPOOF], [GHOST, SPOOF]], ids=["ghost", "spoof", "both"])
+def test_ground_truth_is_bit_identical_with_and_without_the_fault(faults: list[Any]) -> None:
+    clean, attacked = episode(), episode(*faults)
+    assert truth_of(attacked) == truth_of(clean)
+    assert attacked.decisions["executed"].tolist() == clean.decisions["executed"].tolist()
+    assert attacked.termination == clean.termination
+    assert all(fault.success for fault in attacked.faults)
+    assert attacked.validity == "valid"
+    different = attacked.signals["percept.gap"] != clean.signals["percept.gap"]
+    assert different.any(), "the percept is another one"
+    assert not different[:8].any(), "but not before the attack"
+
+
+@pytest.mark.parametrize("name", SIX)
+def test_ground_truth_is_bit_identical_in_the_built_in_scenarios(name: str) -> None:
+    scenarios = load_scenarios([SCENARIOS / "intersection"])
+    (clean,) = expand_cases([scenarios[name]], ["none"])
+    (attacked,) = expand_cases([scenarios[name]], ["ghost-obstacle+trajectory-spoof"])
+    roles = {"generator": RoleSpec("test_attacks:Oblivious")}
+    one, other = (run(case.spec(0, 11, roles, policy="log_only")) for case in (clean, attacked))
+    assert one.failure is None
+    assert other.failure is None
+    assert truth_of(one) == truth_of(other)
+
+
+def test_a_component_that_believes_it_drives_otherwise() -> None:
+    clean, attacked = (episode(*f, generator="reactive") for f in ([], [GHOST]))
+    assert truth_of(attacked) != truth_of(clean)
+
+
+def test_a_spoof_of_magnitude_zero_is_no_fault_and_counts_as_not_manifested() -> None:
+    idle = {**SPOOF, "parameters": {"magnitude": 0.0}}
+    clean, attacked = episode(), episode(idle)
+    for name, column in clean.signals.items():
+        assert column.tobytes() == attacked.signals[name].tobytes()
+    (record,) = attacked.faults
+    assert record.activated_at is not None
+    assert record.manifested_at is None
+    assert attacked.validity == "invalid"
+    assert attacked.invalid_reason == "never manifested: trajectory-spoof"
+
+
+def test_a_component_that_reads_no_objects_is_not_reached_by_the_attack() -> None:
+    attacked = episode(GHOST, generator="aggressive")
+    (record,) = attacked.faults
+    assert record.activated_at is not None
+    assert not record.success
+    assert attacked.validity == "invalid"
+
+
+@pytest.mark.parametrize("by", ["fault_injector", "security_assessor"])
+@pytest.mark.parametrize("at", [0.5, 1.0, 1.7])
+def test_at_is_the_first_tampered_tick_whoever_activates_it(by: str, at: float) -> None:
+    ghost = {**GHOST, "activation": {"at": at, "by": by}, "duration": 1.0}
+    attacked = episode(ghost)
+    (record,) = attacked.faults
+    assert record.manifested_at == pytest.approx(at)
+    assert record.manifest_ticks == 10
+    assert record.activated_at == pytest.approx(at - 0.1)
+    assert record.deactivated_at == pytest.approx(at + 0.9)
+    clean = episode()
+    tampered = attacked.signals["percept.gap"] != clean.signals["percept.gap"]
+    first = round(at / 0.1)
+    assert np.flatnonzero(tampered)[0] == first
+    assert np.flatnonzero(tampered)[-1] <= first + 9
+
+
+def test_a_planned_fault_at_the_very_beginning() -> None:
+    attacked = episode({**GHOST, "activation": {"at": 0.0}, "duration": 0.5})
+    (record,) = attacked.faults
+    assert record.manifested_at == 0.0
+    assert record.manifest_ticks == 5
+
+
+def test_a_directed_attack_without_an_assessor_never_happens() -> None:
+    ghost = {**GHOST, "activation": {"at": 1.0, "by": "security_assessor"}}
+    attacked = episode(ghost, roles={"security_assessor": None})
+    assert attacked.faults[0].activated_at is None
+    assert attacked.validity == "invalid"
+
+
+def test_periodic_attacks_come_again() -> None:
+    for by in ("fault_injector", "security_assessor"):
+        activation = {"at": 1.0, "every": 2.0, "by": by}
+        attacked = episode({**GHOST, "activation": activation, "duration": 0.5}, duration=6.0)
+        activated = [event.tick for event in attacked.events if event.kind == "fault_activated"]
+        assert activated == [9, 29, 49]
+        assert attacked.faults[0].manifest_ticks == 15
+
+
+def test_a_second_fault_leaves_the_first_one_as_it_was() -> None:
+    alone, both = episode(GHOST), episode(GHOST, SPOOF)
+    one, same = alone.faults[0], both.faults[0]
+    assert (one.activated_at, one.manifest_ticks) == (same.activated_at, same.manifest_ticks)
+
+    def ghosts(found: Episode) -> list[str]:
+        return [e.subject for e in found.events if e.kind == "alert" and e.subject[:2] == "V9"]
+
+    assert ghosts(alone)
+    assert set(ghosts(alone)) == set(ghosts(both))
