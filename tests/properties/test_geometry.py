@@ -68,8 +68,8 @@ def reference_gap(one: Any, other: Any) -> float:
     if any(cross(e, f) for e in edges_of(p) for f in edges_of(q)):
         return 0.0
     return min(
-        min(to_segment(point, *edge) for point in p for edge in edges_of(q)),
-        min(to_segment(point, *edge) for point in q for edge in edges_of(p)),
+        *(to_segment(point, *edge) for point in p for edge in edges_of(q)),
+        *(to_segment(point, *edge) for point in q for edge in edges_of(p)),
     )
 
 
@@ -156,9 +156,7 @@ def test_boxes_stepped_forward_meet_at_the_time_to_collision(
 
 @quick
 @given(one=boxes, other=boxes, v=velocities, w=velocities, cap=st.floats(0.0, 5.0))
-def test_the_time_to_collision_is_capped(
-    one: Any, other: Any, v: Any, w: Any, cap: float
-) -> None:
+def test_the_time_to_collision_is_capped(one: Any, other: Any, v: Any, w: Any, cap: float) -> None:
     assert ttc(one, v, other, w, cap) == min(ttc(one, v, other, w, 1e9), cap)
 
 

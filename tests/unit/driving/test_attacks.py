@@ -42,7 +42,9 @@ def episode(*faults: Any, **options: Any) -> Episode:
     return found
 
 
-@pytest.mark.parametrize("faults", [[GHOST], [SPOOF], [GHOST, SPOOF]], ids=["ghost", "spoof", "both"])
+@pytest.mark.parametrize(
+    "faults", [[GHOST], [SPOOF], [GHOST, SPOOF]], ids=["ghost", "spoof", "both"]
+)
 def test_ground_truth_is_bit_identical_with_and_without_the_fault(faults: list[Any]) -> None:
     clean, attacked = episode(), episode(*faults)
     assert truth_of(attacked) == truth_of(clean)

@@ -44,9 +44,7 @@ def gap_to(tick: Tick, name: str) -> float:
     return float(geometry.gap(mine, other)[0])
 
 
-def check_contact(
-    simulator: HighwaySimulator, ticks: list[Tick], code: int, partner: str
-) -> str:
+def check_contact(simulator: HighwaySimulator, ticks: list[Tick], code: int, partner: str) -> str:
     """What holds at every collision; returns the event's detail."""
     signals = simulator.signals(ticks)
     last = len(ticks) - 1

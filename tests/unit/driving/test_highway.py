@@ -346,7 +346,7 @@ def test_the_time_to_collision_knows_far_and_fast_cars() -> None:
 
 
 @pytest.mark.parametrize(
-    ("world", "told"),
+    "world, told",
     [
         ({"vehicles": [{"id": "EGO", "arm": "west", "distance": 9}]}, "EGO"),
         (

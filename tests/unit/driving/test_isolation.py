@@ -132,9 +132,7 @@ def test_a_snapshot_of_another_simulator_works_as_well() -> None:
 def test_nothing_is_drawn_until_a_frame_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
     drawn: list[str] = []
     draw = camera.third_person
-    monkeypatch.setattr(
-        camera, "third_person", lambda *args: drawn.append("drawn") or draw(*args)
-    )
+    monkeypatch.setattr(camera, "third_person", lambda *args: drawn.append("drawn") or draw(*args))
     simulator, ticks = drive(WORLD, 5)
     for name in ("lidar", "radar", "imu", "odometry", "localisation", "map", "controls"):
         _ = Percept(ticks[-1].channels)[name]

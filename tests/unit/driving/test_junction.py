@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import itertools
 import math
 import pickle
 from types import SimpleNamespace
@@ -34,7 +35,7 @@ def network() -> Any:
 def lanes_of(network: Any, way: Route) -> list[Any]:
     a, b = way.origin, way.destination
     names = [f"o{a}", f"ir{a}", f"il{b}", f"o{b}"]
-    return [network.get_lane((x, y, 0)) for x, y in zip(names, names[1:], strict=False)]
+    return [network.get_lane((x, y, 0)) for x, y in itertools.pairwise(names)]
 
 
 def lane_pose(lanes: list[Any], s: float) -> tuple[float, float, float]:

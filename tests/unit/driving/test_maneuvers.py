@@ -34,14 +34,22 @@ def test_the_six_maneuvers() -> None:
 
 @pytest.mark.parametrize(
     "action",
-    ["wait", Maneuver.WAIT, Command(Maneuver.WAIT), {"maneuver": "wait"}, {"maneuver": Maneuver.WAIT}],
+    [
+        "wait",
+        Maneuver.WAIT,
+        Command(Maneuver.WAIT),
+        {"maneuver": "wait"},
+        {"maneuver": Maneuver.WAIT},
+    ],
     ids=["name", "maneuver", "command", "mapping", "mapping of maneuver"],
 )
 def test_a_command_may_be_written_in_several_ways(action: object) -> None:
     assert Command.of(action) == Command(Maneuver.WAIT, None)
 
 
-@pytest.mark.parametrize("number", [1, 1.0, np.float32(1.0), np.float64(1.0), np.int64(1)], ids=repr)
+@pytest.mark.parametrize(
+    "number", [1, 1.0, np.float32(1.0), np.float64(1.0), np.int64(1)], ids=repr
+)
 def test_an_acceleration_is_any_real_number(number: Any) -> None:
     command = Command.of({"maneuver": "proceed", "acceleration": number})
     assert command == Command(Maneuver.PROCEED, 1.0)
@@ -49,7 +57,7 @@ def test_an_acceleration_is_any_real_number(number: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ("action", "told"),
+    "action, told",
     [
         (None, ["None is not a maneuver", *NAMES]),
         ("", ["'' is not a maneuver", "wait, yield"]),
@@ -98,7 +106,7 @@ def test_emergency_brake_is_full_braking_wherever_the_car_is() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "target", "limit"),
+    "name, target, limit",
     [("proceed_cautiously", 5.0, 1.5), ("proceed", 9.0, 2.0), ("accelerate", 10.0, 3.5)],
 )
 def test_driving_on_tracks_a_speed(name: str, target: float, limit: float) -> None:
@@ -180,8 +188,10 @@ def test_no_command_leaves_the_envelope(
         | st.integers()
         | st.text(max_size=8)
         | st.sampled_from([*NAMES, "maneuver", "acceleration"]),
-        lambda inner: st.lists(inner, max_size=2)
-        | st.dictionaries(st.sampled_from(["maneuver", "acceleration", "x"]), inner, max_size=3),
+        lambda inner: (
+            st.lists(inner, max_size=2)
+            | st.dictionaries(st.sampled_from(["maneuver", "acceleration", "x"]), inner, max_size=3)
+        ),
         max_leaves=6,
     )
 )

@@ -44,7 +44,7 @@ def test_defaults_are_filled_in() -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "key", "told"),
+    "change, key, told",
     [
         ({"type": "ghost-obstcle"}, "type", ["unknown fault", "did you mean 'ghost-obstacle'?"]),
         ({"type": "meteor"}, "type", ["one of ghost-obstacle, trajectory-spoof", "catalogue"]),
