@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cache, cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ ARMS = ("south", "west", "north", "east")
 TURNS = ("left", "straight", "right")
 ARM_LENGTH = 100.0
 STOP_LINE = 11.0
-"""Distance of a stop line from the centre in metres; the square between them is the conflict zone."""
+"""Metres from the centre to a stop line; the square between them is the conflict zone."""
 LANE_OFFSET = 2.0
 RIGHT_RADIUS, LEFT_RADIUS = 9.0, 13.0
 SPEED_LIMIT = 10.0
@@ -31,7 +31,10 @@ _CONFLICT_WIDTH = 3.0
 
 @dataclass(frozen=True)
 class Route:
-    """From one arm to another. ``s`` is metres along it, 0 where the arm begins, 100 at the stop line."""
+    """From one arm to another.
+
+    ``s`` is metres along it, 0 where the arm begins, 100 at the stop line.
+    """
 
     origin: int
     turn: str
@@ -60,7 +63,7 @@ class Route:
 
     @property
     def priority(self) -> int:
-        """Right of way, as highway-env has it: 3 and 2 east-west, 1 and 0 north-south; left turns less."""
+        """Right of way, as in highway-env: 3 and 2 east-west, 1 and 0 north-south; left is less."""
         return (3 if self.origin % 2 else 1) - (self.turn == "left")
 
     def __reduce__(self) -> tuple[Callable[[int, str], Route], tuple[int, str]]:
@@ -91,13 +94,10 @@ class Route:
         return grid
 
     def pose(self, s: Floats | float) -> tuple[Floats, Floats, Floats]:
-        """x, y and heading at ``s`` (any shape)."""
-        grid = self.grid
-        return (
-            np.interp(s, grid[:, 0], grid[:, 1]),
-            np.interp(s, grid[:, 0], grid[:, 2]),
-            np.interp(s, grid[:, 0], grid[:, 3]),
-        )
+        """Where ``s`` (any shape) is: x, y and heading."""
+        along, *columns = self.grid.T
+        x, y, heading = (np.asarray(np.interp(s, along, column)) for column in columns)
+        return x, y, heading
 
     def points(self, s: Floats) -> Floats:
         """x and y at ``s``, shape ``(*s.shape, 2)``: quicker than ``pose``, for predictions."""
@@ -110,7 +110,9 @@ class Route:
     @cached_property
     def _segments(self) -> tuple[Floats, Floats]:
         start = np.ascontiguousarray(self.grid[:, 1:3])
-        return start, np.diff(start, axis=0, append=start[-1:])
+        step = np.diff(start, axis=0, append=start[-1:])
+        start.flags.writeable = step.flags.writeable = False
+        return start, step
 
     def project(self, x: float, y: float) -> tuple[float, float]:
         """``s`` of the nearest point and the signed lateral offset (right of it positive)."""
@@ -132,7 +134,7 @@ class Route:
         return ARM_LENGTH + radius * angle, (radius - distance) * sign
 
 
-@lru_cache(maxsize=None)
+@cache
 def route(origin: int, turn: str) -> Route:
     """The one Route object of this origin and turn."""
     return Route(origin, turn)
@@ -143,7 +145,7 @@ def all_routes() -> list[Route]:
     return [route(origin, turn) for origin in range(4) for turn in TURNS]
 
 
-@lru_cache(maxsize=None)
+@cache
 def conflict(a: Route, b: Route) -> tuple[float, float, float, float] | None:
     """Where routes from different arms come too near: ``s`` from, to on ``a``, then on ``b``."""
     if a.origin == b.origin:

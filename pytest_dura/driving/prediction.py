@@ -6,13 +6,15 @@ points. Vectorised over candidate accelerations, times, objects and discs.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_dura.driving.bodies import HEADING, LENGTH, VX, VY, WIDTH, BodyList
-from pytest_dura.driving.junction import Route
+from pytest_dura.driving.bodies import HEADING, LENGTH, NO_BODIES, VX, VY, WIDTH, BodyList
+from pytest_dura.driving.junction import SPEED_LIMIT, Route
+from pytest_dura.driving.scene import Scene
 
 Floats = NDArray[np.float64]
 
@@ -50,7 +52,7 @@ def moving(bodies: BodyList, times: Floats, yaw_rates: Floats | None = None) -> 
     data = bodies.data
     reach = data[:, LENGTH, None] * _OFFSETS
     points = np.empty((len(times), len(data), 3, 2))
-    if yaw_rates is None or not yaw_rates.any():
+    if yaw_rates is None:
         along = np.stack([np.cos(data[:, HEADING]), np.sin(data[:, HEADING])], axis=1)
         discs = data[:, None, :2] + along[:, None] * reach[..., None]
         points[:] = discs + times[:, None, None, None] * data[:, None, VX : VY + 1]
@@ -98,11 +100,68 @@ def separations(ego: Floats, others: Floats, other_radii: Floats) -> Floats:
     return np.sqrt(squared) - (EGO_RADIUS + other_radii)
 
 
-def near(bodies: BodyList, x: float, y: float, speed: float, horizon: float) -> BodyList:
-    """The bodies that could be reached within the horizon at all."""
-    if not len(bodies):
-        return bodies
-    data = bodies.data
-    reach = 8.0 + horizon * (speed + np.hypot(data[:, VX], data[:, VY]))
-    mask = (data[:, 0] - x) ** 2 + (data[:, 1] - y) ** 2 < reach * reach
-    return bodies.only(mask)
+def near(bodies: BodyList, x: float, y: float, speed: float, horizon: float) -> list[int]:
+    """Rows of the bodies that could be reached within the horizon at all."""
+    rows = []
+    for row, (bx, by, _, vx, vy, _, _) in enumerate(bodies.data.tolist()):
+        reach = 8.0 + horizon * (speed + abs(vx) + abs(vy))
+        if (bx - x) ** 2 + (by - y) ** 2 < reach * reach:
+            rows.append(row)
+    return rows
+
+
+class Predictor:
+    """Predicts how near an ego that keeps an acceleration comes to what it perceives.
+
+    Bodies keep their speed, and the yaw rate that two successive percepts show.
+
+    Args:
+        horizon: Seconds.
+        step: Seconds between two predicted instants.
+        now: Whether the present is the first of them.
+    """
+
+    def __init__(self, horizon: float, step: float, *, now: bool = False) -> None:
+        self.horizon = horizon
+        self.times = np.arange(0 if now else 1, round(horizon / step) + 1) * step
+        self._steps: list[float] = self.times.tolist()
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget what was perceived."""
+        self._index: int | None = None
+        self._headings: dict[str, float] = {}
+        self._before: dict[str, float] = {}
+
+    def observe(self, index: int, bodies: BodyList) -> None:
+        """The bodies perceived at a tick; a second call within the tick changes nothing."""
+        if index != self._index:
+            self._index, self._before = index, self._headings
+            self._headings = dict(zip(bodies.ids, bodies.data[:, HEADING].tolist(), strict=True))
+
+    def separations(
+        self, scene: Scene, accelerations: Sequence[float], dt: float
+    ) -> tuple[Floats, BodyList]:
+        """Distances in m, shape ``(accelerations, times, bodies)``, and which bodies these are.
+
+        Bodies out of reach are left out.
+        """
+        bodies = scene.bodies
+        rows = near(bodies, scene.x, scene.y, scene.speed, self.horizon)
+        if not rows:
+            return np.empty((len(accelerations), len(self.times), 0)), NO_BODIES
+        if len(rows) < len(bodies):
+            bodies = BodyList(tuple(bodies.ids[row] for row in rows), bodies.data[rows])
+        driven = advance(scene.speed, accelerations, self._steps, SPEED_LIMIT)
+        ego = ego_discs(scene.route, scene.s + driven)
+        others = moving(bodies, self.times, self._yaw_rates(bodies.ids, dt))
+        return separations(ego, others, radii(bodies)), bodies
+
+    def _yaw_rates(self, ids: tuple[str, ...], dt: float) -> Floats | None:
+        rates = []
+        for body_id in ids:
+            heading = self._headings[body_id]
+            turned = heading - self._before.get(body_id, heading)
+            turned = (turned + math.pi) % (2.0 * math.pi) - math.pi
+            rates.append(max(-1.0, min(1.0, turned / dt)))
+        return np.array(rates) if any(rates) else None

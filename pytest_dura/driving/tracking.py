@@ -1,11 +1,11 @@
-"""What successive percepts say together: yaw rates, displacements, newcomers."""
+"""What successive percepts say together: displacements, newcomers."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_dura.driving.bodies import HEADING, BodyList
+from pytest_dura.driving.bodies import BodyList
 
 Floats = NDArray[np.float64]
 
@@ -40,16 +40,6 @@ class Tracker:
         pairs = [(row, place[i]) for row, i in enumerate(now.ids) if i in place]
         table = np.array(pairs, dtype=np.intp).reshape(-1, 2)
         return table[:, 0], table[:, 1]
-
-    def yaw_rates(self, dt: float) -> Floats:
-        """Of the current bodies in rad/s, 0 for newcomers; shape ``(bodies,)``."""
-        assert self._current is not None
-        rates = np.zeros(len(self._current))
-        now, before = self.matched()
-        if len(now) and self._previous is not None:
-            turned = self._current.data[now, HEADING] - self._previous.data[before, HEADING]
-            rates[now] = ((turned + np.pi) % (2 * np.pi) - np.pi) / dt
-        return np.clip(rates, -1.0, 1.0)
 
     def displacement(self) -> tuple[NDArray[np.intp], Floats]:
         """Rows of the current list and how far those bodies have moved, ``(k, 2)`` in metres."""

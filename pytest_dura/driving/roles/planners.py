@@ -12,7 +12,7 @@ from pytest_dura.core.roles import Generator, Proposal, RoleContext
 from pytest_dura.core.seeding import stream
 from pytest_dura.core.state import GeneratorView
 from pytest_dura.driving import prediction
-from pytest_dura.driving.bodies import VX, VY, X, Y
+from pytest_dura.driving.bodies import VX, VY
 from pytest_dura.driving.junction import SPEED_LIMIT, STOP_LINE
 from pytest_dura.driving.maneuvers import (
     COMFORT_BRAKING,
@@ -25,7 +25,6 @@ from pytest_dura.driving.maneuvers import (
 )
 from pytest_dura.driving.radar import with_unexplained_returns
 from pytest_dura.driving.scene import HALF, InLane, Scene, crossing, time_to_cover
-from pytest_dura.driving.tracking import Tracker
 
 SCALLOP = 0.35
 """m; by so much three discs overstate a car's width where it is widest."""
@@ -51,12 +50,11 @@ class RuleBased(Generator):
 
     def __init__(self, margin: float = 1.5, separation: float = 1.0) -> None:
         self.margin, self.separation = margin, separation
-        self._times = np.arange(11) * 0.3
-        self._steps = self._times.tolist()
+        self._predictor = prediction.Predictor(3.0, 0.3, now=True)
 
     def reset(self, context: RoleContext) -> None:
         """Forget the bodies seen."""
-        self._tracker = Tracker()
+        self._predictor.reset()
         self._waits: dict[str, int] = {}
         self._walked: set[str] = set()
         self._given_way = 0
@@ -65,14 +63,15 @@ class RuleBased(Generator):
         """The maneuver of this tick, with its acceleration."""
         scene = Scene.of(view.percept)
         scene.bodies = with_unexplained_returns(view.percept)
-        self._tracker.update(view.index, scene.bodies)
+        self._predictor.observe(view.index, scene.bodies)
         self._watch_who_waits(scene)
         command, why = self._on_the_way(scene, view.dt)
         acceleration = acceleration_for(command, scene.speed, scene.to_stop_line)
         follow = self._follow(scene.leader(), scene.speed)
         if follow < acceleration:
             acceleration, why = follow, "follows"
-            command = Command(Maneuver.YIELD if follow > -COMFORT_BRAKING else Maneuver.EMERGENCY_BRAKE)
+            gently = follow > -COMFORT_BRAKING
+            command = Command(Maneuver.YIELD if gently else Maneuver.EMERGENCY_BRAKE)
         walker = self._for_pedestrians(scene)
         if walker < acceleration:
             acceleration, why = walker, "lets a pedestrian cross"
@@ -85,7 +84,7 @@ class RuleBased(Generator):
         if not scene.entered:
             to_line = scene.to_stop_line
             if braking_distance(scene.speed, 0.8 * MAX_BRAKING) < to_line + 0.3:
-                blocked = self._who_comes(scene)
+                blocked = self._who_comes(scene, dt)
                 if blocked is not None:
                     return Command(Maneuver.WAIT), f"gives way to {blocked}"
                 go = Maneuver.ACCELERATE if to_line < 20.0 else Maneuver.PROCEED
@@ -94,13 +93,13 @@ class RuleBased(Generator):
 
     def _watch_who_waits(self, scene: Scene) -> None:
         """For how many ticks each car has stood outside the junction."""
-        data = scene.bodies.data
-        outside = np.maximum(np.abs(data[:, X]), np.abs(data[:, Y])) > STOP_LINE
-        still = outside & (np.abs(data[:, VX]) + np.abs(data[:, VY]) < 0.3)
-        ids = scene.bodies.ids
-        self._waits = {ids[r]: self._waits.get(ids[r], 0) + 1 for r in np.flatnonzero(still)}
+        self._waits = {
+            body.id: self._waits.get(body.id, 0) + 1
+            for body in scene.bodies
+            if abs(body.vx) + abs(body.vy) < 0.3 and max(abs(body.x), abs(body.y)) > STOP_LINE
+        }
 
-    def _who_comes(self, scene: Scene) -> str | None:
+    def _who_comes(self, scene: Scene, dt: float) -> str | None:
         """Who on the crossing road arrives before the ego has crossed, if it goes now."""
         for other in crossing(scene):
             if self._waits.get(other.body.id, 0) >= self.PATIENCE:
@@ -112,7 +111,7 @@ class RuleBased(Generator):
             if arrives < clear + self.margin:
                 return other.body.id
         candidate = (3.5 if scene.to_stop_line < 20.0 else 2.0,)
-        apart, who = self._apart(scene, candidate, 0.1)
+        apart, who = self._apart(scene, candidate, dt)
         return who if apart[0] < self.separation else None
 
     def _inside(self, scene: Scene, dt: float) -> tuple[Command, str]:
@@ -134,16 +133,9 @@ class RuleBased(Generator):
         self, scene: Scene, accelerations: Sequence[float], dt: float
     ) -> tuple[NDArray[np.float64], str]:
         """Least predicted separation of each candidate, and from whom for the first."""
-        near = prediction.near(scene.bodies, scene.x, scene.y, scene.speed, self._times[-1])
-        if not len(near):
+        apart, near = self._predictor.separations(scene, accelerations, dt)
+        if not near.ids:
             return np.full(len(accelerations), 99.0), "nobody"
-        yaw = self._tracker.yaw_rates(dt)
-        if near is not scene.bodies:
-            yaw = yaw[[scene.bodies.ids.index(i) for i in near.ids]]
-        driven = prediction.advance(scene.speed, accelerations, self._steps, SPEED_LIMIT)
-        ego = prediction.ego_discs(scene.route, scene.s + driven)
-        others = prediction.moving(near, self._times, yaw)
-        apart = prediction.separations(ego, others, prediction.radii(near))
         # Who is near already, such as a pedestrian beside a standing car, is no reason against a
         # candidate that comes no nearer.
         standing = np.hypot(near.data[:, VX], near.data[:, VY]) < 0.5

@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-import numpy as np
-
-from pytest_dura.core.roles import Assessed, Assessment, RoleContext, RoleView, SafetyMonitor
+from pytest_dura.core.roles import Assessed, Assessment, RoleContext, SafetyMonitor
+from pytest_dura.core.state import RoleView
 from pytest_dura.driving import prediction
 from pytest_dura.driving.junction import SPEED_LIMIT
 from pytest_dura.driving.maneuvers import MAX_BRAKING, acceleration_for, braking_distance
 from pytest_dura.driving.scene import Scene, crossing, time_to_cover
-from pytest_dura.driving.tracking import Tracker
 
 SEPARATION_CAP = 10.0
 """m; the score saturates here."""
 
+ENTRY = 0.5
+"""Seconds within which a proposal that crosses the stop line is held to the right of way."""
+
 
 class SeparationMonitor(SafetyMonitor):
-    """Would the proposed command, kept up for a while, come too near to somebody?
+    """Sees whether the proposed command, kept up for a while, comes too near to somebody.
 
     Args:
         horizon: Seconds that are predicted.
@@ -31,18 +32,16 @@ class SeparationMonitor(SafetyMonitor):
         self, horizon: float = 2.0, unsafe: float = 0.3, warning: float = 1.0, reaction: float = 0.3
     ) -> None:
         self.horizon, self.unsafe, self.warning, self.reaction = horizon, unsafe, warning, reaction
-        self._times = np.arange(1, round(horizon / 0.25) + 1) * 0.25
-        self._steps = self._times.tolist()
-        self._tracker = Tracker()
+        self._predictor = prediction.Predictor(horizon, 0.25)
 
     def reset(self, context: RoleContext) -> None:
         """Forget the bodies seen."""
-        self._tracker.reset()
+        self._predictor.reset()
 
     def run(self, view: RoleView) -> Assessment:
         """The worst of separation, following distance and right of way."""
         scene = Scene.of(view.percept)
-        self._tracker.update(view.index, scene.bodies)
+        self._predictor.observe(view.index, scene.bodies)
         if view.proposal is None:
             return Assessment(Assessed.SAFE, SEPARATION_CAP)
         acceleration = acceleration_for(view.proposal.action, scene.speed, scene.to_stop_line)
@@ -62,22 +61,15 @@ class SeparationMonitor(SafetyMonitor):
         return Assessment(verdict, separation, tuple(reasons))
 
     def _separation(self, scene: Scene, acceleration: float, dt: float) -> tuple[float, str]:
-        bodies = scene.bodies
-        near = prediction.near(bodies, scene.x, scene.y, scene.speed, self.horizon)
-        if not len(near):
+        apart, near = self._predictor.separations(scene, [acceleration], dt)
+        if not near.ids:
             return SEPARATION_CAP, ""
-        yaw = self._tracker.yaw_rates(dt)
-        if near is not bodies:
-            yaw = yaw[[bodies.ids.index(i) for i in near.ids]]
-        driven = prediction.advance(scene.speed, [acceleration], self._steps, SPEED_LIMIT)
-        ego = prediction.ego_discs(scene.route, scene.s + driven)
-        others = prediction.moving(near, self._times, yaw)
-        apart = prediction.separations(ego, others, prediction.radii(near))[0].min(axis=0)
-        nearest = int(apart.argmin())
-        return min(float(apart[nearest]), SEPARATION_CAP), near.ids[nearest]
+        least = apart[0].min(axis=0)
+        nearest = int(least.argmin())
+        return min(float(least[nearest]), SEPARATION_CAP), near.ids[nearest]
 
     def _following(self, scene: Scene, acceleration: float) -> str | None:
-        """Could the ego still stop behind its leader if that brakes as hard as it can?"""
+        """Why the ego could not stop behind its leader if that braked as hard as it can."""
         leader = scene.leader()
         if leader is None or acceleration <= -0.9 * MAX_BRAKING:
             return None
@@ -85,16 +77,17 @@ class SeparationMonitor(SafetyMonitor):
         needed = scene.speed * self.reaction + braking_distance(speed, MAX_BRAKING)
         needed -= braking_distance(max(leader.speed, 0.0), MAX_BRAKING)
         if scene.speed > 0.5 and leader.distance < needed:
-            return f"follows {leader.body.id} at {max(leader.distance, 0.0):.1f} m, needs {needed:.1f} m"
+            distance = max(leader.distance, 0.0)
+            return f"follows {leader.body.id} at {distance:.1f} m, needs {needed:.1f} m"
         return None
 
     def _right_of_way(self, scene: Scene, acceleration: float) -> str | None:
-        """Does the proposal enter the junction in front of a car that must then brake?"""
+        """Why the proposal enters the junction in front of a car that must then brake."""
         to_line = scene.to_stop_line
         if scene.entered or braking_distance(scene.speed, MAX_BRAKING) > to_line:
             return None
-        within = prediction.advance(scene.speed, [acceleration], self._steps[:2], SPEED_LIMIT)
-        if within[0, -1] < to_line:
+        within = prediction.advance(scene.speed, [acceleration], [ENTRY], SPEED_LIMIT)
+        if within[0, 0] < to_line:
             return None
         through = scene.exit - scene.s
         clears = time_to_cover(through, scene.speed, max(acceleration, 1.5), SPEED_LIMIT)

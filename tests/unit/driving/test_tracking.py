@@ -9,7 +9,7 @@ import pytest
 from roads import car, car_on, channels_of, walker
 
 from pytest_dura.driving import geometry, prediction
-from pytest_dura.driving.bodies import NO_BODIES, BodyList
+from pytest_dura.driving.bodies import NO_BODIES, Body, BodyList
 from pytest_dura.driving.junction import route
 from pytest_dura.driving.radar import compare, with_unexplained_returns
 from pytest_dura.driving.scene import Scene, crossing, time_to_cover
@@ -53,20 +53,48 @@ def test_a_tracker_matches_by_id() -> None:
         1: [1.5, 0.0],
         2: [0.0, 0.0],
     }
-    assert tracker.yaw_rates(0.1) == pytest.approx([0.0, 0.0, 1.0])
-    assert tracker.yaw_rates(0.2) == pytest.approx([0.0, 0.0, 0.5])
 
 
-def test_a_tracker_takes_a_tick_once_and_headings_the_short_way_round() -> None:
+def test_a_tracker_takes_a_tick_once() -> None:
     tracker = Tracker()
-    near_pi = A._replace(heading=math.pi - 0.02)
-    tracker.update(0, BodyList.of([near_pi]))
-    tracker.update(1, BodyList.of([near_pi._replace(heading=-math.pi + 0.02)]))
-    tracker.update(1, BodyList.of([B]))
-    assert tracker.yaw_rates(0.1) == pytest.approx([0.4])
+    tracker.update(0, BodyList.of([A]))
+    tracker.update(1, BodyList.of([A, B]))
+    tracker.update(1, BodyList.of([P]))
+    assert tracker.newcomers() == [1]
     tracker.reset()
     tracker.update(0, BodyList.of([B]))
     assert tracker.newcomers() == []
+
+
+@pytest.mark.parametrize(("turned", "rate"), [(0.04, 0.4), (-0.04, -0.4), (0.5, 1.0), (0.0, 0.0)])
+def test_a_predictor_turns_what_turns_the_short_way_round(turned: float, rate: float) -> None:
+    """A body at (0, 20) that drives at 5 m/s; the last percept shows its heading past pi."""
+    before = Body("V1", 0.0, 20.0, math.pi - 0.01, -5.0, 0.0, 5.0, 2.0)
+    after = before._replace(heading=(before.heading + turned + math.pi) % (2 * math.pi) - math.pi)
+    scene = Scene(route(0, "straight"), 80.0, 2.0, 31.0, 5.0, 100.0, 122.0, BodyList.of([after]))
+    predictor = prediction.Predictor(2.0, 0.5)
+    predictor.observe(0, BodyList.of([before]))
+    predictor.observe(1, scene.bodies)
+    predictor.observe(1, NO_BODIES)  # a tick counts once
+    apart, near = predictor.separations(scene, [0.0, -8.0], 0.1)
+    assert near.ids == ("V1",)
+    driven = prediction.advance(5.0, [0.0, -8.0], predictor.times.tolist(), 10.0)
+    expected = prediction.separations(
+        prediction.ego_discs(scene.route, scene.s + driven),
+        prediction.moving(scene.bodies, predictor.times, np.array([rate])),
+        prediction.radii(scene.bodies),
+    )
+    assert apart == pytest.approx(expected)
+
+
+def test_a_predictor_leaves_out_who_is_out_of_reach() -> None:
+    far = Body("V2", -90.0, 2.0, 0.0, 5.0, 0.0, 5.0, 2.0)
+    scene = Scene(route(0, "straight"), 80.0, 2.0, 31.0, 5.0, 100.0, 122.0, BodyList.of([far]))
+    predictor = prediction.Predictor(2.0, 0.5)
+    predictor.observe(0, scene.bodies)
+    apart, near = predictor.separations(scene, [0.0], 0.1)
+    assert apart.shape == (1, 4, 0)
+    assert near.ids == ()
 
 
 def test_the_ego_s_advance_is_that_of_small_steps() -> None:
@@ -116,7 +144,7 @@ def test_predicted_separation_is_never_more_than_the_gap() -> None:
 
 def test_who_cannot_be_reached_is_left_out() -> None:
     bodies = BodyList.of([car("NEAR", 10.0, 0.0), car("FAR", 200.0, 0.0)])
-    assert prediction.near(bodies, 0.0, 0.0, 8.0, 2.0).ids == ("NEAR",)
+    assert [bodies.ids[row] for row in prediction.near(bodies, 0.0, 0.0, 8.0, 2.0)] == ["NEAR"]
 
 
 def test_radar_and_lidar_are_compared_by_place_and_rate() -> None:
