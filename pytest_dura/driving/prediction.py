@@ -97,7 +97,8 @@ def separations(ego: Floats, others: Floats, other_radii: Floats) -> Floats:
     delta_x = ego[:, :, None, :, None, 0] - others[None, :, :, None, :, 0]
     delta_y = ego[:, :, None, :, None, 1] - others[None, :, :, None, :, 1]
     squared = (delta_x * delta_x + delta_y * delta_y).min(axis=(-2, -1))
-    return np.sqrt(squared) - (EGO_RADIUS + other_radii)
+    apart: Floats = np.sqrt(squared) - (EGO_RADIUS + other_radii)
+    return apart
 
 
 def near(bodies: BodyList, x: float, y: float, speed: float, horizon: float) -> list[int]:
@@ -123,7 +124,7 @@ class Predictor:
 
     def __init__(self, horizon: float, step: float, *, now: bool = False) -> None:
         self.horizon = horizon
-        self.times = np.arange(0 if now else 1, round(horizon / step) + 1) * step
+        self.times: Floats = np.arange(0.0 if now else 1.0, round(horizon / step) + 1.0) * step
         self._steps: list[float] = self.times.tolist()
         self.reset()
 

@@ -66,7 +66,7 @@ def test_a_tracker_takes_a_tick_once() -> None:
     assert tracker.newcomers() == []
 
 
-@pytest.mark.parametrize(("turned", "rate"), [(0.04, 0.4), (-0.04, -0.4), (0.5, 1.0), (0.0, 0.0)])
+@pytest.mark.parametrize("turned,rate", [(0.04, 0.4), (-0.04, -0.4), (0.5, 1.0), (0.0, 0.0)])
 def test_a_predictor_turns_what_turns_the_short_way_round(turned: float, rate: float) -> None:
     """A body at (0, 20) that drives at 5 m/s; the last percept shows its heading past pi."""
     before = Body("V1", 0.0, 20.0, math.pi - 0.01, -5.0, 0.0, 5.0, 2.0)
