@@ -1,1 +1,1 @@
-"""The autonomous-driving domain: bodies, geometry, maneuvers, sensors, simulators, roles, faults."""
+"""The autonomous-driving domain: bodies, geometry, sensors, simulators, roles and faults."""

@@ -16,7 +16,9 @@ from pytest_dura.faults.model import Fault, FaultPart, Positive
 class GhostParameters(FaultPart):
     """Where the ghost stands and how large it is."""
 
-    ahead: Positive = Field(14.0, description="Metres ahead of the ego's front on its route, when it appears.")
+    ahead: Positive = Field(
+        14.0, description="Metres ahead of the ego's front on its route, when it appears."
+    )
     length: Positive = Field(CAR_LENGTH, description="In m.")
     width: Positive = Field(CAR_WIDTH, description="In m.")
 
@@ -82,8 +84,9 @@ class TrajectorySpoof(ObjectFault):
         return {"activation": {"at": 2.0}, "duration": 5.0}
 
     def begin(self, channels: Mapping[str, Any], rng: np.random.Generator) -> Any:
-        """The victim (the nearest car within sight) and its false path; ``None`` while there is no car."""
-        pose, odometry, route = channels["localisation"], channels["odometry"], channels["map"].route
+        """The victim, the nearest car within sight, and its false path; ``None`` without a car."""
+        pose, odometry = channels["localisation"], channels["odometry"]
+        route = channels["map"].route
         cars = [body for body in channels[self.target] if not body.is_pedestrian]
         if not cars:
             return None
@@ -109,5 +112,7 @@ class TrajectorySpoof(ObjectFault):
         turn = math.remainder(math.atan2(vy, vx) - real.heading, 2 * math.pi)
         x, y = start.x + vx * time, start.y + vy * time
         false = (x, y, real.heading + turn, vx * moving, vy * moving)
-        mixed = [r + share * (f - r) for r, f in zip(real[1:6], false, strict=True)]
-        return bodies.with_body(Body(real.id, *mixed, real.length, real.width))
+        x, y, heading, vx, vy = (
+            r + share * (f - r) for r, f in zip(real[1:6], false, strict=True)
+        )
+        return bodies.with_body(Body(real.id, x, y, heading, vx, vy, real.length, real.width))

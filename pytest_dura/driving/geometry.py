@@ -45,13 +45,14 @@ def _separations(a: Floats, b: Floats) -> tuple[Floats, Floats, Floats]:
     offset = np.einsum("nkd,nd->nk", normals, b[:, :2] - a[:, :2])
     half_a = np.abs(normals @ np.swapaxes(axes_a, -1, -2)) @ (a[:, 3:5, None] / 2.0)
     half_b = np.abs(normals @ np.swapaxes(axes_b, -1, -2)) @ (b[:, 3:5, None] / 2.0)
-    return offset, (half_a + half_b)[..., 0], normals
+    reach: Floats = (half_a + half_b)[..., 0]
+    return offset, reach, normals
 
 
 def overlap(a: Floats, b: Floats) -> NDArray[np.bool_]:
     """Whether the boxes of each pair touch or overlap; shape ``(n,)``."""
     offset, reach, _ = _separations(a, b)
-    touching: NDArray[np.bool_] = (np.abs(offset) <= reach).all(axis=1)
+    touching: NDArray[np.bool_] = np.all(np.abs(offset) <= reach, axis=1)
     return touching
 
 

@@ -157,13 +157,13 @@ class HighwaySimulator(Simulator):
         """A deep copy of road, vehicles and bookkeeping; the road network is shared."""
         return copy.deepcopy(vars(self), {id(_network()): _network()})
 
-    def restore(self, snapshot: object) -> None:
+    def restore(self, snapshot: Any) -> None:
         """Return to a snapshot."""
-        self.__dict__.update(copy.deepcopy(snapshot, {id(_network()): _network()}))  # type: ignore[arg-type]
+        self.__dict__.update(copy.deepcopy(snapshot, {id(_network()): _network()}))
 
     def close(self) -> None:
         """Forget the road."""
-        self._road = self._state = None
+        self._road = None
 
     def _place(self, kind: Any, body_id: str, plan: Route, s: float, speed: float) -> Any:
         x, y, heading = (float(value) for value in plan.pose(s))
@@ -327,5 +327,5 @@ def _network() -> Any:
 
     settings = {"show_trajectories": False, "neighbour_vehicles_connected_lanes": False}
     stage = SimpleNamespace(np_random=None, config=settings, road=None)
-    IntersectionEnv._make_road(stage)
+    IntersectionEnv._make_road(stage)  # noqa: SLF001 - the only builder there is
     return stage.road.network

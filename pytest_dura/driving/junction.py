@@ -100,7 +100,7 @@ class Route:
         return x, y, heading
 
     def points(self, s: Floats) -> Floats:
-        """x and y at ``s``, shape ``(*s.shape, 2)``: quicker than ``pose``, for predictions."""
+        """Where ``s`` is, x and y of shape ``(*s.shape, 2)``; quicker than ``pose``."""
         scaled = np.minimum(np.maximum(s * (1.0 / _SPACING), 0.0), len(self.grid) - 2.0)
         index = scaled.astype(np.intp)
         start, step = self._segments

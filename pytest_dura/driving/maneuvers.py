@@ -42,7 +42,10 @@ _GAIN = 1.0
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """A maneuver, and the acceleration in m/s2 that carries it out; ``None`` leaves it to the maneuver."""
+    """A maneuver, and the acceleration in m/s2 that carries it out.
+
+    ``None`` leaves the acceleration to the maneuver.
+    """
 
     maneuver: Maneuver
     acceleration: float | None = None
@@ -56,8 +59,8 @@ class Command:
         """
         if isinstance(action, Mapping):
             if not set(action) <= {"maneuver", "acceleration"} or "maneuver" not in action:
-                found = ", ".join(sorted(map(_name, action)))
-                raise ActionError(f"a command has maneuver and acceleration, not {found or 'nothing'}")
+                found = ", ".join(sorted(map(_name, action))) or "nothing"
+                raise ActionError(f"a command has maneuver and acceleration, not {found}")
             action = cls(action["maneuver"], action.get("acceleration"))
         maneuver, acceleration = action, None
         if isinstance(action, Command):

@@ -23,8 +23,9 @@ Mask = NDArray[np.bool_]
 
 
 def compare(percept: Mapping[str, Any]) -> tuple[Mask, Mask]:
-    """Which lidar objects radar confirms, ``(objects,)``, and which returns lidar explains, ``(returns,)``.
+    """Which lidar objects radar confirms, and which radar returns lidar explains.
 
+    Masks of shape ``(objects,)`` and ``(returns,)``.
     Objects at the edge of the radar's reach count as confirmed.
     """
     bodies, returns, pose = percept["lidar"], percept["radar"], percept["localisation"]

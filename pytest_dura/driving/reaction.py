@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pytest_dura.core.roles import RoleView
+from pytest_dura.core.state import RoleView
 from pytest_dura.driving.maneuvers import acceleration_for
 from pytest_dura.driving.scene import HALF
 

@@ -1,4 +1,4 @@
-"""What a percept means for driving on: where the ego is on its route, and who is where around it."""
+"""What a percept means for driving on: where the ego is on its route, and who is around it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ HALF = CAR_LENGTH / 2
 
 
 class InLane(NamedTuple):
-    """A body on the ego's path ahead: metres from bumper to bumper, and its speed along the path."""
+    """A body on the ego's path ahead: metres between bumpers, and its speed along the path."""
 
     body: Body
     distance: float
@@ -107,7 +107,8 @@ def crossing(scene: Scene) -> list[Approach]:
         half = body.length / 2 + CAR_WIDTH / 2 + 0.5
         past = to_lane + half
         if past > 0.0:
-            found.append(Approach(body, max(to_lane - half, 0.0), past, math.hypot(body.vx, body.vy)))
+            speed = math.hypot(body.vx, body.vy)
+            found.append(Approach(body, max(to_lane - half, 0.0), past, speed))
     return found
 
 

@@ -89,7 +89,7 @@ def signs(route: Route) -> tuple[Sign, ...]:
 
 
 def radar_returns(ego: EgoState, bodies: BodyList) -> NDArray[np.float64]:
-    """One row per object: range in m, azimuth in rad left of ahead, range rate in m/s; ``(n, 3)``."""
+    """One row per object, ``(n, 3)``: range in m, azimuth left of ahead in rad, rate in m/s."""
     data = bodies.data
     dx, dy = data[:, 0] - ego.x, data[:, 1] - ego.y
     distance = np.hypot(dx, dy)
@@ -111,7 +111,7 @@ def channels(
     controls: tuple[Sign, ...],
     camera: Callable[[str], Any],
 ) -> dict[str, Any]:
-    """All channels of one tick. Radar is an independent measurement of the same objects as lidar."""
+    """All channels of one tick. Radar measures the same objects as lidar, independently of it."""
     data = bodies.data
     if len(bodies):
         near = (data[:, 0] - ego.x) ** 2 + (data[:, 1] - ego.y) ** 2 < RANGE * RANGE

@@ -16,6 +16,7 @@ from highway_env.road.road import Road
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.controller import ControlledVehicle
 from highway_env.vehicle.objects import Obstacle
+from numpy.typing import NDArray
 
 from pytest_dura.driving.bodies import CAR_LENGTH, PEDESTRIAN_SIZE
 from pytest_dura.driving.junction import ARM_LENGTH, LANE_OFFSET, Route, conflict
@@ -108,6 +109,7 @@ class Pedestrian(Obstacle):
     WIDTH = PEDESTRIAN_SIZE
 
     body_id: str
+    position: NDArray[np.float64]
     walking = 1.3
     start = 0.0
     distance = 20.0
@@ -131,7 +133,7 @@ class Pedestrian(Obstacle):
         offset = ahead - vehicle.position
         along = abs(float(offset @ vehicle.direction))
         across = abs(vehicle.direction[0] * offset[1] - vehicle.direction[1] * offset[0])
-        return along < vehicle.LENGTH / 2 + 0.5 and across < vehicle.WIDTH / 2 + 0.5
+        return bool(along < vehicle.LENGTH / 2 + 0.5 and across < vehicle.WIDTH / 2 + 0.5)
 
 
 class JunctionRoad(Road):
@@ -220,15 +222,16 @@ class JunctionRoad(Road):
         speed = max(other.speed, 3.0) if inside else max(other.speed, 6.0)
         other_arrives = (other_in - CAR_LENGTH / 2 - other.s) / speed
         other_leaves = (other_out + CAR_LENGTH / 2 - other.s) / speed
-        return arrive - _MARGIN < other_leaves and other_arrives < leave + _MARGIN
+        return bool(arrive - _MARGIN < other_leaves and other_arrives < leave + _MARGIN)
 
 
 def _time_to(me: Driver, s: float) -> float:
     """Seconds until ``s`` if the driver goes now, accelerating at 2 m/s2 to a comfortable speed."""
-    distance = s - me.s
+    distance: float = s - me.s
     if distance <= 0.0:
         return 0.0
-    speed, top, rate = max(me.speed, 0.0), _COMFORT_SPEED, 2.0
+    speed: float = max(me.speed, 0.0)
+    top, rate = _COMFORT_SPEED, 2.0
     if speed >= top:
         return distance / speed
     ramp = (top * top - speed * speed) / (2 * rate)
@@ -261,7 +264,7 @@ def _follow(me: Driver, distance: float, speed: float) -> float:
 
 
 def walker(road: Road, body_id: str, arm: int, offset: float, side: str) -> Pedestrian:
-    """A pedestrian at the kerb of an arm, ``offset`` metres out from the stop line, about to cross it.
+    """A pedestrian at the kerb of an arm, about to cross it ``offset`` m out from the stop line.
 
     ``side`` is where it comes from, seen by a driver on that arm who nears the junction.
     """

@@ -56,7 +56,7 @@ class Fault(FaultPart, ABC):
 
     @abstractmethod
     def begin(self, channels: Mapping[str, Any], rng: np.random.Generator) -> Any:
-        """What the fault remembers from its activation on: ``None`` if it cannot take effect yet."""
+        """What the fault remembers from its activation on: ``None`` if it has no effect yet."""
 
     @abstractmethod
     def apply(self, memory: Any, channels: Mapping[str, Any], elapsed: float) -> Any:

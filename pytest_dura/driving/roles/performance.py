@@ -9,7 +9,8 @@ try:
 except ImportError:  # Windows has none
     resource = None  # type: ignore[assignment]
 
-from pytest_dura.core.roles import PerformanceAssessment, PerformanceOracle, RoleContext, RoleView
+from pytest_dura.core.roles import PerformanceAssessment, PerformanceOracle, RoleContext
+from pytest_dura.core.state import RoleView
 from pytest_dura.driving.maneuvers import acceleration_for
 from pytest_dura.driving.scene import HALF
 from pytest_dura.driving.sensors import Imu
@@ -21,7 +22,7 @@ _MEMORY_PERIOD = 10
 
 
 class DrivingOracle(PerformanceOracle):
-    """Response time, resources, task completion, clearance time, control accuracy, comfort, gridlock.
+    """Response time, resources, completion, clearance time, control accuracy, comfort, gridlock.
 
     Args:
         response_limit: Seconds for a proposal.
@@ -41,6 +42,7 @@ class DrivingOracle(PerformanceOracle):
 
     def __init__(
         self,
+        *,
         response_limit: float = 0.1,
         acceleration_limit: float = 6.0,
         lateral_limit: float = 3.0,

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from pytest_dura.core.roles import Recovery, RecoveryPlanner, RoleView
+from pytest_dura.core.roles import Recovery, RecoveryPlanner
+from pytest_dura.core.state import RoleView
 from pytest_dura.driving.maneuvers import Command, Maneuver
 
 
@@ -15,4 +16,5 @@ class EmergencyBrake(RecoveryPlanner):
 
     def run(self, view: RoleView) -> Recovery:
         """Full braking."""
-        return Recovery(Command(Maneuver.EMERGENCY_BRAKE), "emergency_brake", "; ".join(view.reasons))
+        reasons = "; ".join(view.reasons)
+        return Recovery(Command(Maneuver.EMERGENCY_BRAKE), "emergency_brake", reasons)

@@ -1,4 +1,4 @@
-"""SecurityAssessor: directs attacks, looks for their traces, and classes the component's reaction."""
+"""SecurityAssessor: directs attacks, looks for their traces, classes the reaction to them."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from pytest_dura.core.roles import (
     Alert,
     Assessed,
     RoleContext,
-    RoleView,
     SecurityAssessment,
     SecurityAssessor,
 )
+from pytest_dura.core.state import RoleView
 from pytest_dura.driving.maneuvers import MAX_ACCELERATION, MAX_BRAKING, Maneuver
 from pytest_dura.driving.radar import compare
 from pytest_dura.driving.reaction import ReactionWatch
