@@ -8,26 +8,132 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
+if TYPE_CHECKING:
+    from pytest_dura.campaign.cases import Case
+    from pytest_dura.campaign.runner import Bench, Campaign, RequirementViolated
+    from pytest_dura.core.conformance import check_role, check_simulator
+    from pytest_dura.core.episode import Episode, EpisodeSpec, Policy, Termination
+    from pytest_dura.core.errors import (
+        ActionError,
+        ConfigurationError,
+        ConformanceError,
+        DuraError,
+        InfrastructureError,
+    )
+    from pytest_dura.core.metrics import DependabilityMetrics, FaultRecord
+    from pytest_dura.core.orchestrator import Orchestrator
+    from pytest_dura.core.roles import (
+        Alert,
+        Assessed,
+        Assessment,
+        FaultInjector,
+        Generator,
+        Injection,
+        PerformanceAssessment,
+        PerformanceOracle,
+        Proposal,
+        Recovery,
+        RecoveryPlanner,
+        Role,
+        RoleContext,
+        RoleSpec,
+        SafetyMonitor,
+        SecurityAssessment,
+        SecurityAssessor,
+    )
+    from pytest_dura.core.seeding import derive_seed, stream
+    from pytest_dura.core.simulator import Simulator
+    from pytest_dura.core.state import (
+        Event,
+        GeneratorView,
+        Lazy,
+        Percept,
+        RoleView,
+        StateManager,
+        Tick,
+    )
+    from pytest_dura.requirements.campaigns import CampaignVerdict
+    from pytest_dura.requirements.episodes import EpisodeVerdict, JudgedEpisode
+    from pytest_dura.requirements.model import Requirement
+
 __version__ = "0.1.0"
 
-_HOMES = {
-    "pytest_dura.core.errors": ("ActionError", "ConfigurationError", "DuraError", "InfrastructureError"),
-    "pytest_dura.core.seeding": ("derive_seed", "stream"),
-    "pytest_dura.core.state": ("Event", "GeneratorView", "Lazy", "Percept", "RoleView", "StateManager", "Tick"),
-    "pytest_dura.core.simulator": ("Simulator",),
-    "pytest_dura.core.roles": (
-        "Alert", "Assessed", "Assessment", "FaultInjector", "Generator", "Injection",
-        "PerformanceAssessment", "PerformanceOracle", "Proposal", "Recovery", "RecoveryPlanner",
-        "Role", "RoleContext", "RoleSpec", "SafetyMonitor", "SecurityAssessment", "SecurityAssessor",
-    ),
-    "pytest_dura.core.episode": ("Episode", "EpisodeSpec", "Policy", "Termination"),
-    "pytest_dura.core.metrics": ("DependabilityMetrics", "FaultRecord"),
-    "pytest_dura.core.orchestrator": ("Orchestrator",),
-    "pytest_dura.core.conformance": ("check_role", "check_simulator"),
-}  # fmt: skip
-_HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
+__all__ = [
+    "ActionError",
+    "Alert",
+    "Assessed",
+    "Assessment",
+    "Bench",
+    "Campaign",
+    "CampaignVerdict",
+    "Case",
+    "ConfigurationError",
+    "ConformanceError",
+    "DependabilityMetrics",
+    "DuraError",
+    "Episode",
+    "EpisodeSpec",
+    "EpisodeVerdict",
+    "Event",
+    "FaultInjector",
+    "FaultRecord",
+    "Generator",
+    "GeneratorView",
+    "InfrastructureError",
+    "Injection",
+    "JudgedEpisode",
+    "Lazy",
+    "Orchestrator",
+    "Percept",
+    "PerformanceAssessment",
+    "PerformanceOracle",
+    "Policy",
+    "Proposal",
+    "Recovery",
+    "RecoveryPlanner",
+    "Requirement",
+    "RequirementViolated",
+    "Role",
+    "RoleContext",
+    "RoleSpec",
+    "RoleView",
+    "SafetyMonitor",
+    "SecurityAssessment",
+    "SecurityAssessor",
+    "Simulator",
+    "StateManager",
+    "Termination",
+    "Tick",
+    "__version__",
+    "check_role",
+    "check_simulator",
+    "derive_seed",
+    "stream",
+]
 
-__all__ = sorted([*_HOME_OF, "__version__"])
+_HOMES = {
+    "pytest_dura.campaign.cases": "Case",
+    "pytest_dura.campaign.runner": "Bench Campaign RequirementViolated",
+    "pytest_dura.core.conformance": "check_role check_simulator",
+    "pytest_dura.core.episode": "Episode EpisodeSpec Policy Termination",
+    "pytest_dura.core.errors": (
+        "ActionError ConfigurationError ConformanceError DuraError InfrastructureError"
+    ),
+    "pytest_dura.core.metrics": "DependabilityMetrics FaultRecord",
+    "pytest_dura.core.orchestrator": "Orchestrator",
+    "pytest_dura.core.roles": (
+        "Alert Assessed Assessment FaultInjector Generator Injection PerformanceAssessment "
+        "PerformanceOracle Proposal Recovery RecoveryPlanner Role RoleContext RoleSpec "
+        "SafetyMonitor SecurityAssessment SecurityAssessor"
+    ),
+    "pytest_dura.core.seeding": "derive_seed stream",
+    "pytest_dura.core.simulator": "Simulator",
+    "pytest_dura.core.state": "Event GeneratorView Lazy Percept RoleView StateManager Tick",
+    "pytest_dura.requirements.campaigns": "CampaignVerdict",
+    "pytest_dura.requirements.episodes": "EpisodeVerdict JudgedEpisode",
+    "pytest_dura.requirements.model": "Requirement",
+}
+_HOME_OF = {name: module for module, names in _HOMES.items() for name in names.split()}
 
 
 def __getattr__(name: str) -> Any:
