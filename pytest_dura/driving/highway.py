@@ -46,6 +46,7 @@ class HighwaySimulator(Simulator):
 
     def __init__(self) -> None:
         self._road: Any = None
+        self._state: Any = None
 
     @classmethod
     def check_scenario(cls, world: Mapping[str, Any]) -> dict[str, Any]:
@@ -108,7 +109,7 @@ class HighwaySimulator(Simulator):
 
     def step(self, action: Any) -> Tick:
         """Carry out a command for one time step."""
-        before = self._state
+        before: EgoState = self._state
         self.drive(acceleration_for(action, before.speed, ARM_LENGTH - before.front))
         events = self._collisions(before)
         self._clear()
@@ -163,7 +164,7 @@ class HighwaySimulator(Simulator):
 
     def close(self) -> None:
         """Forget the road."""
-        self._road = None
+        self._road = self._state = None
 
     def _place(self, kind: Any, body_id: str, plan: Route, s: float, speed: float) -> Any:
         x, y, heading = (float(value) for value in plan.pose(s))
