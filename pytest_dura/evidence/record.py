@@ -12,6 +12,8 @@ from pytest_dura.requirements.campaigns import judge_campaign
 from pytest_dura.requirements.episodes import EpisodeVerdict
 
 SCHEMA_VERSION = "1"
+UNKNOWN = "unknown"
+"""The name of a component that a conftest defines, until the first episode tells it."""
 
 Status = Literal["running", "complete", "interrupted"]
 Data = dict[str, Any]
@@ -71,7 +73,6 @@ class EvidenceRecord:
         """A campaign's item that will run; if it never reports, its verdict is undecided."""
         self._expected[item] = {"requirement": requirement["id"], "case": case}
         self._requirements.setdefault(requirement["id"], requirement)
-        self._add_case(case)
 
     def add(self, report: Mapping[str, Any]) -> None:
         """What an item told."""
@@ -103,6 +104,7 @@ class EvidenceRecord:
 
     def to_json(self, status: Status) -> Data:
         """The record as plain data, with the keys of the design."""
+        self._add_unheard_cases()
         episodes = sorted(
             self._episodes.values(),
             key=lambda one: (one["case"], one["component"], one["spec"]["run"], one["seed"]),
@@ -185,8 +187,23 @@ class EvidenceRecord:
             "attempts": [],
         }
 
+    def _add_unheard_cases(self) -> None:
+        """Cases that are expected, and of which nothing was heard."""
+        heard = {case for case, _ in self._cases}
+        for expected in self._expected.values():
+            if expected["case"]["id"] not in heard:
+                self._add_case(self._with_component(expected["case"]))
+
+    def _with_component(self, case: Data) -> Data:
+        """An expected case with the component's name as far as the session has told it by now."""
+        if case["component"] != UNKNOWN:
+            return case
+        names = [component for name, component in self._cases if name == case["id"]]
+        names = names or list(self._components)
+        return {**case, "component": names[0]} if len(names) == 1 else case
+
     def _not_run(self, item: str, expected: Data) -> Data:
-        case = expected["case"]
+        case = self._with_component(expected["case"])
         verdict = judge_campaign(
             expected["requirement"],
             case["id"],

@@ -10,9 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from pytest_dura.plugin.overrides import root_conftest_with
 from pytest_dura.plugin.reporter import ATTRIBUTE, case_record
 
 if TYPE_CHECKING:
+    from pytest_dura.campaign.cases import Case
     from pytest_dura.evidence.record import EvidenceRecord, Status
     from pytest_dura.plugin.session import DuraSession
 
@@ -64,8 +66,7 @@ class SessionEvidence:
         for planned in self.session.plan:
             case = planned.case
             runs = self.session.options.runs or case.scenario.runs
-            roles = case.roles(self.session.chosen_roles())
-            record = case_record(case, roles["generator"].label, runs, self.session.options.runs)
+            record = case_record(case, self._component(case), runs, self.session.options.runs)
             for name in planned.requirements:
                 item = f"{case.id}::{name}"
                 if item in chosen:
@@ -94,6 +95,14 @@ class SessionEvidence:
         if self.record.problems and session.exitstatus == pytest.ExitCode.OK:
             session.exitstatus = pytest.ExitCode.TESTS_FAILED
         self._write("interrupted" if interrupted else "complete")
+
+    def _component(self, case: Case) -> str:
+        """The component's name, if it is known before anything runs."""
+        if root_conftest_with(self.session.config, "generator") is not None:
+            from pytest_dura.evidence.record import UNKNOWN
+
+            return UNKNOWN
+        return case.roles(self.session.chosen_roles())["generator"].label
 
     def _waive(self, report: pytest.TestReport) -> None:
         assert self.record is not None

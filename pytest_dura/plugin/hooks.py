@@ -83,7 +83,8 @@ class SessionHooks:
         try:
             result = yield
         except DuraError as error:
-            raise pytest.fail.Exception(str(error)).with_traceback(error.__traceback__) from None
+            outcome = self.session.reporter.outcome_of(error)
+            raise outcome.with_traceback(error.__traceback__) from None
         if uses_bench(pyfuncitem):
             self.session.reporter.body_passed(pyfuncitem)
         return result

@@ -20,9 +20,9 @@ OVERRIDABLE = (
 
 
 def root_conftest_with(config: pytest.Config, role: str) -> str | None:
-    """The root conftest's path, if it defines the fixture of this role."""
+    """The root conftest's file name, if it defines the fixture of this role."""
     root = config.rootpath / "conftest.py"
-    return str(root) if (root, role) in _overrides(config) else None
+    return root.name if (root, role) in _overrides(config) else None
 
 
 def overrides_deeper_down(config: pytest.Config) -> list[tuple[str, str]]:

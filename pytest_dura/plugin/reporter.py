@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.errors import ConfigurationError, DuraError
 from pytest_dura.plugin.commands import replay_command
 
 if TYPE_CHECKING:
@@ -56,6 +56,14 @@ class Reporter:
         self._report.verdicts.append({**verdict.to_json(), "check": requirement.check})
         self._requirement_used(requirement)
         self._planned(verdict.case, verdict.component, verdict.planned)
+
+    def outcome_of(self, error: DuraError) -> BaseException:
+        """What one of our own errors does to a test: fail it, with a message and no more."""
+        verdict = getattr(error, "verdict", None)
+        undecided = verdict is not None and verdict.verdict == "undecided"
+        if undecided and self.session.options.warn_undecided:
+            return pytest.skip.Exception(str(error))
+        return pytest.fail.Exception(str(error))
 
     def body_passed(self, item: pytest.Function) -> None:
         """A test on one episode passed; fail it if the episode does not carry that."""

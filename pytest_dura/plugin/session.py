@@ -232,11 +232,14 @@ class DuraSession:
         """The case that an argument names which is no file, if there is such a case."""
         try:
             library = self.library()
-        except ConfigurationError:
-            # Whoever misspelt a path and has nothing to do with us should hear of the path.
+        except ConfigurationError as error:
             if self.options.any_given:
                 raise
-            return None
+            # Whoever misspelt a path should hear of the path, and whoever meant a scenario of it.
+            raise ConfigurationError(
+                f"file or directory not found: {path}\n"
+                f"and it names no scenario as long as these cannot be read:\n{error}"
+            ) from None
         # Terminal lines are relative to where pytest was started.
         absolute = os.path.normpath(self.config.invocation_params.dir / path)
         relative = os.path.relpath(absolute, self.config.rootpath).replace(os.sep, "/")

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import os
+import textwrap
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pytest_dura.plugin.commands import replay_command, rerun_command
@@ -48,7 +48,7 @@ def _component(session: DuraSession) -> str:
         return session.default_role("generator").label
     conftest = root_conftest_with(session.config, "generator")
     if conftest is not None:
-        return f"from the fixture `generator` in {Path(conftest).name}"
+        return f"from the fixture `generator` in {conftest}"
     names = {planned.case.roles({})["generator"].label for planned in session.plan}
     return ", ".join(sorted(names))
 
@@ -176,7 +176,8 @@ def _show_failure(
     names = ", ".join(dict.fromkeys(one["requirement"] for one in verdicts))
     terminal.line("")
     terminal.line(f"{first['verdict']}: {names} on {first['case']}", **COLOURS[first["verdict"]])
-    terminal.line(f"  {first['reason']}")
+    for line in textwrap.wrap(first["reason"], WIDTH - 2):
+        terminal.line(f"  {line}")
     check = first["check"] or _check_of(record, first["requirement"])
     if check and len(verdicts) == 1 and check != first["requirement"]:
         terminal.line(f"  check:  {check}")

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import pytest
+
 ITEMS = ["corridor/free::GAP-1", "corridor/free::GO-1", "corridor/tight::GAP-1"]
 
 
@@ -96,11 +98,14 @@ def test_a_path_that_does_not_exist_is_pytests_to_tell(project):
     assert "file or directory not found: corridor/fre" in result.stderr.str()
 
 
-def test_a_misspelt_path_beside_a_broken_file_is_pytests_to_tell(project):
+@pytest.mark.parametrize("mode", [[], ["-n", "2"]], ids=["plain", "n2"])
+def test_a_path_that_does_not_exist_beside_a_broken_scenario(project, mode):
     project.write("scenarios/broken.yaml", "name: [")
-    result = project.run("tsets")
-    assert "file or directory not found: tsets" in result.stderr.str()
-    assert "broken" not in result.stderr.str()
+    result = project.run("tsets", *mode)
+    assert result.ret == 4
+    result.stderr.fnmatch_lines(
+        ["ERROR: file or directory not found: tsets", "*cannot be read*", "*broken.yaml:1*"]
+    )
 
 
 def test_select_by_keyword(project):

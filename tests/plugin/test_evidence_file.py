@@ -1,0 +1,200 @@
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+KEYS = {
+    "schema_version", "status", "created", "tool", "command", "base_seed", "environment",
+    "component_under_test", "requirements", "cases", "episodes", "verdicts",
+}  # fmt: skip
+
+
+def test_the_record_has_the_keys_of_the_design(project, mode):
+    project.scenarios(*mode)
+    evidence = project.evidence()
+    assert set(evidence) == KEYS
+    assert set(evidence["environment"]) == {"python", "platform", "packages", "git"}
+    assert {"id", "text", "kind", "source"} <= set(evidence["requirements"][0])
+    assert {"id", "scenario", "faults", "metrics", "component"} <= set(evidence["cases"][0])
+    episode = evidence["episodes"][0]
+    assert {"id", "case", "seed", "validity", "digest", "trace", "events", "spec"} <= set(episode)
+    verdict = evidence["verdicts"][0]
+    assert {
+        "requirement", "case", "verdict", "planned", "episodes", "violations", "invalid",
+        "missing", "vacuous", "bound", "margin", "counterexamples",
+    } <= set(verdict)  # fmt: skip
+    assert set(verdict["bound"]) >= {"confidence", "upper", "method"}
+
+
+def test_plain_and_distributed_runs_leave_the_same_record(project):
+    def told():
+        evidence = project.evidence()
+        for episode in evidence["episodes"]:
+            del episode["metrics"]["processing_us"]
+        return {key: evidence[key] for key in ("cases", "episodes", "verdicts", "requirements")}
+
+    project.scenarios()
+    plain = told()
+    project.scenarios("-n", "2")
+    assert told() == plain
+
+
+def test_no_temporary_file_is_left(project):
+    project.scenarios()
+    assert [file.name for file in (project.path / "dura-evidence").iterdir()] == ["evidence.json"]
+
+
+def test_there_is_no_nan_in_the_record(project):
+    project.write(
+        "conftest.py",
+        "import pytest\n"
+        "@pytest.fixture(scope='session')\n"
+        "def dura_metrics(): return {'never': lambda episode: float('nan')}\n",
+    )
+    project.run("corridor/tight")
+    text = (project.path / "dura-evidence/evidence.json").read_text()
+    json.loads(text, parse_constant=pytest.fail)
+    assert project.evidence()["episodes"][0]["metrics"]["user"] == {"never": None}
+
+
+def test_metrics_of_the_users_own(project, mode):
+    project.write(
+        "conftest.py",
+        "import pytest\n"
+        "@pytest.fixture(scope='session')\n"
+        "def dura_metrics(): return {'farthest': lambda episode: episode.signals['x'].max()}\n",
+    )
+    result = project.run("corridor/tight", *mode)
+    result.assert_outcomes(passed=1)
+    (case,) = project.evidence()["cases"]
+    assert case["metrics"]["user"] == {"farthest": {"mean": pytest.approx(1.0), "runs": 2}}
+    header, row = [line for line in result.outlines if line.startswith(("case ", "corridor/tight "))
+                   and "%" not in line.partition("flag")[0]][-2:]  # fmt: skip
+    assert header.split()[-1] == "farthest"
+    assert row.split()[-1] == "1"
+
+
+@pytest.mark.parametrize("mode", [[], ["-n", "0"], ["-p", "no:xdist"]])
+def test_items_that_never_ran_are_undecided(project, mode):
+    text = (project.path / "scenarios/corridor/tight.yaml").read_text()
+    (project.path / "scenarios/corridor/a.yaml").write_text(
+        text.replace("corridor/tight", "corridor/a").replace("Careful", "Reckless")
+    )
+    result = project.scenarios("-x", *mode)
+    assert result.ret == 1
+    evidence = project.evidence()
+    words = {(one["case"], one["requirement"]): one for one in evidence["verdicts"]}
+    assert words["corridor/a", "GAP-1"]["verdict"] == "violated"
+    never = words["corridor/tight", "GAP-1"]
+    assert (never["verdict"], never["planned"], never["run"]) == ("undecided", 2, 0)
+    assert "0 of 2 planned episodes" in never["reason"]
+    assert never["component"] == "Careful"
+    assert {case["id"] for case in evidence["cases"]} >= {"corridor/a", "corridor/tight"}
+
+
+def test_a_worker_that_dies_leaves_its_campaign_undecided(project):
+    text = (project.path / "scenarios/corridor/tight.yaml").read_text()
+    (project.path / "scenarios/corridor/deadly.yaml").write_text(
+        text.replace("corridor/tight", "corridor/deadly").replace("wall: 4.0", "dies: true")
+    )
+    result = project.scenarios("-n", "2")
+    assert result.ret == 1
+    words = project.verdicts()
+    assert words["corridor/deadly", "GAP-1"] == "undecided"
+    assert words["corridor/free", "GAP-1"] == "supported"
+    assert words["corridor/tight", "GAP-1"] == "supported"
+    assert "undecided: GAP-1 on corridor/deadly" in result.stdout.str()
+
+
+def test_a_skipped_item_is_undecided_and_waived(project):
+    project.write(
+        "conftest.py",
+        "import pytest\n"
+        "def pytest_collection_modifyitems(items):\n"
+        "    items[0].add_marker(pytest.mark.skip(reason='no time'))\n",
+    )
+    project.run("corridor/tight").assert_outcomes(skipped=1)
+    (verdict,) = project.evidence()["verdicts"]
+    assert verdict["verdict"] == "undecided"
+    assert verdict["waiver"] == {"kind": "skip", "reason": "Skipped: no time"}
+
+
+@pytest.mark.parametrize("mode", [[], ["-n", "2"]], ids=["plain", "n2"])
+def test_a_killed_session_does_not_read_as_a_pass(project, mode):
+    project.scenarios()
+    assert project.evidence()["status"] == "complete"
+    project.write(
+        "slow.py",
+        "import time\n"
+        "from corridor import Careful\n"
+        "class Slow(Careful):\n"
+        "    def propose(self, view):\n"
+        "        time.sleep(0.3)\n"
+        "        return super().propose(view)\n",
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-m", "pytest", "corridor/tight", "--dura-generator=slow:Slow", *mode],
+        cwd=project.path,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+    deadline = time.monotonic() + 20
+    while project.evidence()["status"] == "complete" and time.monotonic() < deadline:
+        time.sleep(0.05)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    evidence = project.evidence()
+    assert evidence["status"] == "running"
+    assert {one["verdict"] for one in evidence["verdicts"]} <= {"undecided"}
+
+
+def test_different_digests_of_one_episode_fail_the_session(project):
+    for name in ("a", "b"):
+        project.write(
+            f"test_{name}.py",
+            "import pytest\n"
+            "@pytest.mark.dura(scenario='corridor/unsteady')\n"
+            "@pytest.mark.requirement('GO-1')\n"
+            "def test_it(campaign): campaign.require('always (gap >= 0)')\n",
+        )
+    text = (project.path / "scenarios/corridor/tight.yaml").read_text()
+    (project.path / "scenarios/corridor/unsteady.yaml").write_text(
+        text.replace("corridor/tight", "corridor/unsteady").replace(":Corridor", ":Unsteady")
+    )
+    # Plain `each` makes both workers run both tests.
+    result = project.run("test_a.py", "test_b.py", "--tx", "2*popen", "--dist", "each")
+    assert "infrastructure: nondeterministic: the episode corridor/unsteady#" in result.stdout.str()
+    assert result.ret == 1
+    assert set(project.verdicts().values()) == {"undecided"}
+
+
+def test_reruns_keep_every_attempt(project):
+    """As pytest-rerunfailures does it, which is no dependency of ours."""
+    project.write(
+        "conftest.py",
+        "import pytest\n"
+        "from _pytest.runner import runtestprotocol\n"
+        "import corridor\n"
+        "@pytest.fixture(scope='session')\n"
+        "def dura_metrics(): return {}\n"
+        "def pytest_runtest_protocol(item, nextitem):\n"
+        "    for outcome in ('rerun', None):\n"
+        "        for report in runtestprotocol(item, nextitem=nextitem, log=False):\n"
+        "            if outcome and report.when == 'call': report.outcome = outcome\n"
+        "            item.ihook.pytest_runtest_logreport(report=report)\n"
+        "        item.funcargs.clear(); item._initrequest()\n"
+        "    return True\n"
+        "def pytest_report_teststatus(report):\n"
+        "    if report.outcome == 'rerun': return 'rerun', 'R', 'RERUN'\n",
+    )
+    project.run("corridor/tight", "--dura-generator=corridor:Reckless")
+    (verdict,) = project.evidence()["verdicts"]
+    assert verdict["verdict"] == "violated"
+    assert verdict["waiver"]["kind"] == "rerun"

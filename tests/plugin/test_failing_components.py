@@ -1,0 +1,201 @@
+from __future__ import annotations
+
+import pytest
+
+SCENARIO = """
+name: corridor/{name}
+simulator: corridor:{simulator}
+duration: 0.5
+runs: {runs}
+time_budget: 0.2
+world: {world}
+roles: {roles}
+faults: {faults}
+requirements: [GAP-1, GO-1]
+"""
+
+
+IDLE = "[{type: ghost-obstacle, activation: {at: 0.1}}]"
+
+
+def scenario(
+    project,
+    name,
+    *,
+    simulator="Corridor",
+    runs=2,
+    world="{}",
+    generator="Careful",
+    monitor="Watch",
+    faults="[]",
+    **roles,
+):
+    named = {"generator": generator, "safety_monitor": monitor, **roles}
+    inner = ", ".join(f'{role}: "corridor:{one}"' for role, one in named.items())
+    text = SCENARIO.format(
+        name=name,
+        simulator=simulator,
+        runs=runs,
+        world=world,
+        roles="{" + inner + "}",
+        faults=faults,
+    )
+    project.write(f"scenarios/corridor/{name}.yaml", text)
+
+
+def failing(project, name, *arguments):
+    result = project.run(f"corridor/{name}", *arguments)
+    text = result.stdout.str() + result.stderr.str()
+    assert "Traceback" not in text
+    assert "INTERNALERROR" not in text
+    assert "pytest_dura/" not in text
+    assert result.ret == 1
+    return result, text
+
+
+@pytest.mark.parametrize(
+    "generator, words",
+    [
+        ("Raises", "Raises raised ValueError: out of ideas (corridor.py:"),
+        ("ReturnsNaN", "ReturnsNaN no valid action: the action nan is not a number (NaN)"),
+        ("Hangs", "Hangs overran its wall-clock time budget"),
+    ],
+)
+def test_a_component_that_fails_is_judged(project, generator, words):
+    scenario(project, "fails", generator=generator)
+    judged(project, words)
+
+
+def test_a_component_that_hangs_is_judged_in_a_worker_too(project):
+    scenario(project, "fails", generator="Hangs")
+    judged(project, "Hangs overran its wall-clock time budget", "-n", "2")
+
+
+def judged(project, words, *mode):
+    result, text = failing(project, "fails", *mode)
+    result.assert_outcomes(failed=2)
+    assert words in text
+    assert "in 2 of 2 episodes" in text
+    # The fallback keeps the ego where it is: that is no achievement of the component.
+    assert project.verdicts() == {
+        ("corridor/fails", "GAP-1"): "undecided",
+        ("corridor/fails", "GO-1"): "violated",
+    }
+    assert "the component made a valid proposal at only 0 of" in text
+    events = project.evidence()["episodes"][0]["events"]
+    assert events[0]["kind"] == "component_failure"
+
+
+def test_a_role_that_fails_is_infrastructure(project, mode):
+    scenario(project, "broken", monitor="Broken")
+    result, text = failing(project, "broken", *mode)
+    result.assert_outcomes(failed=2)
+    start = "infrastructure: safety_monitor at tick 0 (t = 0.0 s): RuntimeError: no opinion"
+    assert any(line.startswith(start) for line in text.splitlines())
+    assert "undecided: GAP-1 on corridor/broken" in text
+    assert set(project.verdicts().values()) == {"undecided"}
+    evidence = project.evidence()
+    assert evidence["episodes"][0]["validity"] == "missing"
+    assert evidence["verdicts"][0]["missing"] == 2
+    assert "0 (2)" in text
+
+
+def test_a_simulator_that_fails_is_infrastructure(project):
+    scenario(project, "collapses", world="{breaks_at: 3}")
+    _, text = failing(project, "collapses")
+    start = "infrastructure: simulator at tick 2 (t = 0.2 s): RuntimeError: the corridor collapsed"
+    assert start in text
+    assert "replay: pytest --dura-replay='corridor/collapses#0'" in text
+
+
+def test_a_violation_before_the_simulator_failed_stays_one(project):
+    scenario(project, "late", world="{wall: 1.0, breaks_at: 3}", generator="Reckless")
+    failing(project, "late")
+    assert project.verdicts()["corridor/late", "GAP-1"] == "violated"
+
+
+def test_a_fault_that_never_manifests_is_invalid_and_more_runs_follow(project, mode):
+    scenario(project, "idle", runs=5, faults=IDLE, fault_injector="Idle")
+    result, text = failing(project, "idle", *mode)
+    result.assert_outcomes(failed=2)
+    assert "invalid:  corridor/idle#0: never manifested: ghost-obstacle" in text
+    (verdict, _) = project.evidence()["verdicts"]
+    # One run in five may be replaced.
+    assert (verdict["planned"], verdict["run"], verdict["invalid"]) == (5, 6, 6)
+    assert [one["id"] for one in project.evidence()["episodes"]][-1] == "corridor/idle#5"
+
+
+def test_undecided_can_be_relaxed_to_a_skip_but_a_violation_cannot(project):
+    scenario(project, "idle", faults=IDLE, fault_injector="Idle")
+    result = project.run("corridor/idle::GAP-1", "--dura-undecided=warn")
+    result.assert_outcomes(skipped=1)
+    assert result.ret == 0
+    assert set(project.verdicts().values()) == {"undecided"}
+    scenario(project, "crash", generator="Reckless", world="{wall: 1.0}")
+    project.run("corridor/crash", "--dura-undecided=warn").assert_outcomes(failed=1, passed=1)
+
+
+TEST = """
+import pytest
+
+@pytest.mark.dura(scenario="corridor/{}")
+@pytest.mark.requirement("GAP-1")
+def test_it(episode):
+    assert not episode.collided
+"""
+
+
+def test_a_test_cannot_pass_on_an_invalid_episode(project):
+    scenario(project, "idle", faults=IDLE, fault_injector="Idle")
+    project.write("test_it.py", TEST.format("idle"))
+    result = project.run("test_it.py")
+    result.assert_outcomes(failed=2)
+    assert "invalid: corridor/idle#0: never manifested: ghost-obstacle" in result.stdout.str()
+    (verdict,) = project.evidence()["verdicts"]
+    assert (verdict["verdict"], verdict["invalid"]) == ("undecided", 2)
+
+
+def test_a_violation_on_an_invalid_episode_is_a_violation(project):
+    scenario(
+        project,
+        "idle",
+        world="{wall: 1.0}",
+        generator="Reckless",
+        faults=IDLE,
+        fault_injector="Idle",
+    )
+    project.write("test_it.py", TEST.format("idle"))
+    project.run("test_it.py").assert_outcomes(failed=2)
+    (verdict,) = project.evidence()["verdicts"]
+    assert (verdict["verdict"], verdict["violations"]) == ("violated", 2)
+
+
+def test_a_test_cannot_pass_on_a_missing_episode(project):
+    scenario(project, "collapses", world="{breaks_at: 3}")
+    project.write("test_it.py", TEST.format("collapses"))
+    result = project.run("test_it.py")
+    result.assert_outcomes(failed=2)
+    assert "infrastructure: simulator at tick 2" in result.stdout.str()
+    (verdict,) = project.evidence()["verdicts"]
+    assert (verdict["verdict"], verdict["missing"]) == ("undecided", 2)
+
+
+def test_a_broken_test_says_nothing_of_the_component(project):
+    project.write("test_it.py", TEST.format("tight").replace("episode.collided", "episode.colided"))
+    project.run("test_it.py").assert_outcomes(failed=2)
+    (verdict,) = project.evidence()["verdicts"]
+    assert (verdict["verdict"], verdict["missing"]) == ("undecided", 2)
+
+
+def test_a_generator_with_a_constructor_that_needs_something(project):
+    project.write(
+        "needy.py",
+        "from corridor import Careful\n"
+        "class Needy(Careful):\n    def __init__(self, model): pass\n"
+        "class Unlucky(Careful):\n    def __init__(self): raise OSError('no weights')\n",
+    )
+    result = project.run("corridor/tight", "--dura-generator=needy:Needy")
+    assert result.ret == 4
+    result.stderr.fnmatch_lines(["ERROR: needy:Needy cannot be built without parameters*"])
+    result, text = failing(project, "tight", "--dura-generator=needy:Unlucky")
+    assert "needy:Unlucky cannot be built: OSError: no weights" in text

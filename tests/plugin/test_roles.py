@@ -1,0 +1,192 @@
+from __future__ import annotations
+
+import pytest
+
+CONFTEST = """
+import pytest
+from pytest_dura import Generator, Proposal
+
+class Mine(Generator):
+    def propose(self, view):
+        return Proposal(0.5)
+
+@pytest.fixture(scope="session")
+def generator():
+    return Mine
+"""
+
+
+def test_the_root_conftest_swaps_the_component_in_every_mode(project, mode):
+    project.write("conftest.py", CONFTEST)
+    result = project.run("corridor/tight", *mode)
+    result.assert_outcomes(passed=1)
+    text = result.stdout.str()
+    assert "component under test from the fixture `generator` in conftest.py" in text
+    assert "component under test: Mine" in text
+    evidence = project.evidence()
+    assert evidence["component_under_test"]["name"] == "Mine"
+    assert len(evidence["component_under_test"]["digest"]) == 64
+    for kind in ("cases", "episodes", "verdicts"):
+        assert {one["component"] for one in evidence[kind]} == {"Mine"}
+
+
+def test_a_class_in_the_root_conftest_is_found_beside_another_conftest(project):
+    project.write("conftest.py", CONFTEST)
+    project.write("tests/conftest.py", "import pytest\nclass Mine: pass\n")
+    project.write("tests/test_it.py", "def test_it(run_episode): run_episode('corridor/tight')\n")
+    result = project.run("tests", "corridor/tight")
+    result.assert_outcomes(passed=2)
+
+
+def test_an_override_deeper_down_is_for_its_own_tests(project):
+    project.write("conftest.py", CONFTEST)
+    project.write("tests/conftest.py", CONFTEST.replace("Mine", "Deeper"))
+    look = "def test_it(run_episode): assert run_episode('corridor/tight').spec.component == '{}'\n"
+    project.write("tests/test_it.py", look.format("Deeper"))
+    project.write("test_top.py", look.format("Mine"))
+    project.write(
+        "tests/test_fixture.py",
+        "import pytest\n"
+        "@pytest.fixture(scope='module')\n"
+        "def name(orchestrator): return orchestrator.run('corridor/tight').spec.component\n"
+        "def test_it(name): assert name == 'Deeper'\n",
+    )
+    result = project.run("test_top.py", "tests", "corridor/tight", "-v")
+    result.assert_outcomes(passed=4)
+    text = result.stdout.str()
+    assert "warning: tests/conftest.py overrides `generator`, which scenario items do not" in text
+    assert "corridor/tight (Deeper)" in text
+    names = {one["component"] for one in project.evidence()["verdicts"]}
+    assert names == {"Mine"}
+
+
+def test_the_option_and_a_fixture_together_are_a_usage_error(project, mode):
+    project.write("conftest.py", CONFTEST)
+    result = project.run("corridor/tight", "--dura-generator=corridor:Reckless", *mode)
+    assert result.ret == 4
+    result.stderr.fnmatch_lines(
+        [
+            "ERROR: the component under test is given twice",
+            "  found:    '--dura-generator and the fixture `generator` in conftest.py'",
+        ]
+    )
+
+
+def test_the_option_and_a_fixture_deeper_down(project):
+    project.write("tests/conftest.py", CONFTEST)
+    project.write("tests/test_it.py", "def test_it(run_episode): pass\n")
+    result = project.run("tests", "--dura-generator=corridor:Reckless")
+    result.assert_outcomes(errors=1)
+    assert "the component under test is given twice" in result.stdout.str()
+    assert "fixtures.py" not in result.stdout.str()
+
+
+def test_the_option_names_the_component(project):
+    result = project.run("corridor/tight", "--dura-generator=corridor:Reckless")
+    assert "dura: component under test Reckless, base seed 0" in result.stdout.str()
+    under_test = project.evidence()["component_under_test"]
+    assert (under_test["name"], under_test["path"]) == ("Reckless", "corridor:Reckless")
+
+
+RETURNS = """
+import pytest
+import corridor
+from pytest_dura import RoleSpec
+
+def make():
+    return corridor.Reckless()
+
+@pytest.fixture(scope="session")
+def generator():
+    return {}
+"""
+
+
+@pytest.mark.parametrize(
+    "value, name",
+    [
+        ("corridor.Reckless", "Reckless"),
+        ("make", "make"),
+        ("RoleSpec('corridor:Reckless')", "Reckless"),
+        ("'corridor:Reckless'", "Reckless"),
+        ("corridor.Reckless()", "Reckless"),
+    ],
+)
+def test_what_a_role_fixture_may_return(project, value, name):
+    project.write("conftest.py", RETURNS.replace("{}", value))
+    result = project.run("corridor/tight")
+    result.assert_outcomes(failed=1)
+    (verdict,) = project.evidence()["verdicts"]
+    assert (verdict["component"], verdict["verdict"]) == (name, "violated")
+
+
+def test_a_bare_instance_is_said_in_terminal_and_evidence(project):
+    project.write("conftest.py", RETURNS.replace("{}", "corridor.Reckless()"))
+    result = project.run("corridor/tight")
+    assert "Reckless (a bare instance, in this process only)" in result.stdout.str()
+    evidence = project.evidence()
+    assert evidence["component_under_test"]["opaque"] is True
+    assert evidence["episodes"][0]["spec"]["roles"]["generator"]["opaque"] is True
+    replay = project.run("--dura-replay=corridor/tight#0")
+    assert replay.ret == 4
+    replay.stderr.fnmatch_lines(["ERROR: corridor:Reckless was given as a bare instance*"])
+
+
+@pytest.mark.parametrize(
+    "value, line",
+    [
+        ("None", "the generator cannot be switched off"),
+        ("7", "what the fixture `generator` returned is not a Generator"),
+        ("corridor.NoGenerator", "what the fixture `generator` returned is not a Generator"),
+        ("corridor.Watch()", "what the fixture `generator` returned is not a Generator"),
+    ],
+)
+def test_what_a_role_fixture_may_not_return(project, value, line):
+    project.write("conftest.py", RETURNS.replace("{}", value))
+    result = project.run("corridor/tight")
+    result.assert_outcomes(errors=1)
+    result.stdout.fnmatch_lines([line, "  remedy:   *"])
+    assert "Traceback" not in result.stdout.str()
+    assert project.verdicts() == {("corridor/tight", "GAP-1"): "undecided"}
+
+
+def test_none_switches_a_role_off(project):
+    project.write(
+        "conftest.py",
+        "import pytest\n@pytest.fixture(scope='session')\ndef safety_monitor(): return None\n",
+    )
+    project.run("corridor/free", "--dura-generator=corridor:Reckless")
+    (case,) = project.evidence()["cases"]
+    assert case["metrics"]["flagged"]["valid"] == 0
+    assert "safety_monitor" not in project.evidence()["episodes"][0]["spec"]["roles"]
+
+
+def test_another_role_and_another_simulator(project):
+    project.write(
+        "conftest.py",
+        "import pytest, corridor\n"
+        "class Short(corridor.Corridor):\n"
+        "    def reset(self, scenario, seed):\n"
+        "        scenario['world']['wall'] = 0.5\n"
+        "        return super().reset(scenario, seed)\n"
+        "@pytest.fixture(scope='session')\n"
+        "def simulator(): return Short\n"
+        "@pytest.fixture(scope='session')\n"
+        "def recovery_planner(): return corridor.Brake\n"
+        "@pytest.fixture(scope='session')\n"
+        "def safety_monitor(): return corridor.Watch\n",
+    )
+    project.run("corridor/tight", "--dura-generator=corridor:Reckless").assert_outcomes(passed=1)
+    (case,) = project.evidence()["cases"]
+    assert case["metrics"]["recoveries"] == 2
+
+
+def test_an_override_that_wraps_the_default(project):
+    project.write(
+        "conftest.py",
+        "import pytest\n"
+        "@pytest.fixture(scope='session')\n"
+        "def generator(generator): return generator\n",
+    )
+    project.run("corridor/tight").assert_outcomes(passed=1)
+    assert project.evidence()["component_under_test"]["name"] == "Careful"

@@ -1,0 +1,131 @@
+from __future__ import annotations
+
+import os
+import pty
+import re
+import subprocess
+import sys
+
+import pytest
+
+from pytest_dura.plugin.terminal import case_table
+
+
+def section(result):
+    lines = result.outlines
+    start = next(i for i, line in enumerate(lines) if re.fullmatch(r"=+ dura =+", line))
+    return lines[start + 1 :]
+
+
+def test_the_header_says_what_is_tested(project):
+    result = project.scenarios("--dura-seed=5")
+    assert "dura: component under test Careful, base seed 5, 2 cases, 5 episodes" in result.outlines
+
+
+def test_the_summary_of_a_campaign(project, mode):
+    result = project.scenarios("--dura-generator=corridor:Reckless", *mode)
+    lines = section(result)
+    assert lines[0] == "component under test: Reckless, base seed 0"
+    table = [re.split(r"\s{2,}", line) for line in lines if line.startswith(("case ", "corridor/"))]
+    assert table[0] == [
+        "case", "n", "flag %", "coll %", "clearance s", "grid", "recov", "alerts", "inv",
+    ]  # fmt: skip
+    assert table[1] == ["corridor/free", "3", "100", "100", "0.1 +- 0.0 (3)", "0", "0", "0", "0"]
+    assert table[2] == ["corridor/tight", "2", "0", "100", "0.1 +- 0.0 (2)", "0", "0", "0", "0"]
+    assert "violated   GAP-1  corridor/free: n = 3, 3 violations (rate <= 1 at 95%)" in lines
+    start = lines.index("violated: GAP-1 on corridor/tight")
+    assert lines[start + 1 : start + 6] == [
+        "  2 of 2 valid episodes violated it",
+        "  check:  always (gap > 0)",
+        "  worst:  corridor/tight#0 at t = 0.20 s, right at the bound",
+        "  replay: pytest --dura-replay='corridor/tight#0'",
+        "  rerun:  pytest corridor/tight::GAP-1 --dura-generator=corridor:Reckless",
+    ]
+    assert any(line == "evidence: dura-evidence/evidence.json" for line in lines)
+
+
+def test_the_printed_commands_work(project):
+    result = project.scenarios("--dura-generator=corridor:Reckless", "--dura-evidence=out")
+    lines = [line.split() for line in result.outlines if line.startswith("  re")]
+    for _, _, *arguments in lines[:2]:
+        again = project.run(*[argument.replace("'", "") for argument in arguments])
+        assert again.ret in (0, 1)
+        assert "corridor/free" in again.stdout.str()
+
+
+def test_requirements_undecided_for_one_reason_are_told_once(project):
+    text = (project.path / "scenarios/corridor/free.yaml").read_text()
+    (project.path / "scenarios/corridor/broken.yaml").write_text(
+        text.replace("corridor/free", "corridor/broken").replace(":Watch", ":Broken")
+    )
+    lines = section(project.run("corridor/broken"))
+    assert "undecided: GAP-1, GO-1 on corridor/broken" in lines
+    reruns = [line for line in lines if line.startswith("  rerun:")]
+    assert reruns == ["  rerun:  pytest corridor/broken"]
+
+
+def test_every_line_fits_into_100_columns(project):
+    result = project.scenarios("--dura-runs=1", select="intersection/[cp]*")
+    wide = [line for line in section(result) if len(line) > 100]
+    assert wide == []
+
+
+def test_a_domain_without_these_signals_shows_a_dash():
+    nothing = {
+        "planned": 3, "run": 3, "valid": 2, "invalid": 0, "missing": 1, "flagged": None,
+        "collided": None, "gridlock": None, "clearance_time": None, "recoveries": 0, "alerts": 4,
+        "user": {"warmth": {"mean": 21.5, "runs": 2}},
+    }  # fmt: skip
+    _, row, *_ = case_table([{"id": "room", "component": "Heater", "metrics": nothing}])
+    assert row.split() == [
+        "room",
+        "2",
+        "(3)",
+        "-",
+        "-",
+        "-",
+        "-",
+        "0",
+        "4",
+        "0+1",
+        "missing",
+        "21.5",
+    ]
+
+
+def test_nothing_of_ours_without_anything_of_ours(project):
+    project.write("test_plain.py", "def test_one(): pass\n")
+    assert "dura" not in project.run().stdout.str().replace("dura-0.1.0", "")
+
+
+@pytest.mark.parametrize(
+    "arguments, shown",
+    [([], True), (["-q"], False), (["-s"], True), (["-n", "2"], False)],
+    ids=["default", "quiet", "without capture", "distributed"],
+)
+def test_progress_in_a_terminal(project, arguments, shown):
+    controller, terminal = pty.openpty()
+    process = subprocess.Popen(
+        [sys.executable, "-m", "pytest", "corridor/free::GO-1", *arguments],
+        cwd=project.path,
+        stdout=terminal,
+        stderr=terminal,
+        env={**os.environ, "TERM": "xterm"},
+    )
+    os.close(terminal)
+    seen = b""
+    while True:
+        try:
+            chunk = os.read(controller, 4096)
+        except OSError:  # the other end is closed
+            break
+        if not chunk:
+            break
+        seen += chunk
+    os.close(controller)
+    assert process.wait() == 0
+    assert (b"corridor/free 2/3" in seen) is shown
+
+
+def test_no_progress_without_a_terminal(project):
+    assert "2/3" not in project.run("corridor/free").stdout.str()
