@@ -108,11 +108,12 @@ def test_both_measures_are_symmetric(one: Any, other: Any, v: Any, w: Any) -> No
 
 @quick
 @given(
-    one=boxes, other=boxes, v=velocities, w=velocities, turn=angles, dx=coordinates, dy=coordinates
+    pair=st.tuples(boxes, boxes),
+    courses=st.tuples(velocities, velocities),
+    motion=st.tuples(angles, coordinates, coordinates),
 )
-def test_rotation_and_translation_change_nothing(
-    one: Any, other: Any, v: Any, w: Any, turn: float, dx: float, dy: float
-) -> None:
+def test_rotation_and_translation_change_nothing(pair: Any, courses: Any, motion: Any) -> None:
+    (one, other), (v, w), (turn, dx, dy) = pair, courses, motion
     c, s = math.cos(turn), math.sin(turn)
 
     def turned(x: float, y: float) -> Point:
@@ -139,7 +140,7 @@ def test_rotation_and_translation_change_nothing(
 
 @quick
 @given(one=boxes, other=boxes, v=velocities, w=velocities)
-def test_boxes_stepped_forward_meet_at_the_time_to_collision(
+def test_pairstepped_forward_meet_at_the_time_to_collision(
     one: Any, other: Any, v: Any, w: Any
 ) -> None:
     time = ttc(one, v, other, w)
@@ -162,12 +163,12 @@ def test_the_time_to_collision_is_capped(one: Any, other: Any, v: Any, w: Any, c
 
 @quick
 @given(one=boxes, other=boxes, v=velocities)
-def test_boxes_in_step_never_meet(one: Any, other: Any, v: Any) -> None:
+def test_pairin_step_never_meet(one: Any, other: Any, v: Any) -> None:
     expected = 0.0 if gap(one, other) == 0.0 else CAP
     assert ttc(one, v, other, v) == expected
 
 
-def test_crossing_boxes_whose_corners_are_outside_each_other_overlap() -> None:
+def test_crossing_pairwhose_corners_are_outside_each_other_overlap() -> None:
     plank, crossing = (0.0, 0.0, 0.0, 10.0, 1.0), (0.0, 0.0, math.pi / 2, 10.0, 1.0)
     assert not any(inside(point, corners_of(plank)) for point in corners_of(crossing))
     assert gap(plank, crossing) == 0.0
@@ -179,7 +180,9 @@ def test_a_box_within_a_box_is_in_contact() -> None:
 
 
 def test_touching_counts_as_contact() -> None:
-    assert gap((0.0, 0.0, 0.0, 4.0, 2.0), (4.0, 0.0, 0.0, 4.0, 2.0)) == 0.0
+    one, other = np.array([[0.0, 0.0, 0.0, 4.0, 2.0]]), np.array([[4.0, 0.0, 0.0, 4.0, 2.0]])
+    assert geometry.gap(one, other) == 0.0
+    assert geometry.overlap(one, other)
     assert gap((0.0, 0.0, 0.0, 4.0, 2.0), (4.5, 0.0, 0.0, 4.0, 2.0)) == pytest.approx(0.5)
 
 

@@ -92,9 +92,9 @@ def test_following_too_close_is_unsafe_though_nobody_brakes_yet() -> None:
 
 
 def test_braking_hard_is_no_fault_of_following() -> None:
-    near = car("V1", 2.0, 61.0 - 6.0, -math.pi / 2, 8.0)
-    found = judge(channels_of(near, s=50.0, speed=8.0), "emergency_brake")
-    assert not any("follows" in reason for reason in found.reasons)
+    near = channels_of(car("V1", 2.0, 61.0 - 6.0, -math.pi / 2, 5.0), s=50.0, speed=8.0)
+    for action, told in (("emergency_brake", False), (Command(Maneuver.YIELD, -7.0), True)):
+        assert any("follows" in reason for reason in judge(near, action).reasons) == told
 
 
 def test_a_standing_ego_may_stand_close_behind() -> None:
@@ -121,9 +121,10 @@ def test_entering_in_front_of_a_car_takes_its_right_of_way() -> None:
         car_on(1, "straight", 10.0, 8.0),  # far away
         car_on(1, "straight", 125.0, 8.0),  # has passed
         car_on(1, "straight", 97.0, 0.0),  # stands
+        car_on(1, "straight", 106.0, 0.9),  # creeps
         car_on(2, "straight", 85.0, 8.0),  # comes from the other minor road
     ],
-    ids=["far", "past", "standing", "opposite"],
+    ids=["far", "past", "standing", "creeping", "opposite"],
 )
 def test_who_is_not_hindered_keeps_its_right_of_way(other: Any) -> None:
     found = judge(channels_of(other, s=96.5, speed=4.0), "accelerate")
