@@ -51,9 +51,7 @@ def loop(spec: EpisodeSpec) -> tuple[Parts, Episode, list[float]]:
     start = perf_counter()
     episode = orchestrator.run(spec)
     total = perf_counter() - start
-    parts = {
-        role: sum(values) / 1e9 for role, (_, values) in episode.metrics.processing_ns.items()
-    }
+    parts = {role: sum(values) / 1e9 for role, (_, values) in episode.metrics.processing_ns.items()}
     parts["road"] = simulator.road_seconds
     parts["sensors"] = simulator.step_seconds - simulator.road_seconds
     start = perf_counter()

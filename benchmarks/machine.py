@@ -11,7 +11,8 @@ def machine() -> str:
     """One line: interpreter, platform, cores, and the packages that matter."""
     packages = ", ".join(f"{name} {version(name)}" for name in ("numpy", "highway-env", "pytest"))
     python = f"{platform.python_implementation()} {platform.python_version()}"
-    return f"{python} on {platform.system()} {platform.machine()}, {os.cpu_count()} cores; {packages}"
+    system = f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores"
+    return f"{python} on {system}; {packages}"
 
 
 def table(headers: list[str], rows: list[list[str]]) -> str:

@@ -28,6 +28,7 @@ from pytest_dura.core.roles import RoleSpec
 
 Key = tuple[str, bool, str, int]
 """Scenario, with its own faults, policy, run."""
+POLICIES = ("recover", "log_only")
 
 
 @dataclass(frozen=True)
@@ -80,6 +81,92 @@ def mcnemar(first: list[bool], second: list[bool]) -> tuple[int, int, float]:
     return only_first, only_second, binomtest(only_first, total).pvalue if total else 1.0
 
 
+class Arms:
+    """The outcomes of all runs, by arm of the comparison."""
+
+    def __init__(self, found: dict[Key, Outcome], runs: int) -> None:
+        self._found, self._runs = found, range(runs)
+
+    def of(self, scenario: str, *, attacked: bool = True, policy: str = "recover") -> list[Outcome]:
+        """One outcome per run, in the order of the runs."""
+        return [self._found[scenario, attacked, policy, number] for number in self._runs]
+
+
+def paper_table(arms: Arms, scenarios: list[str]) -> str:
+    """The paper's table, with recovery on and off."""
+    rows = []
+    for scenario in scenarios:
+        for policy in POLICIES:
+            outcomes = arms.of(scenario, policy=policy)
+            times = [o.clearance for o in outcomes if o.clearance is not None]
+            spread = f"{mean(times):.1f} +- {stdev(times):.1f}" if len(times) > 1 else "-"
+            rows.append(
+                [
+                    scenario,
+                    policy,
+                    percentage([o.flagged for o in outcomes]),
+                    percentage([o.collided for o in outcomes]),
+                    percentage([o.struck for o in outcomes]),
+                    f"{spread} ({len(times)})",
+                    str(sum(o.clearance is None and not o.collided for o in outcomes)),
+                    str(sum(o.recoveries for o in outcomes)),
+                    str(sum(o.alerts for o in outcomes)),
+                    str(sum(not o.valid for o in outcomes)),
+                ]
+            )
+    headers = ["scenario", "policy", "flagged %", "collided %", "struck by others %"]
+    headers += ["clearance s (n)", "gridlock", "recoveries", "alerts", "invalid"]
+    return table(headers, rows)
+
+
+def effect_of_attacks(arms: Arms, attacks: list[str]) -> str:
+    """Each attack against the same runs without it."""
+    rows = []
+    for scenario in attacks:
+        attacked, free = arms.of(scenario), arms.of(scenario, attacked=False)
+        up, down, p = mcnemar([o.flagged for o in attacked], [o.flagged for o in free])
+        deltas = [
+            a.clearance - b.clearance
+            for a, b in zip(attacked, free, strict=True)
+            if a.clearance is not None and b.clearance is not None
+        ]
+        longer, shorter = sum(d > 0 for d in deltas), sum(d < 0 for d in deltas)
+        sign = binomtest(longer, longer + shorter).pvalue if longer + shorter else 1.0
+        change = f"{mean(deltas):+.1f}" if deltas else "-"
+        rows.append([
+            scenario, f"{up} / {down}", f"{p:.2g}", change, f"{longer} / {shorter}", f"{sign:.2g}",
+        ])  # fmt: skip
+    headers = ["scenario", "flagged only attacked / only free", "p"]
+    headers += ["mean change of clearance s", "longer / shorter", "p"]
+    return table(headers, rows)
+
+
+def effect_of_recovery(arms: Arms, scenarios: list[str]) -> str:
+    """Each scenario with recovery against the same runs without it, and all together."""
+    rows, all_off, all_on = [], [], []
+    for scenario in scenarios:
+        off = [o.collided for o in arms.of(scenario, policy="log_only")]
+        on = [o.collided for o in arms.of(scenario)]
+        all_off, all_on = all_off + off, all_on + on
+        rows.append([scenario, *compared(off, on)])
+    rows.append(["all", *compared(all_off, all_on)])
+    headers = ["scenario", "collisions off", "collisions on", "prevented", "introduced"]
+    return table([*headers, "in both", "p"], rows)
+
+
+def compared(off: list[bool], on: list[bool]) -> list[str]:
+    """The cells of two arms that are compared pair by pair."""
+    prevented, introduced, p = mcnemar(off, on)
+    futile = sum(a and b for a, b in zip(off, on, strict=True))
+    counts = (sum(off), sum(on), prevented, introduced, futile)
+    return [*map(str, counts), f"{p:.2g}"]
+
+
+def percentage(hits: list[bool]) -> str:
+    """The share of hits."""
+    return f"{100 * sum(hits) / len(hits):.1f}"
+
+
 def main() -> None:
     """Run, compare, print."""
     arguments = argparse.ArgumentParser(description=__doc__)
@@ -92,66 +179,18 @@ def main() -> None:
     scenarios = [case.id for case in cases]
     attacks = [case.id for case in cases if case.faults]
     runs = range(options.runs)
-    keys: list[Key] = [(s, True, p, n) for s in scenarios for p in ("recover", "log_only") for n in runs]
+    keys: list[Key] = [(s, True, p, n) for s in scenarios for p in POLICIES for n in runs]
     keys += [(s, False, "recover", n) for s in attacks for n in runs]
     with ProcessPoolExecutor(options.jobs) as pool:
         jobs = [(key, options.generator, options.seed) for key in keys]
-        found = dict(pool.map(run, jobs, chunksize=20))
-
-    def arm(scenario: str, attacked: bool = True, policy: str = "recover") -> list[Outcome]:
-        return [found[scenario, attacked, policy, number] for number in runs]
-
-    print(machine())
-    print(f"\n{options.generator}, {options.runs} paired seeds a scenario, base seed {options.seed}\n")
-    rows = []
-    for scenario in scenarios:
-        for policy in ("recover", "log_only"):
-            outcomes = arm(scenario, policy=policy)
-            times = [o.clearance for o in outcomes if o.clearance is not None]
-            share = 100 / len(outcomes)
-            rows.append([
-                scenario, policy, f"{share * sum(o.flagged for o in outcomes):.1f}",
-                f"{share * sum(o.collided for o in outcomes):.1f}",
-                f"{share * sum(o.struck for o in outcomes):.1f}",
-                f"{mean(times):.1f} +- {stdev(times):.1f} ({len(times)})" if len(times) > 1 else "-",
-                str(sum(o.clearance is None and not o.collided for o in outcomes)),
-                str(sum(o.recoveries for o in outcomes)), str(sum(o.alerts for o in outcomes)),
-                str(sum(not o.valid for o in outcomes)),
-            ])  # fmt: skip
-    print(table(["scenario", "policy", "flagged %", "collided %", "struck by others %",
-                 "clearance s (n)", "gridlock", "recoveries", "alerts", "invalid"], rows))  # fmt: skip
+        arms = Arms(dict(pool.map(run, jobs, chunksize=20)), options.runs)
+    seeds = f"{options.runs} paired seeds a scenario, base seed {options.seed}"
+    print(f"{machine()}\n\n{options.generator}, {seeds}\n")
+    print(paper_table(arms, scenarios))
     print("\nDo attacks raise flags and clearance time? (attack against none, recovery on)\n")
-    rows = []
-    for scenario in attacks:
-        attacked, free = arm(scenario), arm(scenario, attacked=False)
-        up, down, p = mcnemar([o.flagged for o in attacked], [o.flagged for o in free])
-        deltas = [
-            a.clearance - b.clearance
-            for a, b in zip(attacked, free, strict=True)
-            if a.clearance is not None and b.clearance is not None
-        ]
-        longer, shorter = sum(d > 0 for d in deltas), sum(d < 0 for d in deltas)
-        sign = binomtest(longer, longer + shorter).pvalue if longer + shorter else 1.0
-        rows.append([scenario, f"{up} / {down}", f"{p:.2g}", f"{mean(deltas):+.1f}",
-                     f"{longer} / {shorter}", f"{sign:.2g}"])  # fmt: skip
-    print(table(["scenario", "flagged only attacked / only free", "p", "mean change of clearance s",
-                 "longer / shorter", "p"], rows))  # fmt: skip
+    print(effect_of_attacks(arms, attacks))
     print("\nDoes switching recovery off raise collisions? (log_only against recover)\n")
-    rows, all_off, all_on = [], [], []
-    for scenario in scenarios:
-        off = [o.collided for o in arm(scenario, policy="log_only")]
-        on = [o.collided for o in arm(scenario)]
-        all_off, all_on = all_off + off, all_on + on
-        prevented, introduced, p = mcnemar(off, on)
-        futile = sum(a and b for a, b in zip(off, on, strict=True))
-        rows.append([scenario, str(sum(off)), str(sum(on)), str(prevented), str(introduced),
-                     str(futile), f"{p:.2g}"])  # fmt: skip
-    prevented, introduced, p = mcnemar(all_off, all_on)
-    futile = sum(a and b for a, b in zip(all_off, all_on, strict=True))
-    rows.append(["all", str(sum(all_off)), str(sum(all_on)), str(prevented), str(introduced),
-                 str(futile), f"{p:.2g}"])  # fmt: skip
-    print(table(["scenario", "collisions off", "collisions on", "prevented", "introduced",
-                 "in both", "p"], rows))  # fmt: skip
+    print(effect_of_recovery(arms, scenarios))
 
 
 if __name__ == "__main__":

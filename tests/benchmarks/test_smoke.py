@@ -1,0 +1,64 @@
+"""Every script of benchmarks/ runs in its smallest setting and prints its tables."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).parents[2]
+BENCHMARKS = REPOSITORY / "benchmarks"
+SMALLEST = {
+    "against_gym.py": ["--episodes", "1"],
+    "loop_cost.py": ["--runs", "1", "--repeats", "1"],
+    "paper_table.py": ["--runs", "2", "--jobs", "1"],
+    "plugin_cost.py": ["--repeats", "1"],
+}
+NOT_A_SCRIPT = {"machine.py"}
+HEADERS = {
+    "against_gym.py": ["times faster"],
+    "loop_cost.py": ["ratio without Generator", "part of the loop"],
+    "paper_table.py": ["gridlock", "flagged only attacked / only free", "prevented"],
+    "plugin_cost.py": ["cost of the unused plugin"],
+}
+
+
+def tables(output: str) -> list[tuple[list[str], list[list[str]]]]:
+    """Headers and rows of each Markdown table."""
+    found = []
+    for block in re.findall(r"(?:^\|.*\|$\n?)+", output, flags=re.MULTILINE):
+        headers, _, *rows = (
+            [cell.strip() for cell in line.strip("|").split("|")] for line in block.splitlines()
+        )
+        found.append((headers, rows))
+    return found
+
+
+def test_each_script_is_tried_here() -> None:
+    assert {file.name for file in BENCHMARKS.glob("*.py")} - NOT_A_SCRIPT == set(SMALLEST)
+
+
+@pytest.mark.parametrize("script", SMALLEST)
+def test_the_script_prints_its_tables(script, tmp_path) -> None:
+    kept = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST")}
+    done = subprocess.run(
+        [sys.executable, str(BENCHMARKS / script), *SMALLEST[script]],
+        cwd=tmp_path,
+        env=kept,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    printed = tables(done.stdout)
+    assert len(printed) == len(HEADERS[script])
+    for (headers, rows), expected in zip(printed, HEADERS[script], strict=True):
+        assert expected in headers
+        assert rows
+        assert all(len(row) == len(headers) for row in rows)
+    assert not list(tmp_path.iterdir())
