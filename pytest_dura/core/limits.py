@@ -6,8 +6,9 @@ import contextvars
 import ctypes
 import signal
 import threading
-from collections.abc import Callable
-from typing import Any, TypeVar
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any, ClassVar, TypeVar
 
 T = TypeVar("T")
 
@@ -38,34 +39,66 @@ def call_within(seconds: float | None, function: Callable[..., T], *args: Any) -
     """
     if seconds is None:
         return function(*args)
-    in_main = threading.current_thread() is threading.main_thread()
-    if in_main and hasattr(signal, "setitimer") and signal.getitimer(signal.ITIMER_REAL)[0] == 0.0:
-        return _call_with_alarm(seconds, function, *args)
+    if _alarm_is_free():
+        with alarms():
+            if _Alarm.installed is not None:
+                return _call_with_alarm(_Alarm.installed, seconds, function, *args)
     return _call_in_thread(seconds, function, *args)
 
 
-def _call_with_alarm(seconds: float, function: Callable[..., T], *args: Any) -> T:
-    armed, expired = True, False
+class _Alarm:
+    """The handler of SIGALRM: ends the call that is under way, and nothing between two calls."""
 
-    def expire(_signum: int, _frame: object) -> None:
-        nonlocal expired
-        if armed:
-            expired = True
+    installed: ClassVar[_Alarm | None] = None
+
+    def __init__(self) -> None:
+        self.armed = self.expired = False
+
+    def __call__(self, _signum: int, _frame: object) -> None:
+        if self.armed:
+            self.expired = True
             raise TimeBudgetExceeded
 
-    previous = signal.signal(signal.SIGALRM, expire)
+
+@contextmanager
+def alarms() -> Iterator[None]:
+    """Install the alarm's handler once for many calls, which saves them most of their cost.
+
+    Does nothing where there is no alarm to be had.
+    """
+    if _Alarm.installed is not None or not _alarm_is_free():
+        yield
+        return
+    alarm = _Alarm()
+    previous = signal.signal(signal.SIGALRM, alarm)
+    _Alarm.installed = alarm
+    try:
+        yield
+    finally:
+        _Alarm.installed = None
+        signal.signal(signal.SIGALRM, signal.SIG_DFL if previous is None else previous)
+
+
+def _alarm_is_free() -> bool:
+    in_main = threading.current_thread() is threading.main_thread()
+    return (
+        in_main and hasattr(signal, "setitimer") and signal.getitimer(signal.ITIMER_REAL)[0] == 0.0
+    )
+
+
+def _call_with_alarm(alarm: _Alarm, seconds: float, function: Callable[..., T], *args: Any) -> T:
+    alarm.armed, alarm.expired = True, False
     try:
         # The alarm repeats, since a callee may swallow one and go on (a bare `except` in a loop).
         signal.setitimer(signal.ITIMER_REAL, seconds, max(GRACE, min(seconds, 1.0)))
         try:
             result = function(*args)
         finally:
-            armed = False
+            alarm.armed = False
     finally:
-        armed = False
+        alarm.armed = False
         signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, signal.SIG_DFL if previous is None else previous)
-    if expired:
+    if alarm.expired:
         raise TimeBudgetExceeded
     return result
 

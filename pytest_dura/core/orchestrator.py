@@ -14,6 +14,7 @@ from pytest_dura.core.errors import (
     InfrastructureError,
     describe_error,
 )
+from pytest_dura.core.limits import alarms
 from pytest_dura.core.log import Decision, EpisodeLog
 from pytest_dura.core.outputs import check_output, check_texts, owed_output
 from pytest_dura.core.roles import (
@@ -106,24 +107,28 @@ class Orchestrator:
         self._injector_ns = 0
         failure: InfrastructureError | None = None
         try:
-            tick = self._reset()
-            while True:
-                self._update(tick)
-                ending = self._ending(tick)
-                if ending is not None:
-                    break
-                action = self._decide_on_tick(tick)
-                if action is _HALT:
-                    ending = "halt"
-                    break
-                following = self._guard("simulator", self.simulator.step, action)
-                tick = self._guard("simulator", self._checked, following, tick.index + 1)
+            with alarms():
+                ending = self._loop()
         except InfrastructureError as error:
             failure, ending = error, "infrastructure"
         episode = self.log.close(self.simulator, self.state, ending, failure)
         if episode.failure is None:
             self._measure(episode)
         return episode
+
+    def _loop(self) -> str:
+        """Tick by tick until something ends the episode; returns what."""
+        tick = self._reset()
+        while True:
+            self._update(tick)
+            ending = self._ending(tick)
+            if ending is not None:
+                return ending
+            action = self._decide_on_tick(tick)
+            if action is _HALT:
+                return "halt"
+            following = self._guard("simulator", self.simulator.step, action)
+            tick = self._guard("simulator", self._checked, following, tick.index + 1)
 
     def _measure(self, episode: Episode) -> None:
         """Fill in the user-defined metrics."""

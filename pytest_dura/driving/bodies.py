@@ -90,12 +90,5 @@ class BodyList(Sequence[Body]):
             return BodyList(self.ids, data)
         return BodyList((*self.ids, body.id), np.vstack([self.data, row]))
 
-    def only(self, mask: NDArray[np.bool_]) -> BodyList:
-        """The bodies where the mask is true."""
-        if mask.all():
-            return self
-        ids = tuple(i for i, keep in zip(self.ids, mask.tolist(), strict=True) if keep)
-        return BodyList(ids, self.data[mask])
-
 
 NO_BODIES = BodyList((), np.empty((0, COLUMNS)))

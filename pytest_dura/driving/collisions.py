@@ -60,9 +60,7 @@ def attribute(ego: Any, before: EgoState, road: Any, exit_at: float) -> Contact:
     )
     half = CAR_LENGTH / 2
     inside = before.s + half > ARM_LENGTH and before.s - half < exit_at
-    return Contact(
-        partner.body_id, _side(angle), before.speed, float(partner.speed), inside, code
-    )
+    return Contact(partner.body_id, _side(angle), before.speed, float(partner.speed), inside, code)
 
 
 def _gap(box: Any, body: Any) -> float:

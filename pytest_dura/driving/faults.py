@@ -112,7 +112,5 @@ class TrajectorySpoof(ObjectFault):
         turn = math.remainder(math.atan2(vy, vx) - real.heading, 2 * math.pi)
         x, y = start.x + vx * time, start.y + vy * time
         false = (x, y, real.heading + turn, vx * moving, vy * moving)
-        x, y, heading, vx, vy = (
-            r + share * (f - r) for r, f in zip(real[1:6], false, strict=True)
-        )
+        x, y, heading, vx, vy = (r + share * (f - r) for r, f in zip(real[1:6], false, strict=True))
         return bodies.with_body(Body(real.id, x, y, heading, vx, vy, real.length, real.width))

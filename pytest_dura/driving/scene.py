@@ -122,5 +122,3 @@ def time_to_cover(distance: float, speed: float, acceleration: float, top: float
     if distance <= ramp:
         return (math.sqrt(speed * speed + 2.0 * acceleration * distance) - speed) / acceleration
     return (top - speed) / acceleration + (distance - ramp) / top
-
-

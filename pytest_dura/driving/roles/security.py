@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from pytest_dura.core.roles import (
@@ -12,8 +14,9 @@ from pytest_dura.core.roles import (
     SecurityAssessor,
 )
 from pytest_dura.core.state import RoleView
+from pytest_dura.driving.bodies import VX, VY
 from pytest_dura.driving.maneuvers import MAX_ACCELERATION, MAX_BRAKING, Maneuver
-from pytest_dura.driving.radar import compare
+from pytest_dura.driving.radar import agree, compare
 from pytest_dura.driving.reaction import ReactionWatch
 from pytest_dura.driving.sensors import RANGE
 from pytest_dura.driving.tracking import Tracker
@@ -105,21 +108,21 @@ class PlausibilityAssessor(SecurityAssessor):
             if distance < RANGE - 8.0 and max(abs(x), abs(y)) < _ROAD_END:
                 detail = f"appeared {distance:.1f} m away"
                 found.append(Alert("object_from_nowhere", bodies.ids[row], detail))
-        rows, moved = self._tracker.displacement()
-        if len(rows):
-            apart = np.hypot(*(moved / view.dt - bodies.data[rows, 3:5]).T)
-            for row in np.flatnonzero(apart > self.displacement_tolerance).tolist():
-                detail = f"reports a velocity {apart[row]:.1f} m/s off its displacement"
-                name = bodies.ids[int(rows[row])]
-                found.append(Alert("velocity_contradicts_displacement", name, detail))
+        velocities = bodies.data[:, VX : VY + 1].tolist()
+        for row, dx, dy in self._tracker.displacements():
+            vx, vy = velocities[row]
+            apart = math.hypot(dx / view.dt - vx, dy / view.dt - vy)
+            if apart > self.displacement_tolerance:
+                detail = f"reports a velocity {apart:.1f} m/s off its displacement"
+                found.append(Alert("velocity_contradicts_displacement", bodies.ids[row], detail))
         return found + self._against_radar(view)
 
     def _against_radar(self, view: RoleView) -> list[Alert]:
         bodies = view.percept["lidar"]
-        confirmed, explained = compare(view.percept)
-        if confirmed.all() and explained.all():
+        if agree(view.percept):
             self._contradicted.clear()
             return []
+        confirmed, explained = compare(view.percept)
         names = [bodies.ids[row] for row in np.flatnonzero(~confirmed).tolist()]
         if not explained.all():
             names.append("radar")

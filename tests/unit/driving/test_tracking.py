@@ -38,8 +38,6 @@ def test_a_body_is_added_or_replaced_in_its_place() -> None:
     assert list(bodies.with_body(elsewhere)) == [elsewhere, B]
     assert list(bodies) == [A, B], "the list itself is unchanged"
     assert list(NO_BODIES.with_body(A)) == [A]
-    assert list(bodies.only(np.array([False, True]))) == [B]
-    assert bodies.only(np.array([True, True])) is bodies
 
 
 def test_a_tracker_matches_by_id() -> None:
@@ -48,11 +46,7 @@ def test_a_tracker_matches_by_id() -> None:
     assert tracker.newcomers() == []
     tracker.update(1, BodyList.of([P, B._replace(x=5.5), A._replace(heading=0.6)]))
     assert tracker.newcomers() == [0]
-    rows, moved = tracker.displacement()
-    assert dict(zip(rows.tolist(), moved.tolist(), strict=True)) == {
-        1: [1.5, 0.0],
-        2: [0.0, 0.0],
-    }
+    assert tracker.displacements() == [(1, 1.5, 0.0), (2, 0.0, 0.0)]
 
 
 def test_a_tracker_takes_a_tick_once() -> None:
