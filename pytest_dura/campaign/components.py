@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import inspect
-import sys
 from collections.abc import Callable
 from typing import Any
 
@@ -15,10 +14,10 @@ from pytest_dura.core.simulator import Simulator
 
 
 class LocalRole(RoleSpec):
-    """A RoleSpec whose class or factory is at hand, wherever its import path leads by now.
+    """A RoleSpec whose class or factory is at hand, since no import path leads to it.
 
-    A class in a ``conftest.py`` is such a case: of several modules of that name, the path reaches
-    one only.
+    Several ``conftest.py`` may be loaded, all as the module ``conftest``. So the path of what is
+    defined in one names the file, relative to the project's root: ``tests/conftest.py:Planner``.
     """
 
     target: Callable[..., Any]
@@ -26,6 +25,13 @@ class LocalRole(RoleSpec):
     def __init__(self, path: str, target: Callable[..., Any]) -> None:
         super().__init__(path)
         object.__setattr__(self, "target", target)
+
+    @property
+    def label(self) -> str:
+        """The name, and the folder unless it is the root: two of them may share a name."""
+        file, _, name = self.path.rpartition(":")
+        folder = file.rpartition("/")[0]
+        return f"{name} ({folder})" if folder else name
 
     def factory(self) -> Callable[..., Any]:
         """The class or factory that was given."""
@@ -37,12 +43,14 @@ def local_object(spec: RoleSpec) -> Any:
     return spec.target if isinstance(spec, LocalRole) else spec.instance
 
 
-def given_role(role: str, value: object) -> RoleSpec | None:
+def given_role(role: str, value: Any, file: str | None = None) -> RoleSpec | None:
     """The RoleSpec of what a role's fixture returned; ``None`` switches the role off.
 
     Args:
         role: Name of the role, or ``simulator``.
         value: A RoleSpec, a class, an importable factory, an import path, a bare instance or None.
+        file: The ``conftest.py`` that defines the class or factory, relative to the project's
+            root, if it is one that no import path leads to.
 
     Raises:
         ConfigurationError: If it cannot serve as this role.
@@ -72,21 +80,9 @@ def given_role(role: str, value: object) -> RoleSpec | None:
             expected=f"a subclass of pytest_dura.{base.__name__}, a factory, or a RoleSpec",
             remedy=f"derive it from pytest_dura.{base.__name__}",
         )
-    if _in_conftest(value):
-        assert callable(value)
-        return LocalRole(f"{value.__module__}:{getattr(value, '__qualname__', '')}", value)
+    if file is not None and callable(value):
+        return LocalRole(f"{file}:{value.__name__}", value)
     return RoleSpec.of(value)
-
-
-def _in_conftest(value: Any) -> bool:
-    """Whether it is a class or function at the top level of a ``conftest.py``."""
-    if not (inspect.isclass(value) or inspect.isroutine(value)) or "<" in value.__qualname__:
-        return False
-    module = str(value.__module__)
-    if module.rpartition(".")[2] == "conftest":
-        return True
-    home = sys.modules.get(module)
-    return home is None
 
 
 def generator_option(text: str) -> RoleSpec:

@@ -7,7 +7,7 @@ import inspect
 import platform
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import cache
 from importlib import metadata
 from pathlib import Path
@@ -19,34 +19,42 @@ PACKAGES = (
 )  # fmt: skip
 
 
-def describe_environment(root: Path) -> dict[str, Any]:
-    """Versions and platform, and the state of the git repository at ``root``, if it is one."""
+def describe_environment(root: Path, evidence: Path) -> dict[str, Any]:
+    """Versions and platform, and the state of the git repository at ``root``, if it is one.
+
+    Args:
+        root: The project's root.
+        evidence: The evidence folder, whose files do not make the repository dirty.
+    """
     return {
         "python": sys.version.split()[0],
         "platform": platform.platform(),
         "packages": {name: version for name in PACKAGES if (version := _version(name))},
-        "git": _git(root),
+        "git": _git(root, evidence),
     }
 
 
-def describe_component(path: str, factory: Callable[..., Any], params: Any) -> dict[str, Any]:
-    """Name, import path, version of its distribution and SHA-256 of the file that defines it.
+def describe_component(
+    path: str, factory: Callable[..., Any], params: Mapping[str, Any], file: Path | None = None
+) -> dict[str, Any]:
+    """Import path, version of its distribution and SHA-256 of the file that defines it.
 
     Args:
         path: The component's import path.
         factory: Its class, or the function that makes it.
         params: The parameters it is made with.
+        file: The file that defines it, where the factory does not tell.
     """
     digest = None
-    try:
-        source = inspect.getsourcefile(factory)
-    except TypeError:  # built in, or written in C
-        source = None
-    if source is not None and Path(source).is_file():
-        digest = hashlib.sha256(Path(source).read_bytes()).hexdigest()
-    module, _, name = path.partition(":")
+    if file is None:
+        try:
+            file = Path(inspect.getsourcefile(factory) or "")
+        except TypeError:  # built in, or written in C
+            file = Path()
+    if file.is_file():
+        digest = hashlib.sha256(file.read_bytes()).hexdigest()
+    module = path.partition(":")[0]
     return {
-        "name": name or path,
         "path": path,
         "params": dict(params),
         "version": _version_of_module(module.partition(".")[0]),
@@ -67,12 +75,16 @@ def _version_of_module(top: str) -> str | None:
     return _version(owners[0]) if owners else None
 
 
-def _git(root: Path) -> dict[str, Any]:
+def _git(root: Path, evidence: Path) -> dict[str, Any]:
     """Commit and whether files differ from it; both ``None`` outside a repository."""
     commit = _ask_git(root, "rev-parse", "HEAD")
     if commit is None:
         return {"commit": None, "dirty": None}
-    return {"commit": commit, "dirty": bool(_ask_git(root, "status", "--porcelain"))}
+    places = ["."]
+    if root in evidence.parents:
+        places.append(f":(exclude){evidence.relative_to(root).as_posix()}")
+    changes = _ask_git(root, "status", "--porcelain", "--", *places)
+    return {"commit": commit, "dirty": None if changes is None else bool(changes)}
 
 
 def _ask_git(root: Path, *command: str) -> str | None:

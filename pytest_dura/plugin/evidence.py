@@ -19,6 +19,13 @@ if TYPE_CHECKING:
     from pytest_dura.plugin.session import DuraSession
 
 
+REGULAR = (
+    pytest.ExitCode.OK,
+    pytest.ExitCode.TESTS_FAILED,
+    pytest.ExitCode.NO_TESTS_COLLECTED,
+)
+
+
 class SessionEvidence:
     """Gathers the reports of all items, writes ``evidence.json``, and lets the gate fail closed.
 
@@ -52,7 +59,7 @@ class SessionEvidence:
                 "tool": {"name": "pytest-dura", "version": pytest_dura.__version__},
                 "command": shlex.join(["pytest", *map(str, config.invocation_params.args)]),
                 "base_seed": options.seed,
-                "environment": describe_environment(config.rootpath),
+                "environment": describe_environment(config.rootpath, options.evidence),
             }
         )
         self._write("running")
@@ -88,10 +95,8 @@ class SessionEvidence:
         """Write the record; a session whose episodes cannot be trusted has failed."""
         if self.record is None:
             return
-        interrupted = session.exitstatus in (
-            pytest.ExitCode.INTERRUPTED,
-            pytest.ExitCode.INTERNAL_ERROR,
-        )
+        stopped = bool(session.shouldstop or session.shouldfail)
+        interrupted = stopped or session.exitstatus not in REGULAR
         if self.record.problems and session.exitstatus == pytest.ExitCode.OK:
             session.exitstatus = pytest.ExitCode.TESTS_FAILED
         self._write("interrupted" if interrupted else "complete")

@@ -95,7 +95,7 @@ def _dura_roles(  # noqa: PLR0917 - pytest passes them by name
     try:
         session_of(request.config).use_roles(given)
     except ConfigurationError as error:
-        pytest.fail(str(error), pytrace=False)
+        raise pytest.fail.Exception(str(error), pytrace=False) from None
 
 
 @pytest.fixture(scope="session")
@@ -130,7 +130,7 @@ def episode(
     try:
         return orchestrator.episode(target.case, target.run, planned=target.planned)
     except ConfigurationError as error:
-        pytest.fail(str(error), pytrace=False)
+        raise pytest.fail.Exception(str(error), pytrace=False) from None
 
 
 def _target(request: pytest.FixtureRequest) -> Target:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import pytest
 
@@ -35,13 +36,42 @@ def overrides_deeper_down(config: pytest.Config) -> list[tuple[str, str]]:
     ]
 
 
+def conftest_defining(config: pytest.Config, value: object) -> str | None:
+    """The ``conftest.py`` at whose top level a class or function is defined, if it is in one.
+
+    pytest may have loaded several modules of the name ``conftest``, of which ``sys.modules`` holds
+    one; so the class itself does not tell.
+    """
+    name = getattr(value, "__qualname__", None)
+    for file, module in _conftests(config):
+        own = getattr(value, "__module__", None) == module.__name__
+        if name is not None and own and vars(module).get(name) is value:
+            return Path(os.path.relpath(file, config.rootpath)).as_posix()
+    return None
+
+
+def defined_in_conftest(config: pytest.Config, file: str, name: str) -> Any:
+    """What :func:`conftest_defining` was asked about; ``None`` if that file is not loaded."""
+    wanted = config.rootpath / file
+    return next((vars(m).get(name) for path, m in _conftests(config) if path == wanted), None)
+
+
 def _overrides(config: pytest.Config) -> list[tuple[Path, str]]:
+    return [
+        (file, role)
+        for file, module in _conftests(config)
+        for role in OVERRIDABLE
+        if _is_fixture(module, role)
+    ]
+
+
+def _conftests(config: pytest.Config) -> list[tuple[Path, ModuleType]]:
     found = []
     for plugin in config.pluginmanager.get_plugins():
         file = getattr(plugin, "__file__", None)
         if isinstance(plugin, ModuleType) and file and Path(file).name == "conftest.py":
-            found += [(Path(file), role) for role in OVERRIDABLE if _is_fixture(plugin, role)]
-    return sorted(found)
+            found.append((Path(file), plugin))
+    return sorted(found, key=lambda one: one[0])
 
 
 def _is_fixture(module: ModuleType, name: str) -> bool:

@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.plugin.overrides import defined_in_conftest
 
 if TYPE_CHECKING:
     import pytest
@@ -96,17 +97,16 @@ def _with_local_roles(config: pytest.Config, spec: EpisodeSpec) -> EpisodeSpec:
 def _local(config: pytest.Config, role: RoleSpec) -> RoleSpec:
     from pytest_dura.campaign.components import LocalRole
 
-    module, _, name = role.path.partition(":")
-    if module.rpartition(".")[2] != "conftest":
+    file, _, name = role.path.rpartition(":")
+    if not file.endswith("conftest.py"):
         return role
-    for plugin in config.pluginmanager.get_plugins():
-        target = getattr(plugin, name, None)
-        if getattr(plugin, "__name__", None) == module and callable(target):
-            return LocalRole(role.path, target)
+    target = defined_in_conftest(config, file, name)
+    if callable(target):
+        return LocalRole(role.path, target)
     raise ConfigurationError(
-        f"{role.path} is defined in a conftest.py that is not loaded here",
+        f"{name} is defined in {file}, which is not loaded here",
         key="--dura-replay",
         found=role.path,
         expected="the arguments of the session, which load the same conftest files",
-        remedy="run the replay from the same directory, with the same paths as arguments",
+        remedy=f"add the folder of {file} to the command",
     )

@@ -102,15 +102,19 @@ class Reporter:
         return self._pending
 
     def _case_used(self, case: Case, generator: RoleSpec, planned: int) -> None:
+        from pytest_dura.campaign.components import LocalRole
         from pytest_dura.evidence.environment import describe_component
 
         report = self._report
         component = generator.label
         if component not in self._components:
             factory = type(generator.instance) if generator.opaque else generator.factory()
-            described = describe_component(generator.path, factory, generator.params)
-            described |= {"name": component, "opaque": generator.opaque}
-            self._components[component] = described
+            file = None
+            if isinstance(generator, LocalRole):
+                file = self.session.config.rootpath / generator.path.rpartition(":")[0]
+            described = describe_component(generator.path, factory, generator.params, file)
+            named = {"name": component, **described, "opaque": generator.opaque}
+            self._components[component] = named
         if self._components[component] not in report.components:
             report.components.append(self._components[component])
         if not any((one["id"], one["component"]) == (case.id, component) for one in report.cases):

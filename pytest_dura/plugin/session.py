@@ -12,7 +12,7 @@ import pytest
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.plugin.evidence import SessionEvidence
 from pytest_dura.plugin.options import Options
-from pytest_dura.plugin.overrides import root_conftest_with
+from pytest_dura.plugin.overrides import conftest_defining, root_conftest_with
 from pytest_dura.plugin.reporter import Reporter
 
 if TYPE_CHECKING:
@@ -172,7 +172,7 @@ class DuraSession:
         from pytest_dura.campaign.components import given_role
 
         overridden = {
-            role: given_role(role, value)
+            role: given_role(role, value, conftest_defining(self.config, value))
             for role, value in given.items()
             if value is not self.default_role(role)
         }

@@ -89,6 +89,7 @@ def test_items_that_never_ran_are_undecided(project, mode):
     result = project.scenarios("-x", *mode)
     assert result.ret == 1
     evidence = project.evidence()
+    assert evidence["status"] == "interrupted"
     words = {(one["case"], one["requirement"]): one for one in evidence["verdicts"]}
     assert words["corridor/a", "GAP-1"]["verdict"] == "violated"
     never = words["corridor/tight", "GAP-1"]

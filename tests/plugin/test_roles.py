@@ -42,22 +42,42 @@ def test_an_override_deeper_down_is_for_its_own_tests(project):
     project.write("conftest.py", CONFTEST)
     project.write("tests/conftest.py", CONFTEST.replace("Mine", "Deeper"))
     look = "def test_it(run_episode): assert run_episode('corridor/tight').spec.component == '{}'\n"
-    project.write("tests/test_it.py", look.format("Deeper"))
+    project.write("tests/test_it.py", look.format("Deeper (tests)"))
     project.write("test_top.py", look.format("Mine"))
     project.write(
         "tests/test_fixture.py",
         "import pytest\n"
         "@pytest.fixture(scope='module')\n"
         "def name(orchestrator): return orchestrator.run('corridor/tight').spec.component\n"
-        "def test_it(name): assert name == 'Deeper'\n",
+        "def test_it(name): assert name == 'Deeper (tests)'\n",
     )
     result = project.run("test_top.py", "tests", "corridor/tight", "-v")
     result.assert_outcomes(passed=4)
     text = result.stdout.str()
     assert "warning: tests/conftest.py overrides `generator`, which scenario items do not" in text
-    assert "corridor/tight (Deeper)" in text
+    assert "corridor/tight (Deeper (tests))" in text
     names = {one["component"] for one in project.evidence()["verdicts"]}
     assert names == {"Mine"}
+
+
+def test_components_of_one_name_in_two_folders_are_told_apart(project):
+    for folder, speed in (("a", "0.5"), ("b", "0.25")):
+        project.write(f"{folder}/conftest.py", CONFTEST.replace("0.5", speed))
+        project.write(
+            f"{folder}/test_{folder}.py",
+            "import pytest\n"
+            "@pytest.mark.dura(scenario='corridor/tight', runs=1)\n"
+            "@pytest.mark.requirement('GAP-1')\n"
+            "def test_it(episode): pass\n",
+        )
+    result = project.run("a", "b")
+    result.assert_outcomes(passed=2)
+    evidence = project.evidence()
+    assert [one["component"] for one in evidence["verdicts"]] == ["Mine (a)", "Mine (b)"]
+    first = evidence["component_under_test"]
+    (second,) = first["others"]
+    assert (first["name"], second["name"]) == ("Mine (a)", "Mine (b)")
+    assert first["digest"] != second["digest"]
 
 
 def test_the_option_and_a_fixture_together_are_a_usage_error(project, mode):
