@@ -2,31 +2,14 @@
 
 from __future__ import annotations
 
-import os
 import re
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from suites import SUITES, run_suite
 
-REPOSITORY = Path(__file__).parents[2]
-SUITE = REPOSITORY / "example_suites" / "cartpole"
-
-
-def run_suite(folder: Path) -> subprocess.CompletedProcess[str]:
-    environment = {key: value for key, value in os.environ.items() if "PYTEST" not in key}
-    environment["PYTHONPATH"] = str(REPOSITORY)
-    return subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-W", "error", "-p", "no:cacheprovider", "."],
-        cwd=folder,
-        env=environment,
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=120,
-    )
+SUITE = SUITES / "cartpole"
 
 
 @pytest.fixture

@@ -1,0 +1,27 @@
+"""Runs an example suite as a user would who copied it."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+REPOSITORY = Path(__file__).parents[2]
+SUITES = REPOSITORY / "example_suites"
+
+
+def run_suite(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """pytest in the folder of a copied suite; a warning is an error."""
+    environment = {key: value for key, value in os.environ.items() if "PYTEST" not in key}
+    environment["PYTHONPATH"] = str(REPOSITORY)
+    options = ["-q", "-W", "error", "-p", "no:cacheprovider", *arguments]
+    return subprocess.run(
+        [sys.executable, "-m", "pytest", *options],
+        cwd=folder,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
