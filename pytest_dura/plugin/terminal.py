@@ -147,16 +147,15 @@ def _show_verdicts(session: DuraSession, terminal: Any, record: Data) -> None:
     if not verdicts:
         return
     terminal.line("")
-    wide = max(len(one["requirement"]) for one in verdicts)
+    same: dict[tuple[str, ...], list[Data]] = {}
     for verdict in verdicts:
-        word = verdict["verdict"]
+        same.setdefault((verdict["verdict"], _counts(verdict)), []).append(verdict)
+    for (word, counts), group in same.items():
         terminal.write(f"{word:<9}", **COLOURS[word])
-        counts = f"n = {verdict['episodes']}, {_counted(verdict['violations'], 'violation')}"
-        bound = verdict["bound"]
-        if bound["upper"] is not None:
-            counts += f" (rate <= {bound['upper']:.2g} at {bound['confidence']:.0%})"
-        waiver = f" [{verdict['waiver']['kind']}]" if verdict["waiver"] else ""
-        terminal.line(f"  {verdict['requirement']:<{wide}}  {verdict['case']}: {counts}{waiver}")
+        terminal.line(f"  {counts}")
+        names = ", ".join(dict.fromkeys(one["requirement"] for one in group))
+        for line in textwrap.wrap(names, WIDTH - 11, break_on_hyphens=False):
+            terminal.line(f"{'':<11}{line}")
     alike: dict[tuple[str, ...], list[Data]] = {}
     for verdict in verdicts:
         if verdict["verdict"] != "supported":
@@ -169,13 +168,26 @@ def _show_verdicts(session: DuraSession, terminal: Any, record: Data) -> None:
         _show_failure(session, terminal, record, group)
 
 
+def _counts(verdict: Data) -> str:
+    """On which case, and the figures that the verdict rests on."""
+    counts = f"n = {verdict['episodes']}, {_counted(verdict['violations'], 'violation')}"
+    bound = verdict["bound"]
+    if bound["upper"] is not None:
+        counts += f" (rate <= {bound['upper']:.2g} at {bound['confidence']:.0%})"
+    waiver = f" [{verdict['waiver']['kind']}]" if verdict["waiver"] else ""
+    return f"{verdict['case']} ({verdict['component']}): {counts}{waiver}"
+
+
 def _show_failure(
     session: DuraSession, terminal: Any, record: Data, verdicts: Sequence[Data]
 ) -> None:
     first = verdicts[0]
     names = ", ".join(dict.fromkeys(one["requirement"] for one in verdicts))
     terminal.line("")
-    terminal.line(f"{first['verdict']}: {names} on {first['case']}", **COLOURS[first["verdict"]])
+    terminal.line(
+        f"{first['verdict']}: {names} on {first['case']} ({first['component']})",
+        **COLOURS[first["verdict"]],
+    )
     for line in textwrap.wrap(first["reason"], WIDTH - 2):
         terminal.line(f"  {line}")
     check = first["check"] or _check_of(record, first["requirement"])

@@ -15,8 +15,8 @@ KEYS = {
 }  # fmt: skip
 
 
-def test_the_record_has_the_keys_of_the_design(project, mode):
-    project.scenarios(*mode)
+def test_the_record_has_the_keys_of_the_design(project):
+    project.scenarios()
     evidence = project.evidence()
     assert set(evidence) == KEYS
     assert set(evidence["environment"]) == {"python", "platform", "packages", "git"}
@@ -63,6 +63,7 @@ def test_there_is_no_nan_in_the_record(project):
     assert project.evidence()["episodes"][0]["metrics"]["user"] == {"never": None}
 
 
+@pytest.mark.parametrize("mode", [[], ["-n", "2"]], ids=["plain", "n2"])
 def test_metrics_of_the_users_own(project, mode):
     project.write(
         "conftest.py",

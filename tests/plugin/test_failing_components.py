@@ -114,9 +114,9 @@ def test_a_violation_before_the_simulator_failed_stays_one(project):
     assert project.verdicts()["corridor/late", "GAP-1"] == "violated"
 
 
-def test_a_fault_that_never_manifests_is_invalid_and_more_runs_follow(project, mode):
+def test_a_fault_that_never_manifests_is_invalid_and_more_runs_follow(project):
     scenario(project, "idle", runs=5, faults=IDLE, fault_injector="Idle")
-    result, text = failing(project, "idle", *mode)
+    result, text = failing(project, "idle")
     result.assert_outcomes(failed=2)
     assert "invalid:  corridor/idle#0: never manifested: ghost-obstacle" in text
     (verdict, _) = project.evidence()["verdicts"]

@@ -119,9 +119,9 @@ def test_flag_alone_runs_scenarios_only(project):
     project.scenarios().assert_outcomes(passed=3)
 
 
-def test_flag_with_paths_adds_scenarios(project, mode):
+def test_flag_with_paths_adds_scenarios(project):
     project.write("tests/test_plain.py", "def test_one(): pass\n")
-    project.scenarios("tests", *mode).assert_outcomes(passed=4)
+    project.scenarios("tests").assert_outcomes(passed=4)
 
 
 def test_without_the_flag_nothing_changes(project):

@@ -22,6 +22,7 @@ def test_the_header_says_what_is_tested(project):
     assert "dura: component under test Careful, base seed 5, 2 cases, 5 episodes" in result.outlines
 
 
+@pytest.mark.parametrize("mode", [[], ["-n", "2"]], ids=["plain", "n2"])
 def test_the_summary_of_a_campaign(project, mode):
     result = project.scenarios("--dura-generator=corridor:Reckless", *mode)
     lines = section(result)
@@ -32,8 +33,11 @@ def test_the_summary_of_a_campaign(project, mode):
     ]  # fmt: skip
     assert table[1] == ["corridor/free", "3", "100", "100", "0.1 +- 0.0 (3)", "0", "0", "0", "0"]
     assert table[2] == ["corridor/tight", "2", "0", "100", "0.1 +- 0.0 (2)", "0", "0", "0", "0"]
-    assert "violated   GAP-1  corridor/free: n = 3, 3 violations (rate <= 1 at 95%)" in lines
-    start = lines.index("violated: GAP-1 on corridor/tight")
+    start = lines.index(
+        "violated   corridor/free (Reckless): n = 3, 3 violations (rate <= 1 at 95%)"
+    )
+    assert lines[start + 1].split() == ["GAP-1"]
+    start = lines.index("violated: GAP-1 on corridor/tight (Reckless)")
     assert lines[start + 1 : start + 6] == [
         "  2 of 2 valid episodes violated it",
         "  check:  always (gap > 0)",
@@ -59,7 +63,10 @@ def test_requirements_undecided_for_one_reason_are_told_once(project):
         text.replace("corridor/free", "corridor/broken").replace(":Watch", ":Broken")
     )
     lines = section(project.run("corridor/broken"))
-    assert "undecided: GAP-1, GO-1 on corridor/broken" in lines
+    assert "undecided: GAP-1, GO-1 on corridor/broken (Careful)" in lines
+    assert lines[lines.index("undecided  corridor/broken (Careful): n = 0, 0 violations") + 1] == (
+        " " * 11 + "GAP-1, GO-1"
+    )
     reruns = [line for line in lines if line.startswith("  rerun:")]
     assert reruns == ["  rerun:  pytest corridor/broken"]
 

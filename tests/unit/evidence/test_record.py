@@ -1,0 +1,179 @@
+from __future__ import annotations
+
+import copy
+
+from pytest_dura.evidence.episodes import case_metrics
+from pytest_dura.evidence.record import UNKNOWN, EvidenceRecord
+from pytest_dura.requirements.campaigns import judge_campaign
+from pytest_dura.requirements.episodes import EpisodeVerdict
+
+REQUIREMENT = {"id": "R", "text": "t", "kind": "safety", "source": "", "check": "", "reason": ""}
+
+
+def case(component="C", planned=2):
+    return {
+        "id": "a/b", "scenario": "a/b", "faults": [], "component": component,
+        "requirements": ["R"], "planned": planned, "runs_override": None,
+    }  # fmt: skip
+
+
+def episode(run=0, digest="d", validity="valid", **outcome):
+    told = {
+        "flagged": False, "collided": None, "clearance_time": None, "gridlock": None,
+        "recoveries": 0, "alerts": 0,
+    }  # fmt: skip
+    return {
+        "id": f"a/b#{run}", "case": "a/b", "component": "C", "seed": run, "planned": True,
+        "validity": validity, "digest": digest, "outcome": told | outcome,
+        "metrics": {"user": {}}, "spec": {"run": run, "timeouts": []},
+    }  # fmt: skip
+
+
+def verdict(word="satisfied", run=0, component="C"):
+    return EpisodeVerdict("R", f"a/b#{run}", component, word, None, None, "", 1, 1)
+
+
+def campaign(*words):
+    verdicts = [verdict(word, run) for run, word in enumerate(words)]
+    made = judge_campaign("R", "a/b", verdicts, planned=len(words), component="C")
+    return {**made.to_json(), "check": "x"}
+
+
+def report(item="a/b::R", **parts):
+    empty = {
+        name: []
+        for name in ("components", "cases", "requirements", "episodes", "verdicts", "outcomes")
+    }
+    return {"item": item, **empty, **parts}
+
+
+def record():
+    return EvidenceRecord({"created": "now"})
+
+
+def test_the_same_report_may_come_twice():
+    made = record()
+    told = report(cases=[case()], episodes=[episode(0), episode(1)],
+                  verdicts=[campaign("satisfied", "satisfied")])  # fmt: skip
+    made.add(copy.deepcopy(told))
+    once = copy.deepcopy(made.to_json("complete"))
+    made.add(copy.deepcopy(told))
+    assert made.to_json("complete") == once
+    assert len(once["episodes"]) == 2
+    assert once["verdicts"][0]["attempts"] == []
+
+
+def test_the_order_of_reports_does_not_matter():
+    first = report("x", cases=[case()], episodes=[episode(1)])
+    second = report("y", cases=[case()], episodes=[episode(0)], verdicts=[campaign("violated")])
+    forth, back = record(), record()
+    for told in (first, second):
+        forth.add(copy.deepcopy(told))
+    for told in (second, first):
+        back.add(copy.deepcopy(told))
+    assert forth.to_json("complete") == back.to_json("complete")
+
+
+def test_two_digests_of_one_episode_leave_the_claim_undecided():
+    made = record()
+    made.add(report(cases=[case()], episodes=[episode(0)], verdicts=[campaign("satisfied")]))
+    made.add(report("other", episodes=[episode(0, digest="e")]))
+    (found,) = made.to_json("complete")["verdicts"]
+    assert found["verdict"] == "undecided"
+    assert found["reason"].startswith("infrastructure: nondeterministic: the episode a/b#0")
+    assert made.problems == [found["reason"]]
+
+
+def test_two_digests_do_not_excuse_a_violation():
+    made = record()
+    made.add(report(cases=[case()], episodes=[episode(0)], verdicts=[campaign("violated")]))
+    made.add(report("other", episodes=[episode(0, digest="e")]))
+    assert made.to_json("complete")["verdicts"][0]["verdict"] == "violated"
+
+
+def test_other_inputs_are_another_episode():
+    made = record()
+    other = episode(0, digest="e")
+    other["spec"] = {"run": 0, "seed": 7, "timeouts": []}
+    made.add(report(cases=[case()], episodes=[episode(0), other]))
+    assert made.problems == []
+    assert len(made.to_json("complete")["episodes"]) == 2
+
+
+def test_of_several_attempts_a_violation_counts_and_all_are_kept():
+    for order in (("violated", "satisfied"), ("satisfied", "violated")):
+        made = record()
+        for word in order:
+            made.add(report(cases=[case()], verdicts=[campaign(word)]))
+        (found,) = made.to_json("complete")["verdicts"]
+        assert found["verdict"] == "violated"
+        assert len(found["attempts"]) == 1
+
+
+def test_an_expected_item_that_never_reports_is_undecided():
+    made = record()
+    made.expect("a/b::R", REQUIREMENT, case(planned=3))
+    evidence = made.to_json("complete")
+    (found,) = evidence["verdicts"]
+    assert (found["verdict"], found["planned"], found["run"]) == ("undecided", 3, 0)
+    assert [one["id"] for one in evidence["cases"]] == ["a/b"]
+    assert evidence["requirements"] == [REQUIREMENT]
+
+
+def test_an_expected_item_takes_the_components_name_when_it_is_known():
+    made = record()
+    made.expect("a/b::R", REQUIREMENT, case(component=UNKNOWN))
+    assert made.to_json("running")["verdicts"][0]["component"] == UNKNOWN
+    made = record()
+    made.expect("a/b::R", REQUIREMENT, case(component=UNKNOWN))
+    made.add(report("other", components=[{"name": "C"}]))
+    assert made.to_json("complete")["verdicts"][0]["component"] == "C"
+
+
+def test_tests_on_single_episodes_make_one_verdict():
+    made = record()
+    for run, word in enumerate(["satisfied", "violated"]):
+        told = {**verdict(word, run).to_json(), "case": "a/b", "planned": 3}
+        made.add(report(f"t.py::f[a/b#{run}]", cases=[case(planned=3)], outcomes=[told]))
+    (found,) = made.to_json("complete")["verdicts"]
+    assert (found["verdict"], found["planned"], found["run"]) == ("violated", 3, 2)
+    assert found["item"] == "t.py::f"
+    assert [one["episode"] for one in found["counterexamples"]] == ["a/b#1"]
+
+
+def test_waivers_are_recorded_beside_the_verdict():
+    made = record()
+    made.add(report(cases=[case()], verdicts=[campaign("violated")]))
+    made.waive("a/b::R", "xfail", "ticket 7")
+    (found,) = made.to_json("complete")["verdicts"]
+    assert found["verdict"] == "violated"
+    assert found["waiver"] == {"kind": "xfail", "reason": "ticket 7"}
+
+
+def test_case_metrics_over_valid_and_over_planned_runs():
+    runs = [
+        episode(0, collided=True, flagged=True, gridlock=False),
+        episode(1, collided=False, gridlock=False, clearance_time=8.0, recoveries=2, alerts=1),
+        episode(2, collided=False, gridlock=True),
+        episode(3, collided=True, gridlock=False, validity="invalid"),
+        episode(4, collided=False, gridlock=False, clearance_time=12.0),
+        episode(5, collided=None, validity="missing"),
+    ]
+    found = case_metrics(runs, 8)
+    assert [found[key] for key in ("planned", "run", "valid", "invalid", "missing")] == [
+        8, 6, 4, 1, 1,
+    ]  # fmt: skip
+    assert found["collided"] == {
+        "valid": 1, "run": 2, "share_of_valid": 0.25, "share_of_planned": 0.25,
+    }  # fmt: skip
+    assert found["flagged"]["share_of_valid"] == 0.25
+    assert found["gridlock"]["valid"] == 1
+    assert found["clearance_time"] == {"runs": 2, "mean": 10.0, "sd": 8.0**0.5}
+    assert (found["recoveries"], found["alerts"]) == (2, 1)
+
+
+def test_case_metrics_without_the_signals_of_driving():
+    found = case_metrics([episode(0), episode(1)], 2)
+    assert found["collided"] is found["gridlock"] is found["clearance_time"] is None
+    assert found["flagged"]["valid"] == 0
+    assert case_metrics([], 3)["valid"] == 0
