@@ -1,0 +1,141 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from thermostat import Controller
+
+from pytest_dura import ConfigurationError, RoleSpec
+from pytest_dura.campaign.components import LocalRole, generator_option, given_role
+from pytest_dura.campaign.loading import load_library
+from pytest_dura.campaign.runner import Bench, RequirementViolated
+from pytest_dura.requirements.model import Requirement
+
+SCENARIO = """
+name: room/{name}
+simulator: thermostat:Thermostat
+duration: 1.0
+runs: {runs}
+roles: {{generator: "thermostat:Controller"{roles}}}
+faults: {faults}
+requirements: []
+"""
+
+
+@pytest.fixture
+def bench(tmp_path: Path):
+    write(tmp_path, "warm")
+    library = load_library([tmp_path], builtin=False)
+    return Bench(lambda: library)
+
+
+def write(folder, name, runs=3, roles="", faults="[]"):
+    text = SCENARIO.format(name=name, runs=runs, roles=roles, faults=faults)
+    (folder / f"{name}.yaml").write_text(text)
+
+
+def signal(bench):
+    return min(bench.run("room/warm").signals)
+
+
+def test_an_episode_is_simulated_once(bench):
+    assert bench.run("room/warm") is bench.run("room/warm")
+    assert bench.run("room/warm", run=1) is not bench.run("room/warm")
+    assert len(bench.store) == 2
+
+
+def test_the_seed_follows_from_the_base_seed(bench):
+    other = Bench(bench.library, base_seed=1)
+    assert bench.run("room/warm").spec.seed != other.run("room/warm").spec.seed
+    assert bench.run("room/warm", seed=7).spec.seed == 7
+
+
+def test_instances_of_one_class_are_told_apart(bench):
+    first, second = Controller(), Controller()
+    episodes = []
+    for instance in (first, second, first):
+        bench.roles = {"generator": given_role("generator", instance)}
+        episodes.append(bench.run("room/warm"))
+    assert episodes[0] is episodes[2] is not episodes[1]
+
+
+def test_a_campaign_runs_what_is_planned(bench):
+    assert [one.id for one in bench.campaign("room/warm").episodes] == [
+        "room/warm#0",
+        "room/warm#1",
+        "room/warm#2",
+    ]
+    assert len(bench.campaign("room/warm", runs=5).episodes) == 5
+    bench.runs = 2
+    assert len(bench.campaign("room/warm", runs=5).episodes) == 2
+
+
+def test_progress_is_told(bench):
+    told = []
+    bench.on_progress = lambda case, done, planned: told.append((case.id, done, planned))
+    assert len(bench.campaign("room/warm").episodes) == 3
+    assert told == [("room/warm", done, 3) for done in range(4)]
+
+
+def test_use_of_episodes_is_told(bench):
+    told = []
+    bench.on_episode = lambda case, episode, planned: told.append((episode.id, planned))
+    assert len(bench.campaign("room/warm", runs=2).episodes) == 2
+    bench.run("room/warm", seed=9)
+    assert told == [("room/warm#0", 2), ("room/warm#1", 2), ("room/warm#0", 0)]
+
+
+def test_require_returns_the_verdict_or_raises(bench):
+    name = signal(bench)
+    campaign = bench.campaign("room/warm", requirement=Requirement("T-1", "Stays on earth"))
+    verdict = campaign.require(f"always ({name} > -300)")
+    assert (verdict.requirement, verdict.verdict, verdict.episodes) == ("T-1", "supported", 3)
+    with pytest.raises(RequirementViolated, match="violated: T-1 on room/warm") as caught:
+        campaign.require(f"always ({name} > 300)")
+    assert caught.value.verdict.violations == 3
+    message = str(caught.value)
+    assert "required: Stays on earth" in message
+    assert "worst:    room/warm#" in message
+    with pytest.raises(RequirementViolated, match="undecided: T-1"):
+        campaign.require(f"always ({name} > -300)", at_most=0.05)
+
+
+def test_a_formula_that_cannot_be_read_is_told_from_the_callers_line(bench):
+    with pytest.raises(ConfigurationError, match="unknown signal 'gapp'") as caught:
+        bench.campaign("room/warm").require("always (gapp > 0)")
+    assert len(caught.traceback) == 2
+
+
+@pytest.mark.parametrize("name", ["room/warn", "room/*"])
+def test_an_unknown_name(bench, name):
+    with pytest.raises(ConfigurationError, match="no scenario matches") as caught:
+        bench.run(name)
+    assert len(caught.traceback) == 2
+
+
+def test_an_unknown_fault(bench):
+    with pytest.raises(ConfigurationError, match="unknown fault 'ghost'"):
+        bench.run("room/warm", faults="ghost")
+
+
+def test_the_library_is_read_when_it_is_first_needed():
+    def library():
+        raise ConfigurationError("not yet")
+
+    bench = Bench(library)
+    with pytest.raises(ConfigurationError, match="not yet"):
+        bench.run("room/warm")
+
+
+def test_short_names_and_paths_of_generators():
+    assert generator_option("thermostat:Controller") == RoleSpec("thermostat:Controller")
+    assert generator_option("reactive").path.endswith(":Reactive")
+
+
+def test_what_is_defined_in_a_conftest_is_known_by_its_file():
+    spec = given_role("generator", Controller, "tests/a/conftest.py")
+    assert isinstance(spec, LocalRole)
+    assert spec.factory() is Controller
+    assert spec.path == "tests/a/conftest.py:Controller"
+    assert spec.label == "Controller (tests/a)"
+    assert given_role("generator", Controller, "conftest.py").label == "Controller"
