@@ -1,0 +1,155 @@
+"""What holds for the repository as a whole."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import pytest
+
+import pytest_dura
+
+REPOSITORY = Path(__file__).parents[2]
+CI = REPOSITORY / ".ci" / "run"
+REGISTRIES = [r"pypi\.org", r"pythonhosted\.org", r"anaconda\.org", r"conda\.io"]
+ABSOLUTE_PATH = re.compile(r"(?<![\w.~}])/(?:work|root|home|Users|opt|tmp/w)/")
+
+
+def run(*command: str | Path, cwd: Path = REPOSITORY) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        list(map(str, command)), cwd=cwd, capture_output=True, text=True, check=False, timeout=120
+    )
+
+
+def repository_texts() -> dict[str, str]:
+    """Every text file that is or could be committed, by name."""
+    listed = run("git", "ls-files", "-z", "--cached", "--others", "--exclude-standard")
+    if listed.returncode != 0:
+        pytest.skip("this is no git working tree")
+    texts = {}
+    for name in filter(None, listed.stdout.split("\0")):
+        file = REPOSITORY / name
+        if file.is_file() and b"\0" not in (content := file.read_bytes()):
+            texts[name] = content.decode()
+    return texts
+
+
+def registry_hosts() -> list[str]:
+    """Patterns of well-known registries and of those that pip is configured to use here."""
+    configured = run(sys.executable, "-m", "pip", "config", "list").stdout
+    configured += "\n".join(value for name, value in os.environ.items() if name.startswith("PIP_"))
+    urls = re.findall(r"https?://[^\s'\",]+", configured)
+    hosts = {host for url in urls if (host := urlsplit(url).hostname)}
+    return [*REGISTRIES, *map(re.escape, sorted(hosts - {"localhost", "127.0.0.1"}))]
+
+
+def hits(pattern: re.Pattern[str]) -> list[str]:
+    return [
+        f"{name}:{number}: {line.strip()}"
+        for name, text in repository_texts().items()
+        for number, line in enumerate(text.splitlines(), 1)
+        if pattern.search(line)
+    ]
+
+
+def test_no_file_names_a_registry() -> None:
+    assert not hits(re.compile("|".join(registry_hosts()), re.IGNORECASE))
+
+
+def test_no_file_names_a_path_of_one_machine() -> None:
+    assert not hits(ABSOLUTE_PATH)
+
+
+@pytest.mark.parametrize(
+    "line", ["index-url = https://pypi{}org/simple", "--find-links https://files.python{}.org"]
+)
+def test_the_search_finds_registries(line) -> None:
+    text = line.format("." if "pypi" in line else "hosted")
+    assert re.search("|".join(registry_hosts()), text)
+
+
+def test_a_configured_registry_is_searched_for(monkeypatch) -> None:
+    monkeypatch.setenv("PIP_INDEX_URL", "https://user:secret@mirror.example:8443/simple")
+    assert re.escape("mirror.example") in registry_hosts()
+
+
+@pytest.mark.parametrize("folder", ["work", "root", "home", "Users"])
+def test_the_search_finds_absolute_paths(folder) -> None:
+    path = f"/{folder}/somebody/project"
+    assert ABSOLUTE_PATH.search(f'ROOT = "{path}"')
+    assert not ABSOLUTE_PATH.search(f"frame{path}")
+    assert not ABSOLUTE_PATH.search(f"..{path}")
+
+
+def test_every_public_name_comes_from_its_home() -> None:
+    homes = {name for names in pytest_dura._HOMES.values() for name in names.split()}
+    assert homes | {"__version__"} == set(pytest_dura.__all__) == set(dir(pytest_dura))
+    for module, names in pytest_dura._HOMES.items():
+        for name in names.split():
+            assert getattr(pytest_dura, name) is getattr(importlib.import_module(module), name)
+
+
+def test_an_unknown_public_name_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError, match="'pytest_dura' has no attribute 'Generater'"):
+        _ = pytest_dura.Generater
+
+
+def test_type_checkers_see_the_public_names(tmp_path) -> None:
+    names = ", ".join(name for name in pytest_dura.__all__ if name != "__version__")
+    lines = [f"from pytest_dura import {names}", "reveal_type(RoleSpec)", "reveal_type(stream)"]
+    file = tmp_path / "uses_them.py"
+    file.write_text("\n".join(lines))
+    settings = ["--strict", "--follow-imports=silent", "--config-file", "pyproject.toml"]
+    done = run(sys.executable, "-m", "mypy", *settings, file)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert '"def (path: str' in done.stdout
+    assert '"def (seed: int, name: str' in done.stdout
+
+
+def test_a_public_name_loads_no_more_than_it_needs() -> None:
+    code = (
+        "import sys\n"
+        "from pytest_dura import ConfigurationError\n"
+        "assert 'numpy' not in sys.modules\n"
+        "from pytest_dura import EpisodeSpec, Generator, Orchestrator, check_role\n"
+        "assert not {'pydantic', 'yaml', 'highway_env', 'scipy'} & set(sys.modules)\n"
+    )
+    done = run(sys.executable, "-c", code)
+    assert done.returncode == 0, done.stderr
+
+
+def test_imports_go_in_the_agreed_directions() -> None:
+    lint_imports = shutil.which("lint-imports", path=str(Path(sys.executable).parent))
+    assert lint_imports, "the `dev` extra is not installed"
+    done = run(lint_imports)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "0 broken" in done.stdout
+
+
+def test_the_gate_runs_what_the_readme_says() -> None:
+    done = run(CI, "--list")
+    assert done.returncode == 0, done.stderr
+    tests, gate = done.stdout.splitlines()
+    start = "python3 -m venv .venv && . .venv/bin/activate && pip install -e "
+    assert tests == start + "'.[dev]' && pytest"
+    assert gate == start + ". && pytest --dura-scenarios"
+    readme = (REPOSITORY / "README.md").read_text().splitlines()
+    assert readme.count(tests) == readme.count(gate) == 1
+
+
+@pytest.mark.parametrize("commands", [[], ["a && pytest", "b && pytest"]])
+def test_the_gate_refuses_a_readme_without_one_test_command(tmp_path, commands) -> None:
+    (tmp_path / ".ci").mkdir()
+    shutil.copy(CI, tmp_path / ".ci")
+    lines = ["c && pytest", "```sh", *commands, "d && pytest --dura-scenarios", "```"]
+    (tmp_path / "README.md").write_text("\n".join(lines))
+    done = run(tmp_path / ".ci" / "run", cwd=tmp_path)
+    assert done.returncode != 0
+    assert "one line in a code fence that ends with '&& pytest'" in done.stderr
+    assert not done.stdout
