@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from contextlib import nullcontext
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -24,14 +25,8 @@ class Progress:
         if not self.enabled:
             return
         text = "" if done >= planned else f"  {case.id} {done}/{planned}"
-        if self._capture is None:
-            _write(text)
-            return
-        with self._capture.global_and_fixture_disabled():
-            _write(text)
-
-
-def _write(text: str) -> None:
-    # The cursor returns to where it was, so that pytest goes on writing its own line.
-    sys.stdout.write(f"{SAVE}{text}{CLEAR}{RESTORE}")
-    sys.stdout.flush()
+        capture = self._capture
+        with capture.global_and_fixture_disabled() if capture else nullcontext():
+            # The cursor returns to where it was, so that pytest goes on writing its own line.
+            sys.stdout.write(f"{SAVE}{text}{CLEAR}{RESTORE}")
+            sys.stdout.flush()

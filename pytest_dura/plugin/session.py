@@ -69,7 +69,7 @@ class DuraSession:
         distributed = bool(self.config.getoption("numprocesses", None))
         if self.is_worker or distributed or reporter is None:
             return False
-        return bool(reporter.isatty) and self.config.get_verbosity() >= 0
+        return bool(reporter.isatty) and self.config.getoption("verbose") >= 0
 
     def run_command(self) -> int | None:
         """The exit code of ``--dura-list`` or ``--dura-replay``, ``None`` without either."""

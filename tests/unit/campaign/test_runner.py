@@ -3,7 +3,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from thermostat import Controller
+from thermostat import Controller, Thermostat
 
 from pytest_dura import ConfigurationError, RoleSpec
 from pytest_dura.campaign.components import LocalRole, generator_option, given_role
@@ -68,6 +68,22 @@ def test_a_campaign_runs_what_is_planned(bench):
     assert len(bench.campaign("room/warm", runs=5).episodes) == 5
     bench.runs = 2
     assert len(bench.campaign("room/warm", runs=5).episodes) == 2
+
+
+class Counting(Thermostat):
+    closed = 0
+
+    def close(self):
+        type(self).closed += 1
+
+
+def test_a_simulator_is_closed_unless_it_is_the_users_own_instance(bench):
+    bench.simulator = given_role("simulator", Counting)
+    bench.run("room/warm")
+    assert Counting.closed == 1
+    bench.simulator = given_role("simulator", Counting())
+    bench.run("room/warm")
+    assert Counting.closed == 1
 
 
 def test_progress_is_told(bench):
