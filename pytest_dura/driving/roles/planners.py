@@ -43,12 +43,12 @@ class RuleBased(Generator):
     CANDIDATES = (3.5, 2.0, 0.0, -3.0, -8.0)
     """Accelerations in m/s2 that are compared once the stop line is crossed."""
 
-    PATIENCE = 20
-    """Ticks after which a car that stands at its stop line counts as waiting for others itself."""
+    PATIENCE = 5
+    """Ticks after which a car that hardly moves counts as waiting for others itself."""
     KERB_PATIENCE = 30
     """Ticks that it stands before a pedestrian at the kerb until it takes them not to cross."""
 
-    def __init__(self, margin: float = 1.5, separation: float = 1.0) -> None:
+    def __init__(self, margin: float = 1.0, separation: float = 1.0) -> None:
         self.margin, self.separation = margin, separation
         self._predictor = prediction.Predictor(3.0, 0.3, now=True)
 
@@ -56,6 +56,7 @@ class RuleBased(Generator):
         """Forget the bodies seen."""
         self._predictor.reset()
         self._waits: dict[str, int] = {}
+        self._speeds: dict[str, float] = {}
         self._walked: set[str] = set()
         self._given_way = 0
 
@@ -92,17 +93,25 @@ class RuleBased(Generator):
         return self._inside(scene, dt)
 
     def _watch_who_waits(self, scene: Scene) -> None:
-        """For how many ticks each car has stood outside the junction."""
-        self._waits = {
-            body.id: self._waits.get(body.id, 0) + 1
-            for body in scene.bodies
-            if abs(body.vx) + abs(body.vy) < 0.3 and max(abs(body.x), abs(body.y)) > STOP_LINE
-        }
+        """For how many ticks each car outside the junction has hardly moved, or braked slowly."""
+        waits, speeds = {}, {}
+        for body in scene.bodies:
+            speeds[body.id] = speed = math.hypot(body.vx, body.vy)
+            slower = speed < self._speeds.get(body.id, 0.0) - 0.05
+            outside = max(abs(body.x), abs(body.y)) > STOP_LINE
+            if outside and (speed < 1.0 or (speed < 5.0 and slower)):
+                waits[body.id] = self._waits.get(body.id, 0) + 1
+        self._waits, self._speeds = waits, speeds
 
     def _who_comes(self, scene: Scene, dt: float) -> str | None:
         """Who on the crossing road arrives before the ego has crossed, if it goes now."""
-        for other in crossing(scene):
+        queues: set[bool] = set()
+        for other in sorted(crossing(scene), key=lambda approach: approach.distance):
+            eastbound = math.cos(other.body.heading) > 0.0
+            if eastbound in queues:
+                continue
             if self._waits.get(other.body.id, 0) >= self.PATIENCE:
+                queues.add(eastbound)  # who is behind it waits as well
                 continue
             # Far enough for the rear to have left the other's lane.
             beyond = scene.stop_line + STOP_LINE - other.body.y + other.body.width / 2 + HALF + 0.5
