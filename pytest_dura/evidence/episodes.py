@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import statistics
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -38,6 +38,10 @@ def episode_record(episode: Episode, *, planned: bool) -> dict[str, Any]:
             "trace": None,
             "outcome": outcome(episode),
             "metrics": episode.metrics.summary(),
+            "faults": [
+                {**asdict(fault), "detection_latency": fault.detection_latency}
+                for fault in episode.faults
+            ],
             "events": [event.to_json() for event in episode.events],
             "spec": spec,
         }

@@ -199,6 +199,8 @@ def _show_failure(
 
         episode = first["counterexamples"][0]["episode"]
         terminal.line(f"  worst:  {describe_counterexample(first['counterexamples'][0])}")
+        for event in _critical(record, episode):
+            terminal.line(f"  event:  at t = {event['time']:.2f} s {event['detail']}")
     else:
         spoilt = _spoilt(record, first)
         if spoilt is not None:
@@ -215,6 +217,17 @@ def _show_failure(
 
 def _check_of(record: Data, requirement: str) -> str:
     return next((one["check"] for one in record["requirements"] if one["id"] == requirement), "")
+
+
+def _critical(record: Data, episode: str) -> list[Data]:
+    """What ended an episode before its time, if anything did."""
+    return [
+        event
+        for one in record["episodes"]
+        if one["id"] == episode
+        for event in one["events"]
+        if event["kind"] == "critical"
+    ]
 
 
 def _spoilt(record: Data, verdict: Data) -> Data | None:
