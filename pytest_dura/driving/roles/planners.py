@@ -16,6 +16,7 @@ from pytest_dura.driving.bodies import VX, VY
 from pytest_dura.driving.junction import SPEED_LIMIT, STOP_LINE
 from pytest_dura.driving.maneuvers import (
     COMFORT_BRAKING,
+    MAX_ACCELERATION,
     MAX_BRAKING,
     Command,
     Maneuver,
@@ -40,7 +41,7 @@ class RuleBased(Generator):
         separation: Predicted distance in m that it keeps to others inside the junction.
     """
 
-    CANDIDATES = (3.5, 2.0, 0.0, -3.0, -8.0)
+    CANDIDATES = (MAX_ACCELERATION, 2.0, 0.0, -3.0, -MAX_BRAKING)
     """Accelerations in m/s2 that are compared once the stop line is crossed."""
 
     PATIENCE = 5
@@ -48,7 +49,7 @@ class RuleBased(Generator):
     KERB_PATIENCE = 30
     """Ticks that it stands before a pedestrian at the kerb until it takes them not to cross."""
 
-    def __init__(self, margin: float = 1.0, separation: float = 1.0) -> None:
+    def __init__(self, margin: float = 0.8, separation: float = 1.0) -> None:
         self.margin, self.separation = margin, separation
         self._predictor = prediction.Predictor(3.0, 0.3, now=True)
 
@@ -88,8 +89,10 @@ class RuleBased(Generator):
                 blocked = self._who_comes(scene, dt)
                 if blocked is not None:
                     return Command(Maneuver.WAIT), f"gives way to {blocked}"
-                go = Maneuver.ACCELERATE if to_line < 20.0 else Maneuver.PROCEED
-                return Command(go), "accepts the gap"
+                if to_line > 20.0:
+                    return Command(Maneuver.PROCEED), "accepts the gap"
+                launch = min(MAX_ACCELERATION, SPEED_LIMIT - scene.speed)
+                return Command(Maneuver.ACCELERATE, launch), "accepts the gap"
         return self._inside(scene, dt)
 
     def _watch_who_waits(self, scene: Scene) -> None:
@@ -115,11 +118,11 @@ class RuleBased(Generator):
                 continue
             # Far enough for the rear to have left the other's lane.
             beyond = scene.stop_line + STOP_LINE - other.body.y + other.body.width / 2 + HALF + 0.5
-            clear = time_to_cover(beyond - scene.s, scene.speed, 3.0, SPEED_LIMIT)
+            clear = time_to_cover(beyond - scene.s, scene.speed, 3.5, SPEED_LIMIT)
             arrives = time_to_cover(other.distance, other.speed, 2.5, SPEED_LIMIT)
             if arrives < clear + self.margin:
                 return other.body.id
-        candidate = (3.5 if scene.to_stop_line < 20.0 else 2.0,)
+        candidate = (MAX_ACCELERATION if scene.to_stop_line < 20.0 else 2.0,)
         apart, who = self._apart(scene, candidate, dt)
         return who if apart[0] < self.separation else None
 
@@ -131,8 +134,7 @@ class RuleBased(Generator):
         acceleration = self.CANDIDATES[choice]
         if acceleration > 0.0:
             maneuver = Maneuver.ACCELERATE if acceleration > 2.0 else Maneuver.PROCEED
-            limit = acceleration_for(Command(maneuver), scene.speed, scene.to_stop_line)
-            return Command(maneuver, min(acceleration, limit)), "crosses"
+            return Command(maneuver, min(acceleration, SPEED_LIMIT - scene.speed)), "crosses"
         if acceleration == 0.0:
             return Command(Maneuver.PROCEED_CAUTIOUSLY, 0.0), f"keeps its distance to {who}"
         maneuver = Maneuver.YIELD if acceleration > -5.0 else Maneuver.EMERGENCY_BRAKE
