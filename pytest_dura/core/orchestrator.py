@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from time import perf_counter_ns
 from typing import Any, Protocol, cast
 
@@ -223,6 +224,7 @@ class Orchestrator:
             self.log.event(tick, "halt", "orchestrator", "; ".join(reasons))
             return _HALT
         action = self._command(decision, tick)
+        self.state.command = decision.action
         self._guard(
             "simulator", self.log.decided, decision, self.state, self.simulator.describe_action
         )
@@ -263,6 +265,7 @@ class Orchestrator:
                 self.log.metrics.log_time(name, tick.index, elapsed)
                 self._judgements.pop(name, None)
                 if output is None:
+                    _end_directives(state, name)
                     continue
                 state.outputs[name] = output
                 self._log_output(tick, name, output)
@@ -362,6 +365,13 @@ def _corrupted(injector: FaultInjector, tick: Tick) -> Percept:
     for faults in tampered.values():
         check_texts("tampered faults", faults)
     return Percept(channels, tampered)
+
+
+def _end_directives(state: StateManager, name: str) -> None:
+    """A directive holds for the tick in which it was given; the rest of an output stays."""
+    latest = state.outputs.get(name)
+    if isinstance(latest, SecurityAssessment) and latest.directives:
+        state.outputs[name] = replace(latest, directives=())
 
 
 def _corrupted_command(

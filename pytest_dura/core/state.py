@@ -189,7 +189,9 @@ class RoleView:
     """What every other role sees: the percept, the proposal, and what other roles have said.
 
     ``outputs`` maps a role's name to its latest output, from this tick if it ran already and from
-    an earlier one otherwise; ``percepts`` is the history, the current percept last.
+    an earlier one otherwise; ``percepts`` is the history, the current percept last. ``command`` is
+    the action that was decided on at the tick before, proposal or recovery, before any command
+    fault; ``None`` at the first tick.
     """
 
     index: int
@@ -201,6 +203,7 @@ class RoleView:
     outputs: Mapping[str, Any]
     generator_seconds: float = 0.0
     reasons: tuple[str, ...] = ()
+    command: Any = None
 
 
 @dataclass(slots=True)
@@ -212,6 +215,7 @@ class StateManager:
     percepts: list[Percept] = field(default_factory=list)
     outputs: dict[str, Any] = field(default_factory=dict)
     proposal: Proposal | None = None
+    command: Any = None
     generator_reads: set[str] = field(default_factory=set)
     generator_seconds: float = 0.0
     _role_reads: set[str] = field(default_factory=set)
@@ -260,4 +264,5 @@ class StateManager:
             MappingProxyType(self.outputs),
             self.generator_seconds,
             reasons,
+            self.command,
         )

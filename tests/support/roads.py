@@ -147,7 +147,9 @@ class Views:
         self.state = StateManager(dt)
 
     def see(self, percept: Mapping[str, Any]) -> None:
-        """The next tick."""
+        """The next tick; what was proposed at the one before has been carried out."""
+        if self.state.proposal is not None:
+            self.state.command = self.state.proposal.action
         index = len(self.state.ticks)
         time = index * self.state.dt
         self.state.update(Tick(index, time, {}, percept), Percept(percept))

@@ -60,7 +60,7 @@ class DrivingOracle(PerformanceOracle):
     def reset(self, context: RoleContext) -> None:
         """Begin to measure anew."""
         self._imu: Imu | None = None
-        self._commanded: float | None = None
+        self._before: tuple[float, float] | None = None
         self._start = 0.0
         self._standing = 0.0
         self._clearance: float | None = None
@@ -83,8 +83,9 @@ class DrivingOracle(PerformanceOracle):
             "jerk": (imu.acceleration - self._imu.acceleration) / view.dt,
             "lateral_jerk": (imu.lateral_acceleration - self._imu.lateral_acceleration) / view.dt,
         }
-        if self._commanded is not None:
-            values["control_error"] = abs(imu.acceleration - self._commanded)
+        if view.command is not None and self._before is not None:
+            commanded = acceleration_for(view.command, *self._before)
+            values["control_error"] = abs(imu.acceleration - commanded)
         cleared = s >= end
         self._standing = self._standing + view.dt if speed < STANDING and not cleared else 0.0
         values["standing_time"] = self._standing
@@ -93,7 +94,7 @@ class DrivingOracle(PerformanceOracle):
         if self._clearance is not None:
             values["clearance_time"] = self._clearance
         self._imu = imu
-        self._remember_command(view, speed, way.stop_line - s - HALF)
+        self._before = speed, way.stop_line - s - HALF
         if resource is not None and view.index % _MEMORY_PERIOD == 0:
             self._memory = _memory()
         wall_clock = {"memory": self._memory} if resource is not None else {}
@@ -104,12 +105,6 @@ class DrivingOracle(PerformanceOracle):
             values["response_time"] = latency
         response = view.generator_seconds if latency is None else latency
         return PerformanceAssessment(values, wall_clock, self._failures(view, values, response))
-
-    def _remember_command(self, view: RoleView, speed: float, to_stop_line: float) -> None:
-        if view.proposal is None:
-            self._commanded = None
-        else:
-            self._commanded = acceleration_for(view.proposal.action, speed, to_stop_line)
 
     def _failures(
         self, view: RoleView, values: dict[str, float], response: float

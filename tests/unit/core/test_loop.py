@@ -17,6 +17,8 @@ from pytest_dura import (
     RecoveryPlanner,
     Role,
     SafetyMonitor,
+    SecurityAssessment,
+    SecurityAssessor,
     Termination,
 )
 
@@ -43,6 +45,38 @@ def test_a_role_runs_only_when_its_trigger_holds_and_after_whom_it_named() -> No
     run_loop(Controller(), seconds=1.0, safety_monitor=HeatMonitor(), night_watch=night, z=watch)
     # Between its ticks, the latest output of the triggered role still stands.
     assert seen == [0, 0, 0, 0, 0, 5, 5, 5, 5, 5]
+
+
+def test_a_directive_holds_for_its_tick_only() -> None:
+    obeyed: list[tuple[int, tuple[str, ...]]] = []
+    assessor = doing(
+        SecurityAssessor,
+        lambda view: SecurityAssessment(score=-1.0, directives=("attack",)),
+        trigger=lambda self, view: view.index == 1,
+    )
+    reader = doing(
+        Role,
+        lambda view: obeyed.append((view.index, view.outputs["security_assessor"].directives)),
+        after=("security_assessor",),
+        trigger=lambda self, view: "security_assessor" in view.outputs,
+    )
+    run_loop(Controller(), seconds=0.4, security_assessor=assessor, reader=reader)
+    assert obeyed == [(1, ("attack",)), (2, ()), (3, ())]
+
+
+def test_roles_see_the_command_of_the_tick_before_whoever_gave_it() -> None:
+    seen: list[Any] = []
+    watch = doing(Role, lambda view: seen.append(view.command))
+    run_loop(
+        Controller(target=99.0),
+        seconds=0.3,
+        watch=watch,
+        safety_monitor=doing(
+            SafetyMonitor, lambda view: Assessment(Assessed(2 * (view.index == 1)))
+        ),
+        recovery_planner=doing(RecoveryPlanner, lambda view: Recovery(0.0, "off")),
+    )
+    assert seen == [None, 1.0, 0.0]
 
 
 def test_a_role_sees_what_an_earlier_one_said_in_the_same_tick() -> None:

@@ -9,7 +9,16 @@ import pytest
 from roads import Views, channels_of, run, spec_of_drive
 
 from pytest_dura.core.conformance import check_role
-from pytest_dura.core.roles import Generator, PerformanceAssessment, Proposal, RoleContext, RoleSpec
+from pytest_dura.core.roles import (
+    Assessed,
+    Assessment,
+    Generator,
+    PerformanceAssessment,
+    Proposal,
+    RoleContext,
+    RoleSpec,
+    SafetyMonitor,
+)
 from pytest_dura.driving.highway import HighwaySimulator
 from pytest_dura.driving.maneuvers import Command, Maneuver
 from pytest_dura.driving.roles import performance
@@ -137,6 +146,20 @@ def test_control_error_in_the_loop_is_the_actuator_s_lag() -> None:
     episode = measured({"maneuver": "emergency_brake"}, duration=0.6)
     assert episode.metrics.column("control_error")[:4] == pytest.approx([4.0, 0.0, 0.0, 0.0])
     assert episode.signals["command_error"][:4] == pytest.approx([0.0, 4.0, 0.0, 0.0])
+
+
+class Alarmed(SafetyMonitor):
+    """Refuses everything."""
+
+    def run(self, view: Any) -> Assessment:
+        return Assessment(Assessed.UNSAFE)
+
+
+def test_control_error_is_that_of_the_recovery_while_it_acts() -> None:
+    roles = {"safety_monitor": RoleSpec("test_performance_oracle:Alarmed")}
+    episode = measured({"maneuver": "accelerate"}, duration=0.6, policy="recover", roles=roles)
+    assert set(episode.decisions["executed"]) == {"emergency_brake"}
+    assert episode.metrics.column("control_error")[:4] == pytest.approx([4.0, 0.0, 0.0, 0.0])
 
 
 def test_jerk_is_the_change_of_acceleration() -> None:
