@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, get_args
 
@@ -36,6 +36,7 @@ def parametrize(session: DuraSession, metafunc: pytest.Metafunc, marker: pytest.
     looked_at = [name for name in ("episode", "campaign") if name in metafunc.fixturenames]
     definition = metafunc.definition
     try:
+        _check_use(definition, looked_at)
         requirements = marked_requirements(session, definition)
         targets = _targets(session, marker, requirements, each_run="episode" in looked_at)
     except ConfigurationError as error:
@@ -50,6 +51,27 @@ def parametrize(session: DuraSession, metafunc: pytest.Metafunc, marker: pytest.
             [(target,) * len(looked_at) if len(looked_at) > 1 else target for target, _ in targets],
             ids=[name for _, name in targets],
             indirect=True,
+        )
+
+
+def _check_use(definition: pytest.Item, looked_at: Sequence[str]) -> None:
+    """A marker that would run nothing must not read as a pass."""
+    own = [marker for marker in definition.own_markers if marker.name == "dura"]
+    if len(own) > 1:
+        raise ConfigurationError(
+            "the test has several markers dura, of which one alone would count",
+            key="pytest.mark.dura",
+            found=f"{len(own)} markers",
+            expected="one marker",
+            remedy='name all scenarios in one: dura(scenario=["...", "..."])',
+        )
+    if own and not looked_at:
+        raise ConfigurationError(
+            "the marker dura runs nothing, since the test looks at no episode",
+            key="pytest.mark.dura",
+            found="neither `episode` nor `campaign` among the test's arguments",
+            expected="one of these fixtures",
+            remedy="add `episode` or `campaign` to the arguments, or remove the marker",
         )
 
 
@@ -68,6 +90,14 @@ def _requirement(session: DuraSession, marker: pytest.Mark) -> Requirement:
 
     given = _arguments(marker, _requirement_marker)
     name = given["id"]
+    if not isinstance(name, str) or not name:
+        raise ConfigurationError(
+            "the id of a requirement is a text",
+            key="pytest.mark.requirement",
+            found=name,
+            expected='an id such as "SAF-1"',
+            remedy="correct the id; several requirements take one marker each",
+        )
     known = session.library().requirements
     if name in known and given["text"] is None:
         return known[name]
@@ -77,7 +107,7 @@ def _requirement(session: DuraSession, marker: pytest.Mark) -> Requirement:
             key="pytest.mark.requirement",
             found=name,
             expected="a requirement of the files, or a text in the marker",
-            remedy=did_you_mean(str(name), known)
+            remedy=did_you_mean(name, known)
             + f' Or say what it asks for: requirement("{name}", text="...")',
         )
     if given["kind"] not in get_args(Kind):
@@ -88,7 +118,7 @@ def _requirement(session: DuraSession, marker: pytest.Mark) -> Requirement:
             expected="one of " + ", ".join(get_args(Kind)),
             remedy="correct the kind",
         )
-    return Requirement(str(name), str(given["text"]), given["kind"], str(given["source"]))
+    return Requirement(name, str(given["text"]), given["kind"], str(given["source"]))
 
 
 def _targets(
@@ -115,11 +145,22 @@ def _cases(session: DuraSession, scenario: Any, faults: Any) -> list[Case]:
         raise _wrong("scenario", scenario, "a scenario's name or glob, or a list of them")
     if isinstance(faults, str):
         faults = [faults]
-    if faults is not None and not isinstance(faults, Sequence):
+    if faults is not None and not _are_campaigns(faults):
         raise _wrong("faults", faults, 'a list such as ["none", "ghost-obstacle"]')
     scenarios = session.library().scenarios
     chosen = {name: scenarios[name] for name in select(scenarios, names)}
     return expand_cases(chosen, faults)
+
+
+def _are_campaigns(faults: Any) -> bool:
+    """Whether each entry is a fault, or a list of them, and there is one at all."""
+    if not isinstance(faults, Sequence) or not faults:
+        return False
+    return all(
+        isinstance(one, (str, Mapping))
+        or (isinstance(one, Sequence) and all(isinstance(fault, (str, Mapping)) for fault in one))
+        for one in faults
+    )
 
 
 def _runs(value: Any) -> int | None:

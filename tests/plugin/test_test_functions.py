@@ -162,6 +162,22 @@ def test_an_unknown_name_by_hand_shows_the_users_line_only(project):
         (["dura(scenario=3)"], "episode", ["*wrong `scenario`", "*found:*3"]),
         (["dura(scenario='corridor/free', runs=0)"], "episode", ["*wrong `runs`", "*at least 1"]),
         (["dura(scenario='corridor/free', faults=7)"], "episode", ["*wrong `faults`"]),
+        (["dura(scenario='corridor/free', faults=[])"], "episode", ["*wrong `faults`"]),
+        (["dura(scenario='corridor/free', faults=[None])"], "episode", ["*wrong `faults`"]),
+        (
+            ["dura(scenario='corridor/free')", "dura(scenario='corridor/tight')"],
+            "episode",
+            [
+                "*several markers dura, of which one alone would count",
+                "*name all scenarios in one*",
+            ],
+        ),
+        (["dura(scenario='corridor/free')"], "orchestrator", ["*the marker dura runs nothing*"]),
+        (
+            ["dura(scenario='corridor/free')", "requirement(['GAP-1', 'GO-1'])"],
+            "episode",
+            ["*the id of a requirement is a text", "*one marker each"],
+        ),
         (
             ["dura(scenario='corridor/free')", "requirement('SAF-99')"],
             "episode",
