@@ -38,6 +38,7 @@ class SessionEvidence:
         self.record: EvidenceRecord | None = None
         self.file: Path | None = None
         self.final: dict[str, Any] | None = None
+        self.objections: list[str] = []
 
     def start(self) -> None:
         """Begin the record. What a killed session leaves behind says that it was running.
@@ -92,14 +93,29 @@ class SessionEvidence:
             self._waive(report)
 
     def finish(self, session: pytest.Session) -> None:
-        """Write the record; a session whose episodes cannot be trusted has failed."""
+        """Write the record; a session that it does not support has failed, whatever tests say."""
         if self.record is None:
             return
         stopped = bool(session.shouldstop or session.shouldfail)
         interrupted = stopped or session.exitstatus not in REGULAR
-        if self.record.problems and session.exitstatus == pytest.ExitCode.OK:
-            session.exitstatus = pytest.ExitCode.TESTS_FAILED
         self._write("interrupted" if interrupted else "complete")
+        if session.exitstatus == pytest.ExitCode.OK:
+            self.objections = [*self.record.problems, *self._unsupported()]
+            if self.objections:
+                session.exitstatus = pytest.ExitCode.TESTS_FAILED
+        else:
+            self.objections = self.record.problems
+
+    def _unsupported(self) -> list[str]:
+        """Verdicts that no test failed for: of runs that ``-k`` left out, or a caught violation."""
+        assert self.final is not None
+        accepted = {"supported"} | ({"undecided"} if self.session.options.warn_undecided else set())
+        return [
+            f"the gate fails: {one['requirement']} on {one['case']} is {one['verdict']}, "
+            "though every test passed"
+            for one in self.final["verdicts"]
+            if one["verdict"] not in accepted and one["waiver"] is None
+        ]
 
     def _component(self, case: Case) -> str:
         """The component's name, if it is known before anything runs."""

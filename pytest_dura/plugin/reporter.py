@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import pytest
 
@@ -37,12 +38,14 @@ class Reporter:
         self.session = session
         self._pending: ItemReport | None = None
         self._told: set[tuple[int, bool]] = set()
+        self._used: dict[str, list[JudgedEpisode]] = {}
         self._components: dict[str, dict[str, Any]] = {}
 
     def episode_used(self, case: Case, episode: JudgedEpisode, planned: int) -> None:
         """An item looked at an episode of so many planned ones; 0 for one chosen by hand."""
         from pytest_dura.evidence.episodes import episode_record
 
+        self._used.setdefault(case.id, []).append(episode)
         generator = episode.spec.roles["generator"]
         self._case_used(case, generator, planned)
         # The bench keeps its episodes, so that their identity is theirs alone.
@@ -52,7 +55,8 @@ class Reporter:
             self._report.episodes.append(episode_record(episode, planned=planned > 0))
 
     def verdict_reached(self, verdict: CampaignVerdict, requirement: Requirement) -> None:
-        """A campaign was judged."""
+        """A campaign was judged, and what its episodes are worth along with it."""
+        self._used.pop(verdict.case, None)
         self._report.verdicts.append({**verdict.to_json(), "check": requirement.check})
         self._requirement_used(requirement)
         self._planned(verdict.case, verdict.component, verdict.planned)
@@ -66,24 +70,44 @@ class Reporter:
         return pytest.fail.Exception(str(error))
 
     def body_passed(self, item: pytest.Function) -> None:
-        """A test on one episode passed; fail it if the episode does not carry that."""
+        """A test passed; fail it if the episodes that it looked at do not carry that."""
+        from pytest_dura.campaign.runner import Campaign
         from pytest_dura.requirements.verdicts import JudgedEpisode
 
-        episode = item.funcargs.get("episode")
-        if not isinstance(episode, JudgedEpisode):
-            return
-        if episode.failure is not None:
-            pytest.fail(f"{episode.failure} (in {episode.id})", pytrace=False)
-        if episode.validity == "invalid":
-            message = f"invalid: {episode.id}: {episode.invalid_reason}"
-            if self.session.options.warn_undecided:
-                pytest.skip(message)
-            pytest.fail(message, pytrace=False)
+        for used in self._used.values():
+            for one in used:
+                if one.failure is not None:
+                    pytest.fail(f"{one.failure} (in {one.id})", pytrace=False)
+        looked_at = item.funcargs.get("episode")
+        if isinstance(looked_at, JudgedEpisode) and looked_at.validity == "invalid":
+            self._undecided(f"invalid: {looked_at.id}: {looked_at.invalid_reason}")
+        campaign = item.funcargs.get("campaign")
+        if isinstance(campaign, Campaign):
+            self._check_share(self._used.get(campaign.case.id, []))
+
+    def _check_share(self, used: Sequence[JudgedEpisode]) -> None:
+        """Too many invalid episodes leave a campaign undecided that no verdict was asked of."""
+        from pytest_dura.requirements.campaigns import MAX_INVALID_SHARE
+
+        episodes = {one.id: one for one in used}.values()
+        invalid = [one for one in episodes if one.validity == "invalid"]
+        if len(invalid) > MAX_INVALID_SHARE * len(episodes):
+            first = f"{invalid[0].id}: {invalid[0].invalid_reason}"
+            self._undecided(
+                f"undecided: {len(invalid)} of {len(episodes)} episodes are invalid ({first})"
+            )
+
+    def _undecided(self, message: str) -> NoReturn:
+        if self.session.options.warn_undecided:
+            pytest.skip(message)
+        pytest.fail(message, pytrace=False)
 
     def attach(
         self, item: pytest.Item, call: pytest.CallInfo[None], report: pytest.TestReport
     ) -> None:
         """Put what the item told on its report, as JSON."""
+        if call.when == "teardown":
+            self._used.clear()
         if call.when == "call" and self._target(item) is not None:
             self._test_outcome(item, call, report)
         if self._pending is None:

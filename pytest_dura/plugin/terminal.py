@@ -69,8 +69,8 @@ def summary(session: DuraSession, terminal: Any) -> None:
     if by_hand:
         terminal.line(f"and {_counted(by_hand, 'episode')} with a seed chosen by hand")
     _show_verdicts(session, terminal, record)
-    for problem in session.evidence.record.problems if session.evidence.record else []:
-        terminal.line(problem, red=True)
+    for objection in session.evidence.objections:
+        terminal.line(objection, red=True)
     terminal.line("")
     terminal.line(f"evidence: {_relative(session, session.evidence.file)}")
 

@@ -199,3 +199,51 @@ def test_a_generator_with_a_constructor_that_needs_something(project):
     result.stderr.fnmatch_lines(["ERROR: needy:Needy cannot be built without parameters*"])
     result, text = failing(project, "tight", "--dura-generator=needy:Unlucky")
     assert "needy:Unlucky cannot be built: OSError: no weights" in text
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        "def test_it(run_episode): assert not run_episode('corridor/collapses').collided",
+        "def test_it(orchestrator): assert not orchestrator.run('corridor/collapses').collided",
+        "import pytest\n"
+        "@pytest.mark.dura(scenario='corridor/collapses')\n"
+        "def test_it(campaign): assert not any(one.collided for one in campaign.episodes)",
+    ],
+)
+def test_no_test_passes_on_missing_episodes(project, body):
+    scenario(project, "collapses", world="{breaks_at: 3}")
+    project.write("test_it.py", body)
+    result = project.run("test_it.py")
+    result.assert_outcomes(failed=1)
+    text = result.stdout.str()
+    assert "infrastructure: simulator at tick 2" in text
+    assert "(in corridor/collapses#0)" in text
+    assert "pytest_dura/" not in text
+
+
+def test_a_campaign_of_invalid_episodes_carries_no_pass(project):
+    scenario(project, "idle", faults=IDLE, fault_injector="Idle")
+    project.write(
+        "test_it.py",
+        "import pytest\n"
+        "@pytest.mark.dura(scenario='corridor/idle')\n"
+        "def test_it(campaign): assert not any(one.collided for one in campaign.episodes)\n",
+    )
+    result = project.run("test_it.py")
+    result.assert_outcomes(failed=1)
+    assert "undecided: 3 of 3 episodes are invalid (corridor/idle#0: never" in result.stdout.str()
+    project.run("test_it.py", "--dura-undecided=warn").assert_outcomes(skipped=1)
+
+
+def test_the_gate_fails_on_a_verdict_for_which_no_test_failed(project):
+    scenario(project, "useless", generator="ReturnsNaN", runs=3)
+    project.write("test_it.py", TEST.format("useless"))
+    result = project.run("test_it.py")
+    result.assert_outcomes(passed=3)
+    assert result.ret == 1
+    assert "the gate fails: GAP-1 on corridor/useless is undecided, though" in result.stdout.str()
+    assert project.run("test_it.py", "--dura-undecided=warn").ret == 0
+    project.write("test_it.py", TEST.format("tight"))
+    assert project.run("test_it.py").ret == 0
+    assert project.run("test_it.py", "-k", "tight and 0").ret == 1
