@@ -32,10 +32,23 @@ def replay(config: pytest.Config, options: Options) -> int:
     record = read_record(options.evidence)
     assert options.replay is not None
     equal = True
-    for told in _episodes(record, options.replay):
-        spec = _with_local_roles(config, EpisodeSpec.from_json(told["spec"]))
+    try:
+        found = _episodes(record, options.replay)
+        specs = [EpisodeSpec.from_json(told["spec"]) for told in found]
+        digests = [str(told["digest"]) for told in found]
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        raise ConfigurationError(
+            f"the record is damaged ({type(error).__name__}: {error})",
+            file=str(options.evidence / "evidence.json"),
+            key="--dura-replay",
+            found=options.replay,
+            expected="a record as pytest-dura wrote it",
+            remedy="run the session again, or restore the file",
+        ) from None
+    for digest, recorded in zip(digests, specs, strict=True):
+        spec = _with_local_roles(config, recorded)
         episode = _run(record, spec)
-        equal &= _show(told, episode)
+        equal &= _show(digest, episode)
     return 0 if equal else 1
 
 
@@ -69,13 +82,13 @@ def _run(record: Data, spec: EpisodeSpec) -> Episode:
     return run_episode(spec, judge)
 
 
-def _show(told: Data, episode: Episode) -> bool:
-    same: bool = told["digest"] == episode.digest
+def _show(digest: str, episode: Episode) -> bool:
+    same = digest == episode.digest
     end = f"{episode.time[-1]:.1f} s" if episode.ticks else "no tick"
     outcome = f"{episode.termination} after {end}"
     lines = [
         f"{episode.id} ({episode.spec.component}, seed {episode.spec.seed}): {outcome}",
-        f"  recorded digest {told['digest']}",
+        f"  recorded digest {digest}",
         f"  replayed digest {episode.digest}",
         "  the same"
         if same

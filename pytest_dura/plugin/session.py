@@ -98,6 +98,15 @@ class DuraSession:
             if self.active:
                 self.evidence.start()
 
+    def begin_evidence(self) -> None:
+        """Begin the record of a session that runs episodes.
+
+        Raises:
+            pytest.UsageError: If it cannot be written.
+        """
+        with usage_errors():
+            self.evidence.start()
+
     def take_arguments(self) -> None:
         """Leave to pytest the arguments that name files, and none if scenarios run alone."""
         config = self.config

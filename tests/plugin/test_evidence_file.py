@@ -200,3 +200,17 @@ def test_reruns_keep_every_attempt(project):
     (verdict,) = project.evidence()["verdicts"]
     assert verdict["verdict"] == "violated"
     assert verdict["waiver"]["kind"] == "rerun"
+
+
+def test_the_record_of_an_earlier_session_is_gone_before_the_first_test_runs(project):
+    project.scenarios()
+    assert project.evidence()["status"] == "complete"
+    project.write(
+        "test_it.py",
+        "import json\n"
+        "from pathlib import Path\n"
+        "def test_it(orchestrator):\n"
+        "    record = json.loads(Path('dura-evidence/evidence.json').read_text())\n"
+        "    assert (record['status'], record['verdicts']) == ('running', [])\n",
+    )
+    project.run("test_it.py", "-p", "no:xdist").assert_outcomes(passed=1)

@@ -206,9 +206,10 @@ def test_a_generator_with_a_constructor_that_needs_something(project):
     [
         "def test_it(run_episode): assert not run_episode('corridor/collapses').collided",
         "def test_it(orchestrator): assert not orchestrator.run('corridor/collapses').collided",
-        "import pytest\n"
-        "@pytest.mark.dura(scenario='corridor/collapses')\n"
-        "def test_it(campaign): assert not any(one.collided for one in campaign.episodes)",
+        TEST.format("collapses").replace(
+            "(episode):\n    assert not episode.collided",
+            "(campaign):\n    assert not any(one.collided for one in campaign)",
+        ),
     ],
 )
 def test_no_test_passes_on_missing_episodes(project, body):

@@ -108,3 +108,24 @@ def test_an_episode_that_may_end_at_a_violation(project):
     project.run("corridor/ends")
     assert project.evidence()["episodes"][0]["termination"] == "violation"
     assert project.run("--dura-replay=corridor/ends#0").ret == 0
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda record: record.pop("episodes"),
+        lambda record: record["episodes"].insert(0, 7),
+        lambda record: record["episodes"][0].pop("spec"),
+        lambda record: record["episodes"][0].pop("digest"),
+        lambda record: record["episodes"][0]["spec"].update(roles=3),
+    ],
+)
+def test_a_damaged_record(project, damage):
+    project.run("corridor/free")
+    record = project.evidence()
+    damage(record)
+    project.write("dura-evidence/evidence.json", json.dumps(record))
+    result = project.run("--dura-replay=corridor/free#0")
+    assert result.ret == 4
+    result.stderr.fnmatch_lines(["ERROR: *evidence.json: the record is damaged (*", "  remedy:*"])
+    assert "Traceback" not in result.stderr.str()
