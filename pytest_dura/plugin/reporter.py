@@ -84,6 +84,18 @@ class Reporter:
         campaign = item.funcargs.get("campaign")
         if isinstance(campaign, Campaign):
             self._check_share(self._used.get(campaign.case.id, []))
+            self._check_decided(item)
+
+    def _check_decided(self, item: pytest.Function) -> None:
+        """A test on a campaign that claims to decide a requirement must ask for its verdict."""
+        from pytest_dura.plugin.parametrize import marked_requirements
+
+        claimed = [requirement.id for requirement in marked_requirements(self.session, item)]
+        if claimed and not self._report.verdicts:
+            self._undecided(
+                f"undecided: the test never asked for a verdict on {', '.join(claimed)}; "
+                "call campaign.require(check)"
+            )
 
     def _check_share(self, used: Sequence[JudgedEpisode]) -> None:
         """Too many invalid episodes leave a campaign undecided that no verdict was asked of."""

@@ -215,6 +215,14 @@ class DuraSession:
             cases = {name: case for name, case in cases.items() if name in kept}
         for name in sorted(cases):
             case = cases[name]
+            if not (case.requirements or chosen or self.options.list_only):
+                raise ConfigurationError(
+                    f"the scenario {name!r} has no requirements, so nothing would judge it",
+                    file=case.scenario.file or None,
+                    key="requirements",
+                    expected="at least one requirement where a scenario is run as a gate",
+                    remedy="name requirements, or leave the scenario out with --dura-select",
+                )
             requirements = [
                 requirement
                 for requirement in case.requirements

@@ -203,3 +203,16 @@ def test_xfail_is_a_waiver(project, mode):
     assert verdict["verdict"] == "violated"
     assert verdict["waiver"] == {"kind": "xfail", "reason": "ticket 7"}
     assert "[xfail]" in result.stdout.str()
+
+
+def test_a_scenario_that_nothing_would_judge_is_no_gate(project):
+    free = (project.path / "scenarios" / "corridor" / "free.yaml").read_text(encoding="utf-8")
+    head = free.partition("requirements:")[0].replace("corridor/free", "corridor/unjudged")
+    project.write("scenarios/corridor/unjudged.yaml", head)
+    result = project.scenarios("-q")
+    assert result.ret == 4
+    told = result.stderr.str() + result.stdout.str()
+    assert "'corridor/unjudged' has no requirements, so nothing would judge it" in told
+    assert "unjudged.yaml" in told
+    assert "--dura-select" in told
+    assert "Traceback" not in told

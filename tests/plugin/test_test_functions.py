@@ -227,3 +227,17 @@ def test_a_fixture_named_episode_of_the_users_own_is_left_alone(project):
         "def test_it(episode, generator): assert episode == 'S01E01'\n",
     )
     project.run("test_it.py").assert_outcomes(passed=1)
+
+
+def test_a_campaign_test_that_asks_for_no_verdict_does_not_pass(project):
+    project.write(
+        "test_it.py",
+        "import pytest\n"
+        "@pytest.mark.dura(scenario='corridor/free', runs=2)\n"
+        "@pytest.mark.requirement('RATE-1', text='It rarely touches anything')\n"
+        "def test_rate(campaign):\n"
+        "    assert not any(one.collided for one in campaign.episodes)\n",
+    )
+    result = project.run("test_it.py")
+    result.assert_outcomes(failed=1)
+    result.stdout.fnmatch_lines(["*undecided: the test never asked for a verdict on RATE-1; *"])
