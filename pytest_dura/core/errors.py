@@ -95,7 +95,7 @@ def describe_error(error: BaseException) -> str:
     """
     try:
         message = str(error)
-    except Exception:
+    except Exception:  # a user's exception may fail in its own __str__; its type is told
         message = "(its message cannot be read)"
     text = f"{type(error).__name__}: {message}" if message else type(error).__name__
     text = re.sub(r"\b0x[0-9a-fA-F]{6,}", "0x…", text)

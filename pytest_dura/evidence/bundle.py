@@ -83,7 +83,7 @@ def _replace(file: Path, text: str) -> Path:
         # mkstemp makes files for the owner alone; the record is for whoever may read the folder.
         Path(name).chmod(0o644)
         Path(name).replace(file)
-    except BaseException:
+    except BaseException:  # also on ctrl-C no half-written file stays behind; it is raised again
         Path(name).unlink(missing_ok=True)
         raise
     return file

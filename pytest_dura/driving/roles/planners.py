@@ -45,7 +45,7 @@ class RuleBased(Generator):
     """Accelerations in m/s2 that are compared once the stop line is crossed."""
 
     PATIENCE = 5
-    """Ticks after which a car that hardly moves counts as waiting for others itself."""
+    """Ticks after which a car that creeps or brakes counts as waiting for others itself."""
     KERB_PATIENCE = 30
     """Ticks that it stands before a pedestrian at the kerb until it takes them not to cross."""
 
@@ -96,7 +96,7 @@ class RuleBased(Generator):
         return self._inside(scene, dt)
 
     def _watch_who_waits(self, scene: Scene) -> None:
-        """For how many ticks each car outside the junction has hardly moved, or braked slowly."""
+        """For how many ticks each car outside the junction has crept, or braked at low speed."""
         waits, speeds = {}, {}
         for body in scene.bodies:
             speeds[body.id] = speed = math.hypot(body.vx, body.vy)
