@@ -1,0 +1,1 @@
+"""Signal temporal logic: parsed by rtamt, evaluated on NumPy columns."""
