@@ -2,11 +2,48 @@
 
 from __future__ import annotations
 
+from pytest_dura.requirements.statistics.characteristics import (
+    Boundaries,
+    Characteristics,
+    operating_characteristics,
+    simulate,
+)
+from pytest_dura.requirements.statistics.comparison import (
+    Comparison,
+    compare_counts,
+    mcnemar,
+    mcnemar_one_sided,
+)
+from pytest_dura.requirements.statistics.eprocess import EProcess
 from pytest_dura.requirements.statistics.exact import (
     METHOD,
     lower_bound,
     runs_needed,
     upper_bound,
 )
+from pytest_dura.requirements.statistics.fixed import FixedN
+from pytest_dura.requirements.statistics.methods import METHODS, make_test
+from pytest_dura.requirements.statistics.sequential import Decision, SequentialTest
+from pytest_dura.requirements.statistics.sprt import Sprt
 
-__all__ = ["METHOD", "lower_bound", "runs_needed", "upper_bound"]
+__all__ = [
+    "METHOD",
+    "METHODS",
+    "Boundaries",
+    "Characteristics",
+    "Comparison",
+    "Decision",
+    "EProcess",
+    "FixedN",
+    "SequentialTest",
+    "Sprt",
+    "compare_counts",
+    "lower_bound",
+    "make_test",
+    "mcnemar",
+    "mcnemar_one_sided",
+    "operating_characteristics",
+    "runs_needed",
+    "simulate",
+    "upper_bound",
+]

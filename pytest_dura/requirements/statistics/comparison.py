@@ -1,0 +1,119 @@
+"""Exact comparisons of two campaigns: paired seeds, or two counts apart."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fractions import Fraction
+from math import comb
+from typing import Literal
+
+from pytest_dura.requirements.statistics.sequential import as_written, require_between
+
+ComparisonWord = Literal["better", "worse", "no evidence of a change"]
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """What two counts say of a change.
+
+    Args:
+        word: ``better`` or ``worse`` at the confidence asked for, or neither.
+        p_better: One-sided p-value against "the rate is not lower than the baseline's".
+        p_worse: One-sided p-value against "the rate is not higher than the baseline's".
+    """
+
+    word: ComparisonWord
+    p_better: float
+    p_worse: float
+
+
+def mcnemar(only_first: int, only_second: int) -> float:
+    """Two-sided p-value of the exact McNemar test of paired outcomes.
+
+    Under "no difference" each of the discordant pairs goes either way with probability 1/2
+    (McNemar, Psychometrika 12, 1947). The distribution is symmetric, so that the p-value is twice
+    the smaller tail, 1 at most. Pairs that agree do not count; without discordant pairs it is 1.
+
+    Args:
+        only_first: Pairs in which the first alone violated.
+        only_second: Pairs in which the second alone violated.
+
+    Raises:
+        ValueError: For a negative count.
+    """
+    more, fewer = max(only_first, only_second), min(only_first, only_second)
+    return min(1.0, 2.0 * mcnemar_one_sided(more, fewer))
+
+
+def mcnemar_one_sided(only_first: int, only_second: int) -> float:
+    """P-value of the exact McNemar test against "the first violates no more often".
+
+    Args:
+        only_first: As in :func:`mcnemar`.
+        only_second: As in :func:`mcnemar`.
+
+    Raises:
+        ValueError: For a negative count.
+    """
+    if min(only_first, only_second) < 0:
+        raise ValueError(f"{only_first} and {only_second} are not counts of pairs")
+    pairs = only_first + only_second
+    as_many = sum(comb(pairs, k) for k in range(only_first, pairs + 1))
+    return float(Fraction(as_many, 1 << pairs))
+
+
+def compare_counts(
+    violations: int,
+    n: int,
+    baseline_violations: int,
+    baseline_n: int,
+    confidence: float = 0.95,
+) -> Comparison:
+    """Whether a rate of violations changed against a baseline of other, independent episodes.
+
+    Fisher's exact test, once in each direction: given the sum of both counts, the violations among
+    the new episodes are hypergeometric if nothing changed (Fisher, "Statistical Methods for
+    Research Workers", 1925). Boschloo's test has more power, but its p-value is a supremum over
+    the unknown rate that must be searched for numerically, and a search that misses it errs
+    towards "worse" and "better" alike. Fisher's is a sum of whole numbers that anybody can check,
+    its level holds for every rate, and here it is computed without any rounding.
+
+    The words have level ``1 - confidence`` each. "No evidence of a change" is not evidence of no
+    change: two small campaigns always say so, and one without episodes does with p-values of 1.
+
+    Args:
+        violations: Violating episodes of the new campaign.
+        n: All its valid episodes.
+        baseline_violations: Violating episodes of the baseline.
+        baseline_n: All its valid episodes.
+        confidence: Above one half.
+
+    Raises:
+        ValueError: For counts that make no sense.
+        ConfigurationError: For a confidence outside (0.5, 1).
+    """
+    require_between("confidence", confidence, 0.5, 1.0)
+    for some, of in ((violations, n), (baseline_violations, baseline_n)):
+        if not 0 <= some <= of:
+            raise ValueError(f"{some} violations in {of} episodes is not a count")
+    p_better = _as_few(violations, n, baseline_violations, baseline_n)
+    p_worse = _as_few(baseline_violations, baseline_n, violations, n)
+    level = 1 - as_written(confidence)
+    word: ComparisonWord = "no evidence of a change"
+    if p_better <= level:
+        word = "better"
+    elif p_worse <= level:
+        word = "worse"
+    return Comparison(word, float(p_better), float(p_worse))
+
+
+def _as_few(violations: int, n: int, others: int, other_n: int) -> Fraction:
+    """Probability of so few violations among the n, given the sum of both counts."""
+    total = violations + others
+    fewest = max(0, total - other_n)
+    ways, found = comb(n, fewest) * comb(other_n, total - fewest), 0
+    for k in range(fewest, violations + 1):
+        found += ways
+        # From C(n, k) C(m, t - k) to k + 1; the division leaves no remainder.
+        ways = ways * (n - k) * (total - k) // ((k + 1) * (other_n - total + k + 1))
+    return Fraction(found, comb(n + other_n, total))
