@@ -1,0 +1,93 @@
+"""Exact comparisons against scipy, and what they say of few episodes."""
+
+from __future__ import annotations
+
+import pytest
+from scipy.stats import binomtest, fisher_exact
+
+from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.requirements.statistics import compare_counts, mcnemar, mcnemar_one_sided
+
+
+@pytest.mark.parametrize("first, second", [(11, 0), (4, 0), (3, 2), (5, 5), (40, 10), (158, 0)])
+def test_mcnemar_is_the_binomial_test_of_the_discordant_pairs(first, second) -> None:
+    pairs = first + second
+    assert mcnemar(first, second) == pytest.approx(binomtest(first, pairs).pvalue, rel=1e-9)
+    greater = binomtest(first, pairs, alternative="greater").pvalue
+    assert mcnemar_one_sided(first, second) == pytest.approx(greater, rel=1e-9)
+
+
+def test_mcnemar_without_discordant_pairs_says_nothing() -> None:
+    assert mcnemar(0, 0) == mcnemar_one_sided(0, 0) == 1.0
+
+
+def test_mcnemar_of_many_pairs_does_not_overflow() -> None:
+    assert 0.0 < mcnemar(2600, 2400) < 0.01
+
+
+def test_mcnemar_refuses_negative_counts() -> None:
+    with pytest.raises(ValueError, match="not counts of pairs"):
+        mcnemar(-1, 3)
+
+
+@pytest.mark.parametrize(
+    "k, n, base_k, base_n",
+    [
+        (1, 100, 12, 100),
+        (12, 100, 1, 100),
+        (3, 40, 30, 400),
+        (0, 5, 5, 5),
+        (7, 9, 0, 300),
+        (2, 2, 3, 3),
+    ],
+)
+def test_counts_are_compared_by_fishers_exact_test(k, n, base_k, base_n) -> None:
+    table = [[k, n - k], [base_k, base_n - base_k]]
+    found = compare_counts(k, n, base_k, base_n)
+    assert found.p_better == pytest.approx(fisher_exact(table, "less").pvalue, rel=1e-9)
+    assert found.p_worse == pytest.approx(fisher_exact(table, "greater").pvalue, rel=1e-9)
+
+
+def test_the_words() -> None:
+    assert compare_counts(1, 100, 12, 100).word == "better"
+    assert compare_counts(12, 100, 1, 100).word == "worse"
+    assert compare_counts(5, 100, 6, 100).word == "no evidence of a change"
+    assert compare_counts(1, 100, 8, 100, confidence=0.99).word == "no evidence of a change"
+    assert compare_counts(1, 100, 8, 100).word == "better"
+
+
+def test_a_p_value_that_equals_the_level_counts() -> None:
+    # 1 of C(6, 3) = 20 ways.
+    assert compare_counts(0, 3, 3, 3).p_better == 0.05
+    assert compare_counts(0, 3, 3, 3).word == "better"
+    assert compare_counts(3, 3, 0, 3).word == "worse"
+    assert compare_counts(0, 3, 3, 3, confidence=0.951).word == "no evidence of a change"
+
+
+@pytest.mark.parametrize("counts", [(0, 0, 3, 10), (3, 10, 0, 0), (0, 0, 0, 0), (0, 50, 0, 50)])
+def test_without_episodes_or_violations_there_is_no_evidence(counts) -> None:
+    found = compare_counts(*counts)
+    assert (found.word, found.p_better, found.p_worse) == ("no evidence of a change", 1.0, 1.0)
+
+
+@pytest.mark.parametrize("rate", [0.02, 0.1, 0.5])
+def test_the_words_keep_their_level_at_every_common_rate(rate) -> None:
+    """By enumeration of both counts."""
+    from scipy.stats import binom
+
+    n, m = 20, 30
+    wrong = {"better": 0.0, "worse": 0.0, "no evidence of a change": 0.0}
+    for k in range(n + 1):
+        for j in range(m + 1):
+            word = compare_counts(k, n, j, m).word
+            wrong[word] += binom.pmf(k, n, rate) * binom.pmf(j, m, rate)
+    assert wrong["better"] <= 0.05
+    assert wrong["worse"] <= 0.05
+
+
+@pytest.mark.parametrize("counts", [(3, 2, 0, 5), (0, 5, -1, 5), (-1, 5, 0, 5)])
+def test_counts_that_make_no_sense(counts) -> None:
+    with pytest.raises(ValueError, match="is not a count"):
+        compare_counts(*counts)
+    with pytest.raises(ConfigurationError, match="confidence"):
+        compare_counts(1, 2, 1, 2, confidence=0.4)
