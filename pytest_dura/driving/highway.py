@@ -26,6 +26,7 @@ from pytest_dura.driving.bodies import COLUMNS, NO_BODIES, BodyList
 from pytest_dura.driving.collisions import Contact, attribute
 from pytest_dura.driving.junction import ARM_LENGTH, ARMS, TURNS, Route, route
 from pytest_dura.driving.maneuvers import Command, Maneuver, acceleration_for
+from pytest_dura.driving.right_of_way import NOT_A_CAR
 from pytest_dura.driving.scenario import DrivingWorld, Traffic
 from pytest_dura.driving.sensors import EgoState, channels, route_map, signs
 
@@ -132,10 +133,10 @@ class HighwaySimulator(Simulator):
 
     def signals(self, ticks: Sequence[Tick]) -> dict[str, NDArray[np.float64]]:
         """See ``pytest_dura.driving.signals``."""
-        return signals.truth_signals(ticks, self._route.exit, self._dt)
+        return signals.truth_signals(ticks, self._route, self._dt)
 
     def percept_signals(self, percepts: Sequence[Percept]) -> dict[str, NDArray[np.float64]]:
-        """Gap, time to collision and speed as perceived."""
+        """See ``signals.PERCEPT_NAMES``."""
         return signals.percept_signals(percepts)
 
     def check_action(self, action: Any) -> Command:
@@ -284,12 +285,19 @@ class HighwaySimulator(Simulator):
                          body.LENGTH, body.WIDTH))  # fmt: skip
         return BodyList(tuple(ids), np.array(rows).reshape(-1, COLUMNS)) if ids else NO_BODIES
 
+    def _routes(self) -> tuple[int, ...]:
+        """The number of each body's route, in the order of the bodies."""
+        ego, road = self._ego, self._road
+        cars = [vehicle.plan.number for vehicle in road.vehicles if vehicle is not ego]
+        return (*cars, *(NOT_A_CAR for _ in road.objects))
+
     def _tick(self, events: tuple[tuple[str, str, str], ...]) -> Tick:
         state, bodies = self._state, self._bodies()
         contact = self._contact
         truth = {
             "ego": state,
             "bodies": bodies,
+            "routes": self._routes(),
             "contact": contact.code if contact else 0,
             "background_crashes": self._background_crashes,
         }

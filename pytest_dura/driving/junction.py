@@ -66,6 +66,11 @@ class Route:
         """Right of way, as in highway-env: 3 and 2 east-west, 1 and 0 north-south; left is less."""
         return (3 if self.origin % 2 else 1) - (self.turn == "left")
 
+    @cached_property
+    def number(self) -> int:
+        """Its place in ``all_routes()``."""
+        return 3 * self.origin + TURNS.index(self.turn)
+
     def __reduce__(self) -> tuple[Callable[[int, str], Route], tuple[int, str]]:
         """Copies are the same object: who drives on one lane is told by identity."""
         return route, (self.origin, self.turn)
@@ -132,6 +137,27 @@ class Route:
         angle = math.atan2(STOP_LINE - v, -past)
         distance = math.hypot(u - centre_x, v - STOP_LINE)
         return ARM_LENGTH + radius * angle, (radius - distance) * sign
+
+    def project_all(self, points: Floats) -> tuple[Floats, Floats, Floats]:
+        """``project`` of many points, shape ``(n, 2)``, and the route's heading beside each."""
+        turn = self.origin * math.pi / 2
+        c, sn = math.cos(turn), math.sin(turn)
+        u, v = c * points[:, 0] + sn * points[:, 1], c * points[:, 1] - sn * points[:, 0]
+        s, lateral = ARM_LENGTH + STOP_LINE - v, u - LANE_OFFSET
+        heading = np.full(len(points), turn - math.pi / 2)
+        if self.turn == "straight":
+            return s, lateral, heading
+        sign = 1.0 if self.turn == "right" else -1.0
+        radius = RIGHT_RADIUS if self.turn == "right" else LEFT_RADIUS
+        past = (u - (LANE_OFFSET + sign * radius)) * sign
+        turning, left = (v < STOP_LINE) & (past < 0.0), (v < STOP_LINE) & (past >= 0.0)
+        angle = np.arctan2(STOP_LINE - v, -past)
+        s = np.where(turning, ARM_LENGTH + radius * angle, np.where(left, self.exit + past, s))
+        beside = (radius - np.hypot(past, v - STOP_LINE)) * sign
+        after = (v - (STOP_LINE - radius)) * sign
+        lateral = np.where(turning, beside, np.where(left, after, lateral))
+        heading += sign * np.where(turning, angle, np.where(left, math.pi / 2, 0.0))
+        return s, lateral, heading
 
 
 @cache

@@ -1,6 +1,7 @@
 """Signals of an episode, computed once and vectorised over all its ticks.
 
-Units are SI. ``gap`` and ``ttc`` saturate at their caps, also on an empty road.
+Units are SI. What has no value on an empty road saturates at a declared cap there: ``gap``,
+``ttc``, ``leader_gap``, ``following_margin``, ``priority_arrival`` and ``gap_time``.
 """
 
 from __future__ import annotations
@@ -25,7 +26,9 @@ from pytest_dura.driving.bodies import (
     X,
     Y,
 )
-from pytest_dura.driving.junction import ARM_LENGTH
+from pytest_dura.driving.following import following_margin, leaders
+from pytest_dura.driving.junction import ARM_LENGTH, Route
+from pytest_dura.driving.right_of_way import right_of_way
 
 GAP_CAP = 50.0
 """m; farther objects do not matter at these speeds."""
@@ -37,53 +40,70 @@ _ROUNDING = 1e-6
 Floats = NDArray[np.float64]
 
 NAMES = (
-    "gap", "ttc", "speed", "acceleration", "jerk", "lateral_acceleration", "lateral_jerk",
+    "gap", "ttc", "leader_gap", "following_margin", "priority_arrival", "priority_braking",
+    "gap_time", "speed", "acceleration", "jerk", "lateral_acceleration", "lateral_jerk",
     "progress", "in_conflict_zone", "collided", "struck", "struck_standing", "cleared",
     "command_error", "background_crashes",
 )  # fmt: skip
+"""The ground-truth signals."""
+
+PERCEPT_NAMES = ("gap", "ttc", "leader_gap", "speed")
+"""The signals of percepts; an episode stores them as ``percept.gap`` and so on."""
 
 
-def truth_signals(ticks: Sequence[Tick], exit_at: float, dt: float) -> dict[str, Floats]:
-    """Ground-truth signals, each of shape ``(len(ticks),)``."""
+def truth_signals(ticks: Sequence[Tick], route: Route, dt: float) -> dict[str, Floats]:
+    """Ground-truth signals of an ego on a route, each of shape ``(len(ticks),)``."""
     ego = np.array([tick.truth["ego"] for tick in ticks], dtype=float)
     x, y, heading, speed, acceleration, commanded, yaw_rate, s, _ = ego.T
     contact = np.array([tick.truth["contact"] for tick in ticks], dtype=float)
-    gap, ttc = proximity(
-        np.stack([x, y, heading, speed * np.cos(heading), speed * np.sin(heading)], axis=1),
-        [tick.truth["bodies"] for tick in ticks],
-    )
+    bodies = [tick.truth["bodies"] for tick in ticks]
+    gap, ttc = proximity(_moving(x, y, heading, speed), bodies)
+    leader = leaders(route, s, bodies)
+    routes = [tick.truth["routes"] for tick in ticks]
+    priority = right_of_way(route, s, bodies, routes, dt)
     lateral = speed * yaw_rate
-    collided = contact > 0
+    collided = (contact > 0).astype(float)
     half = CAR_LENGTH / 2
     return {
         "gap": np.where(collided, 0.0, gap),
         "ttc": np.where(collided, 0.0, ttc),
+        "leader_gap": leader.gap,
+        "following_margin": following_margin(leader, speed, collided, dt),
+        "priority_arrival": priority.arrival,
+        "priority_braking": priority.braking,
+        "gap_time": priority.gap_time,
         "speed": speed,
         "acceleration": acceleration,
         "jerk": np.diff(acceleration, prepend=acceleration[:1]) / dt,
         "lateral_acceleration": lateral,
         "lateral_jerk": np.diff(lateral, prepend=lateral[:1]) / dt,
         "progress": s - s[0],
-        "in_conflict_zone": ((s + half > ARM_LENGTH) & (s - half < exit_at)).astype(float),
-        "collided": collided.astype(float),
+        "in_conflict_zone": ((s + half > ARM_LENGTH) & (s - half < route.exit)).astype(float),
+        "collided": collided,
         "struck": (contact >= 2).astype(float),
         "struck_standing": (contact == 3).astype(float),
-        "cleared": np.maximum.accumulate((s - half >= exit_at).astype(float)),
+        "cleared": np.maximum.accumulate((s - half >= route.exit).astype(float)),
         "command_error": np.abs(acceleration - commanded),
         "background_crashes": np.array([t.truth["background_crashes"] for t in ticks], float),
     }
 
 
 def percept_signals(percepts: Sequence[Percept]) -> dict[str, Floats]:
-    """The same as perceived: from localisation, odometry and lidar."""
+    """The same as perceived: from localisation, odometry, map and lidar."""
     poses = np.array([percept["localisation"] for percept in percepts], dtype=float)
     speed = np.array([percept["odometry"].speed for percept in percepts], dtype=float)
-    x, y, heading = poses.T
-    gap, ttc = proximity(
-        np.stack([x, y, heading, speed * np.cos(heading), speed * np.sin(heading)], axis=1),
-        [percept["lidar"] for percept in percepts],
-    )
-    return {"gap": gap, "ttc": ttc, "speed": speed}
+    bodies = [percept["lidar"] for percept in percepts]
+    gap, ttc = proximity(_moving(*poses.T, speed), bodies)
+    route = percepts[0]["map"].route
+    s, _, _ = route.project_all(poses[:, :2])
+    return {
+        "gap": gap, "ttc": ttc, "leader_gap": leaders(route, s, bodies).gap, "speed": speed,
+    }  # fmt: skip
+
+
+def _moving(x: Floats, y: Floats, heading: Floats, speed: Floats) -> Floats:
+    """``x, y, heading, vx, vy`` of an ego that moves along its heading."""
+    return np.stack([x, y, heading, speed * np.cos(heading), speed * np.sin(heading)], axis=1)
 
 
 def proximity(ego: Floats, bodies: Sequence[BodyList]) -> tuple[Floats, Floats]:
