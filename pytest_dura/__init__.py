@@ -9,8 +9,10 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from pytest_dura.campaign.campaigns import Campaign, RequirementViolated
     from pytest_dura.campaign.cases import Case
-    from pytest_dura.campaign.runner import Bench, Campaign, RequirementViolated
+    from pytest_dura.campaign.paired import PairedCampaign
+    from pytest_dura.campaign.runner import Bench
     from pytest_dura.core.conformance import check_role, check_simulator
     from pytest_dura.core.episode import Episode, EpisodeSpec, Policy, Termination
     from pytest_dura.core.errors import (
@@ -53,8 +55,9 @@ if TYPE_CHECKING:
         Tick,
     )
     from pytest_dura.requirements.campaigns import CampaignVerdict
+    from pytest_dura.requirements.checks import CheckResult
     from pytest_dura.requirements.episodes import EpisodeVerdict, JudgedEpisode
-    from pytest_dura.requirements.model import Requirement
+    from pytest_dura.requirements.model import Paired, Requirement
 
 __version__ = "0.1.0"
 
@@ -67,6 +70,7 @@ __all__ = [
     "Campaign",
     "CampaignVerdict",
     "Case",
+    "CheckResult",
     "ConfigurationError",
     "ConformanceError",
     "DependabilityMetrics",
@@ -84,6 +88,8 @@ __all__ = [
     "JudgedEpisode",
     "Lazy",
     "Orchestrator",
+    "Paired",
+    "PairedCampaign",
     "Percept",
     "PerformanceAssessment",
     "PerformanceOracle",
@@ -113,7 +119,9 @@ __all__ = [
 
 _HOMES = {
     "pytest_dura.campaign.cases": "Case",
-    "pytest_dura.campaign.runner": "Bench Campaign RequirementViolated",
+    "pytest_dura.campaign.campaigns": "Campaign RequirementViolated",
+    "pytest_dura.campaign.paired": "PairedCampaign",
+    "pytest_dura.campaign.runner": "Bench",
     "pytest_dura.core.conformance": "check_role check_simulator",
     "pytest_dura.core.episode": "Episode EpisodeSpec Policy Termination",
     "pytest_dura.core.errors": (
@@ -130,8 +138,9 @@ _HOMES = {
     "pytest_dura.core.simulator": "Simulator",
     "pytest_dura.core.state": "Event GeneratorView Lazy Percept RoleView StateManager Tick",
     "pytest_dura.requirements.campaigns": "CampaignVerdict",
+    "pytest_dura.requirements.checks": "CheckResult",
     "pytest_dura.requirements.episodes": "EpisodeVerdict JudgedEpisode",
-    "pytest_dura.requirements.model": "Requirement",
+    "pytest_dura.requirements.model": "Paired Requirement",
 }
 _HOME_OF = {name: module for module, names in _HOMES.items() for name in names.split()}
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from typing import Any, TypeAlias
 
@@ -24,6 +24,8 @@ FaultCampaign: TypeAlias = OneFault | Sequence[OneFault]
 """A fault by name or as data, several of them together, or ``none``."""
 
 NO_FAULTS = "none"
+WITHOUT = "~"
+"""Stands before a role that a case switches off."""
 
 
 @dataclass(frozen=True)
@@ -35,12 +37,30 @@ class Case:
         scenario: The scenario.
         faults: The planned faults as plain data, defaults filled in.
         requirements: Ids of the requirements that apply.
+        without: Roles that are switched off, for the second runs of pairs.
     """
 
     id: str
     scenario: Scenario
     faults: tuple[dict[str, Any], ...]
     requirements: tuple[str, ...]
+    without: tuple[str, ...] = ()
+
+    def switched_off(self, role: str) -> Case:
+        """The same case without a role, such as ``intersection/nominal~recovery_planner``.
+
+        Raises:
+            ConfigurationError: For an unknown role, and for the component under test.
+        """
+        check_role_name(role, switched_off=True)
+        if role == "generator":
+            raise ConfigurationError(
+                "the generator cannot be switched off",
+                found=role,
+                expected="another role",
+                remedy="compare two components by running the session with each of them",
+            )
+        return replace(self, id=f"{self.id}{WITHOUT}{role}", without=(*self.without, role))
 
     def seed(self, run: int, base_seed: int) -> int:
         """The seed of a run. Cases of one scenario share it, which makes their runs pairs."""
@@ -82,13 +102,19 @@ class Case:
             roles=self.roles(roles or {}),
             scenario={"name": scenario.name, "duration": scenario.duration, "world": world},
             faults=faults,
-            policy=Policy.parse(policy or scenario.policy),
+            policy=Policy.parse(policy or self.policy),
             termination=Termination(
                 time_limit=scenario.duration, violation=scenario.end_at_violation
             ),
             time_step=scenario.time_step,
             time_budget=scenario.time_budget,
         )
+
+    @property
+    def policy(self) -> str:
+        """The scenario's policy; ``log_only`` for ``recover`` without anybody to recover."""
+        off = "recovery_planner" in self.without
+        return "log_only" if off and self.scenario.policy == "recover" else self.scenario.policy
 
     def roles(self, overrides: Mapping[str, RoleSpec | None]) -> dict[str, RoleSpec]:
         """Overrides before the scenario's roles before the domain's defaults, by name.
@@ -107,8 +133,19 @@ class Case:
             if role not in chosen:
                 check_role_name(role, switched_off=spec is None)
             chosen[role] = spec
+        absent = [role for role in self.without if chosen.get(role) is None]
+        if absent:
+            raise ConfigurationError(
+                f"the case {self.id!r} has no role {absent[0]!r} to switch off",
+                key=absent[0],
+                found=", ".join(role for role, spec in chosen.items() if spec is not None),
+                expected="a role that runs in this case",
+                remedy="leave the comparison out, or give the case that role",
+            )
         roles = {
-            role: role_spec(role, spec, domain) for role, spec in chosen.items() if spec is not None
+            role: role_spec(role, spec, domain)
+            for role, spec in chosen.items()
+            if spec is not None and role not in self.without
         }
         if "generator" not in roles:
             raise ConfigurationError(

@@ -20,6 +20,7 @@ class Domain:
         generators: Of Generators that have a short name.
         world: Of the pydantic model of ``world``, for editors and for messages.
         signals: Of the names of the ground-truth signals.
+        percept_signals: Of the names of the percept signals, without the prefix ``percept.``.
     """
 
     simulator: str
@@ -27,6 +28,7 @@ class Domain:
     generators: Mapping[str, str] = field(default_factory=dict)
     world: str | None = None
     signals: str | None = None
+    percept_signals: str | None = None
 
 
 _PLANNERS = "pytest_dura.driving.roles.planners"

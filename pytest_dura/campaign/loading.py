@@ -4,21 +4,24 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TypeVar
 
 from pytest_dura.campaign.cases import no_match
 from pytest_dura.campaign.checks import problems_of
-from pytest_dura.campaign.domains import domain_of
-from pytest_dura.campaign.problems import combine, did_you_mean
+from pytest_dura.campaign.problems import combine
+from pytest_dura.campaign.references import (
+    applied,
+    check_reference,
+    too_long,
+    unused_requirements,
+)
 from pytest_dura.campaign.requirement_files import Located, is_requirement_file, read_requirements
 from pytest_dura.campaign.scenario import Scenario
-from pytest_dura.campaign.worlds import signal_names
 from pytest_dura.campaign.yaml_source import Document, read_yaml
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.requirements.bounds import check_time_step, parse
 from pytest_dura.requirements.model import Requirement
 
 SUFFIXES = (".yaml", ".yml")
@@ -32,12 +35,17 @@ R = TypeVar("R")
 class Library:
     """All scenarios and requirements of a session, checked against each other.
 
-    ``warnings`` are messages on what is allowed but probably not meant.
+    Args:
+        scenarios: By name, each with the requirements that apply to it.
+        requirements: By id.
+        warnings: Messages on what is allowed but probably not meant.
+        unused: Ids of the user's requirements that no scenario uses, and where each is defined.
     """
 
     scenarios: dict[str, Scenario]
     requirements: dict[str, Requirement]
     warnings: tuple[str, ...] = ()
+    unused: Mapping[str, str] = field(default_factory=dict)
 
 
 def builtin_paths() -> list[Path]:
@@ -70,11 +78,19 @@ def load_library(paths: Sequence[Path | str], *, builtin: bool = True) -> Librar
     documents = _documents(everything)
     scenarios = _scenarios(documents)
     requirements = _requirements(documents)
-    _check_references(scenarios, requirements)
+    scenarios = applied(scenarios, requirements)
+    _all(
+        lambda reference: check_reference(*reference, requirements),
+        [
+            (scenario, index)
+            for scenario in scenarios.values()
+            for index in range(len(scenario.requirements))
+        ],
+    )
     theirs = {str(file) for path in own for file in _files(path)}
-    warnings = [*_unused(scenarios, requirements, theirs), *_too_long(scenarios, requirements)]
     plain = {name: one.requirement for name, one in requirements.items()}
-    return Library(scenarios, plain, tuple(warnings))
+    unused = unused_requirements(scenarios, requirements, theirs)
+    return Library(scenarios, plain, tuple(too_long(scenarios, requirements)), unused)
 
 
 def load_scenarios(paths: Sequence[Path | str]) -> dict[str, Scenario]:
@@ -193,84 +209,6 @@ def _twice(
         expected=f"one {what} of this name",
         remedy="rename one of them, or leave one file out",
     )
-
-
-def _check_references(
-    scenarios: Mapping[str, Scenario], requirements: Mapping[str, Located]
-) -> None:
-    """Every requirement that a scenario names exists and can be judged on its signals."""
-
-    def check(reference: tuple[Scenario, int, str]) -> None:
-        scenario, index, name = reference
-        key = f"requirements.{index}"
-        file, line = scenario.file, scenario.line_of(key)
-        if name not in requirements:
-            raise ConfigurationError(
-                f"unknown requirement {name!r}",
-                file=file,
-                line=line,
-                key=key,
-                found=name,
-                expected="one of " + ", ".join(requirements) if requirements else "a requirement",
-                remedy=did_you_mean(name, requirements)
-                if requirements
-                else "define it in a requirement file, requirements.yaml",
-            )
-        located = requirements[name]
-        if not located.requirement.check:
-            raise ConfigurationError(
-                f"requirement {name!r} has no check, so no scenario can be judged by it",
-                file=file,
-                line=line,
-                key=key,
-                found=name,
-                expected="a requirement with a `check`",
-                remedy=f"add a `check` in {located.document.file}:{located.line}",
-            )
-        domain = domain_of(scenario.simulator.path)
-        known = signal_names(domain) if domain is not None else None
-        try:
-            formula = parse(located.requirement.check)
-            if known is not None:
-                parse(located.requirement.check, (*known, *formula.percept_signals))
-            check_time_step(formula, scenario.time_step)
-        except ConfigurationError as error:
-            raise located.error(error) from None
-
-    _all(
-        check,
-        [
-            (scenario, index, name)
-            for scenario in scenarios.values()
-            for index, name in enumerate(scenario.requirements)
-        ],
-    )
-
-
-def _unused(
-    scenarios: Mapping[str, Scenario], requirements: Mapping[str, Located], theirs: set[str]
-) -> list[str]:
-    used = {name for scenario in scenarios.values() for name in scenario.requirements}
-    return [
-        f"{one.document.file}:{one.line}: no scenario uses the requirement {name!r}"
-        for name, one in requirements.items()
-        if name not in used and one.document.file in theirs
-    ]
-
-
-def _too_long(scenarios: Mapping[str, Scenario], requirements: Mapping[str, Located]) -> list[str]:
-    """Formulas that look further ahead than the longest episode: undecided unless violated."""
-    found = []
-    for scenario in scenarios.values():
-        for name in scenario.requirements:
-            horizon = parse(requirements[name].requirement.check).horizon
-            if horizon is not None and horizon > scenario.duration:
-                found.append(
-                    f"{scenario.file}:{scenario.line_of('duration')}: the requirement {name!r} "
-                    f"looks {horizon:g} s ahead, but {scenario.name!r} ends after "
-                    f"{scenario.duration:g} s"
-                )
-    return found
 
 
 def _all(action: Callable[[T], R], items: Iterable[T]) -> list[R]:

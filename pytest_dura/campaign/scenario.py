@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import (
     AfterValidator,
@@ -86,6 +86,26 @@ class Choice(Entry):
     """The values."""
 
 
+class Budget(Entry):
+    """Runs that end once the requirement at hand is decided."""
+
+    until: Literal["decided"]
+    """The only condition there is."""
+    at_most: int = Field(ge=1, le=1_000_000)
+    """Greatest number of runs; what is open then is undecided."""
+
+
+def _kind_of_runs(value: object) -> str:
+    return "<budget>" if isinstance(value, (Mapping, Budget)) else "<number>"
+
+
+Runs = Annotated[
+    Annotated[Annotated[int, Field(ge=1, le=1_000_000)], Tag("<number>")]
+    | Annotated[Budget, Tag("<budget>")],
+    Discriminator(_kind_of_runs),
+]
+
+
 def _kind_of_variation(value: object) -> str:
     if isinstance(value, Choice) or (isinstance(value, Mapping) and "choice" in value):
         return "<choice>"
@@ -148,8 +168,8 @@ class Scenario(Entry):
     """Simulated seconds after which an episode ends."""
     time_step: float = Field(default=0.1, gt=0, le=60)
     """Simulated seconds per tick."""
-    runs: int = Field(default=1, ge=1, le=1_000_000)
-    """Planned episodes per case, each with a seed of its own."""
+    runs: Runs = 1
+    """Planned episodes per case, each with a seed of its own; or `{until: decided, at_most: N}`."""
     policy: Annotated[str, AfterValidator(_known_policy)] = "recover"
     """What follows a refused proposal: recover, halt, log_only, or refine(k), k at least 1."""
     time_budget: float | None = Field(default=5.0, gt=0)
@@ -192,6 +212,16 @@ class Scenario(Entry):
         scenario = validate(cls, document)
         scenario._source = document  # noqa: SLF001 - our own
         return scenario
+
+    @property
+    def planned(self) -> int:
+        """Episodes that are planned per case, or may be run at most."""
+        return self.runs.at_most if isinstance(self.runs, Budget) else self.runs
+
+    @property
+    def until_decided(self) -> bool:
+        """Whether runs end once the requirement at hand is decided."""
+        return isinstance(self.runs, Budget)
 
     @property
     def source(self) -> Document:

@@ -59,6 +59,12 @@ def signal_names(domain: Domain) -> tuple[str, ...] | None:
     return None if domain.signals is None else tuple(_attribute(domain.signals))
 
 
+def percept_signal_names(domain: Domain) -> tuple[str, ...] | None:
+    """The names of a domain's percept signals, without their prefix, imported now."""
+    path = domain.percept_signals
+    return None if path is None else tuple(_attribute(path))
+
+
 def _attribute(path: str) -> Any:
     module, _, name = path.partition(":")
     return getattr(importlib.import_module(module), name)

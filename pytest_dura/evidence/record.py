@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from pytest_dura.evidence.episodes import case_metrics
-from pytest_dura.requirements.campaigns import judge_campaign
 from pytest_dura.requirements.episodes import EpisodeVerdict
+from pytest_dura.requirements.judging import judge_campaign
+from pytest_dura.requirements.model import Requirement
 
 SCHEMA_VERSION = "1"
 UNKNOWN = "unknown"
@@ -174,8 +175,10 @@ class EvidenceRecord:
         planned = max(one["planned"] for one in told)
         names = EpisodeVerdict.__dataclass_fields__
         verdicts = [EpisodeVerdict(**{name: one[name] for name in names}) for one in told]
+        # Tests are a fixed number, and run in no fixed order: no sequential method applies.
+        judged_by = replace(self._requirement(requirement), method=None, p0=None)
         verdict = judge_campaign(
-            requirement, case, verdicts, planned=planned, component=component
+            judged_by, case, verdicts, planned=planned, component=component
         ).to_json()
         items = sorted({one["item"].partition("[")[0] for one in told})
         waivers = [self._waivers[one["item"]] for one in told if one["item"] in self._waivers]
@@ -205,13 +208,16 @@ class EvidenceRecord:
     def _not_run(self, item: str, expected: Data) -> Data:
         case = self._with_component(expected["case"])
         verdict = judge_campaign(
-            expected["requirement"],
+            self._requirement(expected["requirement"]),
             case["id"],
             [],
             planned=case["planned"],
             component=case["component"],
         ).to_json()
         return {**verdict, "check": "", "item": item, "waiver": None, "attempts": []}
+
+    def _requirement(self, name: str) -> Requirement:
+        return Requirement.from_json(self._requirements.get(name, {"id": name}))
 
     def _qualify(self, verdict: Data) -> None:
         """Take waivers into account, and doubts about the case's episodes."""

@@ -73,7 +73,7 @@ class SessionEvidence:
         chosen = set(items)
         for planned in self.session.plan:
             case = planned.case
-            runs = self.session.options.runs or case.scenario.runs
+            runs = self.session.options.runs or case.scenario.planned
             record = case_record(case, self._component(case), runs, self.session.options.runs)
             for name in planned.requirements:
                 item = f"{case.id}::{name}"

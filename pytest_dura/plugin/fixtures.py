@@ -11,8 +11,9 @@ from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.plugin.session import session_of
 
 if TYPE_CHECKING:
+    from pytest_dura.campaign.campaigns import Campaign
     from pytest_dura.campaign.cases import Case
-    from pytest_dura.campaign.runner import Bench, Campaign
+    from pytest_dura.campaign.runner import Bench
     from pytest_dura.core.episode import Episode
     from pytest_dura.core.roles import RoleSpec
     from pytest_dura.plugin.parametrize import Target
@@ -151,4 +152,9 @@ def _target(request: pytest.FixtureRequest) -> Target:
 def campaign(request: pytest.FixtureRequest, _dura_roles: None, orchestrator: Bench) -> Campaign:
     """All runs of a case, for tests with the marker ``dura``; simulated when they are looked at."""
     target = _target(request)
-    return orchestrator.campaign(target.case, target.planned, target.requirement)
+    return orchestrator.campaign(
+        target.case,
+        target.planned,
+        target.requirement,
+        until_decided=target.until_decided,
+    )

@@ -58,6 +58,9 @@ class SessionHooks:
 
     def pytest_itemcollected(self, item: pytest.Item) -> None:
         """Let the bench follow the role fixtures that the item sees, before any other fixture."""
+        for marker in item.iter_markers("requirement"):
+            self.session.named_requirements.update(map(str, marker.args[:1]))
+            self.session.named_requirements.add(str(marker.kwargs.get("id", "")))
         if uses_bench(item):
             names: list[str] = item.fixturenames  # type: ignore[attr-defined]
             if names[0] != "_dura_roles":
@@ -78,6 +81,12 @@ class SessionHooks:
         if any(uses_bench(item) for item in session.items):
             self.session.begin_evidence()
         self.session.evidence.expect([item.nodeid for item in session.items])
+
+    def pytest_report_collectionfinish(self) -> list[str]:
+        """Name the requirements that nothing uses."""
+        from pytest_dura.plugin.terminal import unused
+
+        return unused(self.session)
 
     @pytest.hookimpl(wrapper=True)
     def pytest_pyfunc_call(self, pyfuncitem: pytest.Function) -> Generator[None, Any, Any]:

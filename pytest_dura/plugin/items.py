@@ -68,7 +68,7 @@ def _judging(
     session: DuraSession, planned: Planned, requirement: Requirement
 ) -> Callable[..., None]:
     def judge(_dura_roles: None, orchestrator: Bench) -> None:
-        from pytest_dura.campaign.runner import reasons
+        from pytest_dura.campaign.reasons import reasons
 
         campaign = orchestrator.campaign(planned.case, requirement=requirement)
         try:
@@ -78,7 +78,7 @@ def _judging(
         session.reporter.verdict_reached(verdict, requirement)
         if verdict.verdict == "supported":
             return
-        lines = reasons(verdict, requirement, campaign.episodes)
+        lines = reasons(verdict, requirement, campaign.judged)
         if verdict.counterexamples:
             lines.append("replay:   " + replay_command(session, verdict.counterexamples[0].episode))
         lines.append("rerun:    " + rerun_command(session, f"{planned.case.id}::{requirement.id}"))

@@ -11,6 +11,7 @@ if TYPE_CHECKING:
 def show_list(session: DuraSession) -> int:
     """Print everything and return the exit code."""
     from pytest_dura.campaign.domains import DOMAINS
+    from pytest_dura.campaign.reasons import describe_check
     from pytest_dura.faults.catalogue import FAULT_TYPES
 
     library, options = session.library(), session.options
@@ -18,14 +19,17 @@ def show_list(session: DuraSession) -> int:
     for name, scenario in library.scenarios.items():
         faults = ", ".join(fault.name for fault in scenario.faults) or "none"
         lines.append(f"  {name}: {scenario.description}")
-        lines.append(f"      {scenario.runs} runs, {scenario.duration:g} s each, faults: {faults}")
+        runs = f"{scenario.planned} runs"
+        if scenario.until_decided:
+            runs = f"runs until decided, at most {scenario.planned}"
+        lines.append(f"      {runs}, {scenario.duration:g} s each, faults: {faults}")
         lines.append(f"      requirements: {', '.join(scenario.requirements) or 'none'}")
     lines += ["", "faults (name them in a marker or a scenario)"]
     lines += [f"  {name}" for name in sorted(FAULT_TYPES)]
     lines += ["", "requirements"]
     for name, requirement in library.requirements.items():
         lines.append(f"  {name} ({requirement.kind}): {requirement.text}")
-        lines.append(f"      {requirement.check or 'decided by test code'}")
+        lines += [f"      {line}" for line in describe_check(requirement)]
     for alias, domain in DOMAINS.items():
         lines += ["", f"roles of the domain {alias} (override the fixture of that name)"]
         lines += [f"  {role}: {path}" for role, path in domain.roles.items()]
@@ -34,12 +38,16 @@ def show_list(session: DuraSession) -> int:
     lines += ["", f"would run with --dura-scenarios, base seed {options.seed}"]
     episodes = 0
     for planned in session.plan:
-        runs = options.runs or planned.case.scenario.runs
-        episodes += runs
+        number = options.runs or planned.case.scenario.planned
+        episodes += number
         lines += [f"  {planned.case.id}::{name}" for name in planned.requirements]
-        lines.append(f"      {runs} episodes")
+        lines.append(f"      {number} episodes")
     items = sum(len(planned.requirements) for planned in session.plan)
     lines.append(f"{items} items, {len(session.plan)} cases, {episodes} episodes")
     lines += [f"warning: {one}" for one in library.warnings]
+    lines += [
+        f"warning: {place}: no scenario uses the requirement {name!r}"
+        for name, place in library.unused.items()
+    ]
     print("\n".join(lines))  # noqa: T201 - it is what was asked for
     return 0

@@ -25,6 +25,7 @@ class Target:
     run: int
     planned: int
     requirement: Requirement | None
+    until_decided: bool = False
 
 
 def parametrize(session: DuraSession, metafunc: pytest.Metafunc, marker: pytest.Mark) -> None:
@@ -129,10 +130,15 @@ def _targets(
     requirement = requirements[0] if requirements else None
     targets = []
     for case in cases:
-        planned = session.options.runs or _runs(given["runs"]) or case.scenario.runs
+        planned, until_decided = _runs(given["runs"], case)
+        planned = session.options.runs or planned
+        if each_run and until_decided:
+            raise _wrong(
+                "runs", given["runs"] or case.scenario.runs, "a number of runs, for one test a run"
+            )
         for run in range(planned) if each_run else [0]:
             name = f"{case.id}#{run}" if each_run else case.id
-            targets.append((Target(case, run, planned, requirement), name))
+            targets.append((Target(case, run, planned, requirement, until_decided), name))
     return targets
 
 
@@ -163,10 +169,17 @@ def _are_campaigns(faults: Any) -> bool:
     )
 
 
-def _runs(value: Any) -> int | None:
-    if value is not None and (not isinstance(value, int) or isinstance(value, bool) or value < 1):
-        raise _wrong("runs", value, "a whole number of at least 1")
-    return value
+def _runs(value: Any, case: Case) -> tuple[int, bool]:
+    """How many runs there are at most, and whether they end once the requirement is decided."""
+    if value is None:
+        return case.scenario.planned, case.scenario.until_decided
+    budget = isinstance(value, Mapping)
+    number = value.get("at_most") if budget else value
+    fits = isinstance(number, int) and not isinstance(number, bool) and number >= 1
+    if not fits or (budget and dict(value) != {"until": "decided", "at_most": number}):
+        expected = 'a whole number of at least 1, or {"until": "decided", "at_most": 400}'
+        raise _wrong("runs", value, expected)
+    return number, budget
 
 
 def _wrong(key: str, found: Any, expected: str) -> ConfigurationError:

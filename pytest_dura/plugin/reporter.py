@@ -57,6 +57,7 @@ class Reporter:
     def verdict_reached(self, verdict: CampaignVerdict, requirement: Requirement) -> None:
         """A campaign was judged, and what its episodes are worth along with it."""
         self._used.pop(verdict.case, None)
+        self._used.pop((verdict.pairs or {}).get("case", verdict.case), None)
         self._report.verdicts.append({**verdict.to_json(), "check": requirement.check})
         self._requirement_used(requirement)
         self._planned(verdict.case, verdict.component, verdict.planned)
@@ -71,7 +72,7 @@ class Reporter:
 
     def body_passed(self, item: pytest.Function) -> None:
         """A test passed; fail it if the episodes that it looked at do not carry that."""
-        from pytest_dura.campaign.runner import Campaign
+        from pytest_dura.campaign.campaigns import Campaign
         from pytest_dura.requirements.verdicts import JudgedEpisode
 
         for used in self._used.values():
@@ -99,7 +100,7 @@ class Reporter:
 
     def _check_share(self, used: Sequence[JudgedEpisode]) -> None:
         """Too many invalid episodes leave a campaign undecided that no verdict was asked of."""
-        from pytest_dura.requirements.campaigns import MAX_INVALID_SHARE
+        from pytest_dura.requirements.judging import MAX_INVALID_SHARE
 
         episodes = {one.id: one for one in used}.values()
         invalid = [one for one in episodes if one.validity == "invalid"]

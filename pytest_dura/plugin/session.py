@@ -16,6 +16,8 @@ from pytest_dura.plugin.overrides import conftest_defining, root_conftest_with
 from pytest_dura.plugin.reporter import Reporter
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from pytest_dura.campaign.cases import Case
     from pytest_dura.campaign.loading import Library
     from pytest_dura.campaign.runner import Bench
@@ -43,6 +45,8 @@ class DuraSession:
         self.plan: list[Planned] = []
         self.reporter = Reporter(self)
         self.evidence = SessionEvidence(self)
+        self.named_requirements: set[str] = set()
+        """Ids that the markers of collected tests name."""
         self._own_arguments: set[str] = set()
         self._library: Library | ConfigurationError | None = None
         self._defaults: dict[str, RoleSpec] = {}
@@ -131,6 +135,17 @@ class DuraSession:
         if isinstance(self._library, ConfigurationError):
             raise self._library.with_traceback(None)
         return self._library
+
+    @property
+    def unused(self) -> Mapping[str, str]:
+        """Requirements that neither a scenario nor a collected test uses, and their places.
+
+        Empty where nothing needed the requirement files, or they cannot be used.
+        """
+        if self._library is None or isinstance(self._library, ConfigurationError):
+            return {}
+        found = self._library.unused
+        return {name: found[name] for name in found if name not in self.named_requirements}
 
     @cached_property
     def bench(self) -> Bench:

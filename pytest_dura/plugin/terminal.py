@@ -27,7 +27,7 @@ def header(session: DuraSession) -> list[str]:
     if component:
         parts.insert(0, f"component under test {component}")
     if plan:
-        runs = sum(options.runs or planned.case.scenario.runs for planned in plan)
+        runs = sum(options.runs or planned.case.scenario.planned for planned in plan)
         parts.append(f"{_counted(len(plan), 'case')}, {_counted(runs, 'episode')}")
     lines = ["dura: " + ", ".join(parts)]
     if options.runs is not None:
@@ -40,6 +40,14 @@ def header(session: DuraSession) -> list[str]:
             for file, role in overrides_deeper_down(session.config)
         ]
     return lines
+
+
+def unused(session: DuraSession) -> list[str]:
+    """Requirements that are defined and decided by nothing, which is probably not meant."""
+    return [
+        f"dura: warning: {place}: no scenario and no collected test uses the requirement {name!r}"
+        for name, place in session.unused.items()
+    ]
 
 
 def _component(session: DuraSession) -> str:
@@ -195,7 +203,7 @@ def _show_failure(
         terminal.line(f"  check:  {check}")
     episode = None
     if first["counterexamples"]:
-        from pytest_dura.campaign.runner import describe_counterexample
+        from pytest_dura.campaign.reasons import describe_counterexample
 
         episode = first["counterexamples"][0]["episode"]
         terminal.line(f"  worst:  {describe_counterexample(first['counterexamples'][0])}")

@@ -54,6 +54,7 @@ class Evaluation:
     time: float | None
     worst_time: float
     detail: str
+    vacuous: bool = False
 
     @property
     def robustness(self) -> float:

@@ -3,15 +3,25 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, fields
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pytest_dura.core.episode import Episode
-from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.errors import ConfigurationError, describe_error
+from pytest_dura.core.loop_signals import PREFIX, loop_signals
 from pytest_dura.requirements.bounds import Evaluation, Formula, evaluate, parse
+from pytest_dura.requirements.checks import (
+    Check,
+    CheckResult,
+    check_name,
+    check_result,
+    is_function_path,
+    load_function,
+)
 from pytest_dura.requirements.formula import unknown_signal
 from pytest_dura.requirements.model import Requirement
 
@@ -30,6 +40,7 @@ class EpisodeVerdict:
         margin: Robustness; ``None`` where there is no trace to measure it on.
         time: Seconds at which the requirement was violated first, for a violation.
         detail: Why, in words.
+        vacuous: Whether it is satisfied only because its condition never held.
         proposals: How often the component was asked.
         valid_proposals: How often it answered with a valid action.
     """
@@ -43,6 +54,7 @@ class EpisodeVerdict:
     detail: str
     proposals: int
     valid_proposals: int
+    vacuous: bool = False
 
     def to_json(self) -> dict[str, Any]:
         """Plain data."""
@@ -54,49 +66,101 @@ class EpisodeVerdict:
         return cls(**data)
 
 
-def judge_episode(requirement: Requirement, episode: Episode) -> EpisodeVerdict:
+def judge_episode(
+    requirement: Requirement, episode: Episode, check: Check | None = None
+) -> EpisodeVerdict:
     """The verdict of a requirement's check on an episode.
 
+    Args:
+        requirement: The requirement.
+        episode: The episode.
+        check: A check in place of the requirement's own.
+
     Raises:
-        ConfigurationError: If the requirement has no check, or its check cannot be read or names
+        ConfigurationError: If there is no check, or it cannot be read or imported or names
             a signal that the episode does not have.
     """
-    if not requirement.check:
+    check = requirement.check if check is None else check
+    if not check:
         raise ConfigurationError(
             f"requirement {requirement.id!r} has no check",
             key="check",
-            expected="a formula such as `always (gap > 0)`",
+            expected="a formula such as `always (gap > 0)`, or the path of a function",
             remedy="add a check, or judge it in test code",
         )
-    formula = parse(requirement.check)
-    word, found, detail = _word(formula, episode)
-    margin = found.margin if found is not None and math.isfinite(found.margin) else None
+    word, result = _judged(check, episode)
     return EpisodeVerdict(
         requirement=requirement.id,
         episode=episode.id,
         component=episode.spec.component,
         verdict=word,
-        margin=margin,
-        time=found.time if found is not None and word == "violated" else None,
-        detail=detail,
+        margin=result.margin,
+        time=result.time if word == "violated" else None,
+        detail=result.detail,
         proposals=episode.metrics.proposals,
         valid_proposals=episode.metrics.valid_proposals,
+        vacuous=result.vacuous and word == "satisfied",
     )
 
 
-def _word(formula: Formula, episode: Episode) -> tuple[EpisodeWord, Evaluation | None, str]:
+def _judged(check: Check, episode: Episode) -> tuple[EpisodeWord, CheckResult]:
+    if isinstance(check, str) and not is_function_path(check):
+        return _by_formula(parse(check), episode)
+    function = load_function(check) if isinstance(check, str) else check
+    return _by_function(function, check_name(check), episode)
+
+
+def _by_formula(formula: Formula, episode: Episode) -> tuple[EpisodeWord, CheckResult]:
     found, gap = evaluate_episode(formula, episode)
-    if found is not None and found.status == "violated":
-        return "violated", found, found.detail
-    if episode.failure is not None:
-        return "missing", found, episode.failure
-    if episode.validity == "invalid":
-        return "invalid", found, episode.invalid_reason or "the episode is not valid"
     if found is None:
-        return "missing", None, "the episode has no samples"
+        return "missing", CheckResult(False, detail=episode.failure or "the episode has no samples")
+    margin = found.margin if math.isfinite(found.margin) else None
+
+    def result(detail: str, *, holds: bool = False) -> CheckResult:
+        return CheckResult(holds, margin, found.time, detail, holds and found.vacuous)
+
+    if found.status == "violated":
+        return "violated", result(found.detail)
+    spoilt = _spoilt(episode)
+    if spoilt is not None:
+        return spoilt[0], result(spoilt[1])
     if found.status == "undecided":
-        return "invalid", found, gap or found.detail
-    return "satisfied", found, found.detail
+        range_ = f"robustness between {found.lower:.3g} and {found.upper:.3g}"
+        return "invalid", result(gap or f"{found.detail}: {range_}")
+    return "satisfied", result(found.detail, holds=True)
+
+
+def _by_function(
+    function: Callable[..., Any], name: str, episode: Episode
+) -> tuple[EpisodeWord, CheckResult]:
+    """A function sees complete episodes only: it cannot know what a prefix may become."""
+    if episode.failure is not None or episode.ticks == 0:
+        detail = episode.failure or "the episode has no samples"
+        return "missing", CheckResult(False, detail=detail)
+    try:
+        result = check_result(function(JudgedEpisode.of(episode)))
+    except ConfigurationError:
+        raise
+    except Exception as error:
+        detail = f"infrastructure: check {name}: {describe_error(error)}"
+        return "missing", CheckResult(False, detail=detail)
+    if result.margin is not None and not math.isfinite(result.margin):
+        result = CheckResult(result.holds, None, result.time, result.detail, result.vacuous)
+    if not result.holds:
+        return "violated", result
+    spoilt = _spoilt(episode)
+    if spoilt is not None:
+        return spoilt[0], CheckResult(False, result.margin, None, spoilt[1])
+    return "satisfied", result
+
+
+def _spoilt(episode: Episode) -> tuple[EpisodeWord, str] | None:
+    """Why an episode that violated nothing says nothing, if so."""
+    if episode.failure is not None:
+        return "missing", episode.failure
+    if episode.validity == "invalid":
+        return "invalid", episode.invalid_reason or "the episode is not valid"
+    return None
 
 
 def evaluate_episode(formula: Formula, episode: Episode) -> tuple[Evaluation | None, str | None]:
@@ -108,12 +172,13 @@ def evaluate_episode(formula: Formula, episode: Episode) -> tuple[Evaluation | N
     Raises:
         ConfigurationError: For a signal that the episode does not have.
     """
-    missing = [name for name in formula.signals if name not in episode.signals]
+    known = _columns(formula, episode)
+    missing = [name for name in formula.signals if name not in known]
     if missing and (episode.signals or episode.failure is None):
-        raise unknown_signal(missing[0], episode.signals, str(formula), None)
+        raise unknown_signal(missing[0], known, str(formula), None)
     if missing or episode.ticks == 0:
         return None, None
-    columns = {name: episode.signals[name] for name in formula.signals}
+    columns = {name: known[name] for name in formula.signals}
     finite = np.logical_and.reduce([np.isfinite(column) for column in columns.values()])
     samples = episode.ticks if finite.all() else int(np.argmin(finite))
     gap = None
@@ -126,6 +191,13 @@ def evaluate_episode(formula: Formula, episode: Episode) -> tuple[Evaluation | N
     complete = samples == episode.ticks and episode.failure is None
     cut = {name: column[:samples] for name, column in columns.items()}
     return evaluate(formula, episode.time[:samples], cut, complete=complete), gap
+
+
+def _columns(formula: Formula, episode: Episode) -> Mapping[str, NDArray[np.float64]]:
+    """The episode's signals, and those of the loop where the formula reads one."""
+    if any(name.startswith(PREFIX) for name in formula.signals):
+        return {**episode.signals, **loop_signals(episode)}
+    return episode.signals
 
 
 @dataclass
@@ -149,10 +221,10 @@ class JudgedEpisode(Episode):
         found, _ = evaluate_episode(parse(formula), self)
         return -math.inf if found is None else found.robustness
 
-    def satisfies(self, formula: str) -> bool:
-        """Whether a formula is decided and holds on this episode, which is itself valid.
+    def satisfies(self, check: Check) -> bool:
+        """Whether a check is decided and holds on this episode, which is itself valid.
 
         Raises:
-            ConfigurationError: If the formula cannot be read or names an unknown signal.
+            ConfigurationError: If a formula cannot be read or names an unknown signal.
         """
-        return _word(parse(formula), self)[0] == "satisfied"
+        return _judged(check, self)[0] == "satisfied"

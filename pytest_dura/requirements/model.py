@@ -9,6 +9,30 @@ from typing import Any, Literal, get_args
 Kind = Literal["safety", "security", "performance", "recovery"]
 KINDS: tuple[str, ...] = get_args(Kind)
 
+Method = Literal["fixed", "sprt", "e-process"]
+FAULTS = "faults"
+"""What stands for all faults of a case in :class:`Paired`."""
+METHODS: tuple[str, ...] = get_args(Method)
+
+
+@dataclass(frozen=True, slots=True)
+class Paired:
+    """A requirement on pairs: the same seeds with something and without it.
+
+    Without a ``measure``, a pair violates the requirement if its check is violated with it and
+    satisfied without it. With one, a pair does if the measure grows by more than
+    ``change_at_most``.
+
+    Args:
+        without: ``faults``, or the role that is switched off in the second run of each pair.
+        measure: Import path ``package.module:function`` of a function of an episode to a number.
+        change_at_most: Greatest acceptable growth of the measure, in its unit.
+    """
+
+    without: str
+    measure: str = ""
+    change_at_most: float | None = None
+
 
 @dataclass(frozen=True, slots=True)
 class Requirement:
@@ -19,8 +43,16 @@ class Requirement:
         text: What is required, in words.
         kind: The kind of dependability it belongs to.
         source: Where it comes from: a standard, a hazard analysis, a contract.
-        check: Formula over signals that each episode must satisfy; empty where test code checks.
+        check: Formula over signals that an episode must satisfy, or the import path
+            ``package.module:function`` of a function of the episode; empty where test code checks.
         reason: Why the bound is what it is.
+        at_most: Greatest acceptable rate of episodes that violate it; ``None`` accepts none.
+        confidence: One-sided confidence of the bound on that rate.
+        method: How a rate is decided; by default ``fixed`` for a fixed number of runs and
+            ``e-process`` for runs until it is decided.
+        p0: For ``sprt``, the rate below ``at_most`` up to which a component is rarely rejected.
+        applies_to: Globs of the scenarios to which it applies besides those that name it.
+        paired: What the second run of each pair lacks, for a requirement on pairs.
     """
 
     id: str
@@ -29,12 +61,25 @@ class Requirement:
     source: str = ""
     check: str = ""
     reason: str = ""
+    at_most: float | None = None
+    confidence: float = 0.95
+    method: Method | None = None
+    p0: float | None = None
+    applies_to: tuple[str, ...] = ()
+    paired: Paired | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Plain data for files and the evidence record."""
-        return asdict(self)
+        return {**asdict(self), "applies_to": list(self.applies_to)}
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Requirement:
         """The inverse of :meth:`to_json`."""
-        return cls(**data)
+        paired = data.get("paired")
+        return cls(
+            **{
+                **data,
+                "applies_to": tuple(data.get("applies_to", ())),
+                "paired": None if paired is None else Paired(**paired),
+            }
+        )

@@ -14,6 +14,7 @@ from pytest_dura.campaign.cases import expand_cases
 from pytest_dura.campaign.scenario import Scenario
 from pytest_dura.campaign.yaml_source import parse_yaml
 from pytest_dura.requirements.statistics import lower_bound, runs_needed, upper_bound
+from pytest_dura.requirements.model import Requirement
 from pytest_dura.requirements.verdicts import CampaignVerdict, EpisodeVerdict, judge_campaign
 
 relaxed = settings(deadline=None, max_examples=60)
@@ -131,7 +132,7 @@ rates = st.none() | st.floats(0.01, 0.9)
 def test_the_counts_of_a_campaign_add_up(
     found: list[EpisodeVerdict], planned: int, at_most: float | None
 ) -> None:
-    verdict = judge_campaign("R", "c", found, planned=planned, at_most=at_most)
+    verdict = judge_campaign(Requirement("R", at_most=at_most), "c", found, planned=planned)
     assert verdict.run == len(found) == verdict.episodes + verdict.invalid + verdict.missing
     assert verdict.violations == len(verdict.counterexamples) <= verdict.episodes
     assert CampaignVerdict.from_json(json.loads(json.dumps(verdict.to_json()))) == verdict
@@ -147,8 +148,8 @@ def test_the_gate_fails_closed_whatever_is_lost(
     found: list[EpisodeVerdict], planned: int, at_most: float | None
 ) -> None:
     planned = max(planned, len(found))
-    whole = judge_campaign("R", "c", found, planned=planned, at_most=at_most)
-    part = judge_campaign("R", "c", found[:-1], planned=planned, at_most=at_most)
+    whole = judge_campaign(Requirement("R", at_most=at_most), "c", found, planned=planned)
+    part = judge_campaign(Requirement("R", at_most=at_most), "c", found[:-1], planned=planned)
     if found:
         assert part.verdict != "supported"
     if at_most is None and part.verdict == "violated":

@@ -115,7 +115,7 @@ def test_a_library_warns_of_requirements_that_nobody_uses(tmp_path: Path) -> Non
     assert list(library.requirements) == ["A", "B"]
     assert library.requirements["A"].check == "always (headroom > 0)"
     place = tmp_path / "requirements.yaml"
-    assert library.warnings == (f"{place}:6: no scenario uses the requirement 'B'",)
+    assert library.unused == {"B": f"{place}:6"}
 
 
 def test_built_in_requirements_that_nobody_uses_are_no_warning(
@@ -125,9 +125,8 @@ def test_built_in_requirements_that_nobody_uses_are_no_warning(
         (tmp_path / folder).mkdir()
         (tmp_path / folder / "requirements.yaml").write_text(requirement(name))
     monkeypatch.setattr(loading, "builtin_paths", lambda: [tmp_path / "builtin"])
-    (warning,) = load_library([tmp_path / "own"]).warnings
-    assert "'A'" in warning
-    assert load_library([]).warnings == ()
+    assert list(load_library([tmp_path / "own"]).unused) == ["A"]
+    assert not load_library([]).unused
 
 
 def test_a_library_warns_of_formulas_beyond_the_episode(tmp_path: Path) -> None:

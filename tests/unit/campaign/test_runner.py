@@ -6,9 +6,10 @@ import pytest
 from thermostat import Controller, Thermostat
 
 from pytest_dura import ConfigurationError, RoleSpec
+from pytest_dura.campaign.campaigns import RequirementViolated
 from pytest_dura.campaign.components import LocalRole, generator_option, given_role
 from pytest_dura.campaign.loading import load_library
-from pytest_dura.campaign.runner import Bench, RequirementViolated
+from pytest_dura.campaign.runner import Bench
 from pytest_dura.requirements.model import Requirement
 
 SCENARIO = """

@@ -4,8 +4,8 @@ import copy
 
 from pytest_dura.evidence.episodes import case_metrics
 from pytest_dura.evidence.record import UNKNOWN, EvidenceRecord
-from pytest_dura.requirements.campaigns import judge_campaign
-from pytest_dura.requirements.episodes import EpisodeVerdict
+from pytest_dura.requirements.model import Requirement
+from pytest_dura.requirements.verdicts import EpisodeVerdict, judge_campaign
 
 REQUIREMENT = {"id": "R", "text": "t", "kind": "safety", "source": "", "check": "", "reason": ""}
 
@@ -35,7 +35,7 @@ def verdict(word="satisfied", run=0, component="C"):
 
 def campaign(*words):
     verdicts = [verdict(word, run) for run, word in enumerate(words)]
-    made = judge_campaign("R", "a/b", verdicts, planned=len(words), component="C")
+    made = judge_campaign(Requirement("R"), "a/b", verdicts, planned=len(words), component="C")
     return {**made.to_json(), "check": "x"}
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from pytest_dura import ConfigurationError
+from pytest_dura import ConfigurationError, Requirement
 from pytest_dura.requirements.verdicts import CampaignVerdict, EpisodeVerdict, judge_campaign
 
 KEYS_OF_THE_RECORD = {
@@ -37,7 +37,7 @@ def judge(
     verdicts: list[EpisodeVerdict], planned: int | None = None, **rate: Any
 ) -> CampaignVerdict:
     planned = len(verdicts) if planned is None else planned
-    return judge_campaign("R", "case", verdicts, planned=planned, **rate)
+    return judge_campaign(Requirement("R", **rate), "case", verdicts, planned=planned)
 
 
 def test_supported_when_every_episode_satisfied_it() -> None:
@@ -102,7 +102,7 @@ def test_no_valid_episode_supports_nothing() -> None:
 
 
 def test_nothing_was_run() -> None:
-    found = judge([], planned=5, component="Planner")
+    found = judge_campaign(Requirement("R"), "case", [], planned=5, component="Planner")
     assert (found.verdict, found.component, found.run) == ("undecided", "Planner", 0)
     assert "only 0 of 5 planned" in found.reason
     assert judge([], planned=0).verdict == "undecided"
@@ -169,7 +169,7 @@ def test_what_was_not_run_cannot_make_a_rate_violated() -> None:
 
 @pytest.mark.parametrize("rate", [{"at_most": 0.0}, {"at_most": 1.0}, {"confidence": 1.5}])
 def test_a_rate_outside_its_range(rate: dict[str, float]) -> None:
-    with pytest.raises(ConfigurationError, match="strictly between 0 and 1") as caught:
+    with pytest.raises(ConfigurationError, match="lies strictly between") as caught:
         judge(some(satisfied=3), **rate)
     assert caught.value.key in rate
 

@@ -1,0 +1,188 @@
+"""Campaign: all episodes of a case that a verdict rests on."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+from pytest_dura.campaign.cases import Case
+from pytest_dura.campaign.reasons import reasons
+from pytest_dura.core.errors import ConfigurationError, DuraError
+from pytest_dura.requirements.campaigns import CampaignVerdict
+from pytest_dura.requirements.checks import Check, check_name
+from pytest_dura.requirements.episodes import JudgedEpisode, judge_episode
+from pytest_dura.requirements.judging import CampaignJudge
+from pytest_dura.requirements.model import Method, Requirement
+
+if TYPE_CHECKING:
+    from pytest_dura.campaign.paired import PairedCampaign
+    from pytest_dura.campaign.runner import Bench
+
+EXTRA_SHARE = 0.2
+"""Further runs that may follow invalid ones, as a share of a fixed number of planned runs."""
+
+
+class RequirementViolated(DuraError):  # noqa: N818 - it is an outcome, not an error
+    """A campaign does not support a requirement. ``verdict`` holds the counts it rests on."""
+
+    def __init__(self, message: str, verdict: CampaignVerdict) -> None:
+        self.verdict = verdict
+        super().__init__(message)
+
+
+@dataclass(repr=False)
+class Campaign:
+    """All episodes of a case that a verdict rests on.
+
+    Args:
+        bench: What runs the episodes.
+        case: The case.
+        planned: Episodes that are planned, or may be run at most.
+        requirement: What :meth:`require` decides.
+        until_decided: Whether runs end as soon as the requirement at hand is decided.
+    """
+
+    bench: Bench
+    case: Case
+    planned: int
+    requirement: Requirement | None = None
+    until_decided: bool = False
+    judged: list[JudgedEpisode] = field(default_factory=list, init=False)
+    """The episodes that the last verdict rests on."""
+
+    def __repr__(self) -> str:
+        return f"Campaign({self.case.id!r}, {self.planned} runs planned)"
+
+    @property
+    def component(self) -> str:
+        """Name of the component under test."""
+        return self.case.roles(self.bench.roles)["generator"].label
+
+    @property
+    def episodes(self) -> list[JudgedEpisode]:
+        """The planned runs, and a further run for each invalid one as far as the budget goes."""
+        return list(self)
+
+    def __iter__(self) -> Iterator[JudgedEpisode]:
+        budget = 0 if self.until_decided else math.ceil(EXTRA_SHARE * self.planned)
+        run, end = 0, self.planned
+        while run < end:
+            episode = self.run(run, end)
+            yield episode
+            run += 1
+            if episode.validity == "invalid" and end < self.planned + budget:
+                end += 1
+        self.bench.on_progress(self.case, run, end)
+
+    def run(self, run: int, end: int) -> JudgedEpisode:
+        """The run of this number, of so many that are to come for all that is known."""
+        self.bench.on_progress(self.case, run, end)
+        return self.bench.episode(self.case, run, planned=self.planned)
+
+    def judge(self, requirement: Requirement, check: Check | None = None) -> CampaignVerdict:
+        """The verdict of a requirement on as many episodes as it needs.
+
+        Args:
+            requirement: The requirement; its rate and method say how many episodes it needs.
+            check: A check in place of the requirement's own.
+
+        Raises:
+            ConfigurationError: For a check that cannot be read, and a rate or method that makes
+                no sense.
+        """
+        if requirement.paired is not None:
+            return self.paired(requirement.paired.without).judge(requirement, check)
+        judge = self._judge(requirement)
+        self.judged = []
+        for episode in self.enough_for(judge):
+            judge.add(judge_episode(requirement, episode, check))
+            self.judged.append(episode)
+        return judge.verdict()
+
+    def _judge(self, requirement: Requirement) -> CampaignJudge:
+        return CampaignJudge(
+            requirement,
+            self.case.id,
+            planned=self.planned,
+            component=self.component,
+            until_decided=self.until_decided,
+        )
+
+    def enough_for(self, judge: CampaignJudge) -> Iterator[JudgedEpisode]:
+        """Episodes until the judge needs no more of them, or the plan or budget is used up."""
+        if not judge.sequential:
+            yield from self
+            return
+        run = 0
+        while run < self.planned and not judge.decided:
+            yield self.run(run, self.planned)
+            run += 1
+        self.bench.on_progress(self.case, run, run)
+
+    def paired(self, without: str) -> PairedCampaign:
+        """The same runs beside runs of equal seeds without something.
+
+        Args:
+            without: ``faults``, or the name of a role that is switched off there.
+
+        Raises:
+            ConfigurationError: If there is no such role, or there are no faults.
+        """
+        from pytest_dura.campaign.paired import PairedCampaign
+
+        return PairedCampaign(self, without)
+
+    def require(
+        self,
+        check: Check,
+        at_most: float | None = None,
+        confidence: float = 0.95,
+        method: Method | None = None,
+        p0: float | None = None,
+    ) -> CampaignVerdict:
+        """The verdict of a check, if the campaign supports it.
+
+        Args:
+            check: Formula over signals, or a function of the episode or its import path.
+            at_most: Greatest acceptable rate of episodes that violate it; by default none may.
+            confidence: One-sided confidence of the bound on that rate.
+            method: ``fixed`` for the planned number of runs; ``sprt`` or ``e-process`` to end the
+                runs once the rate is decided. Default: ``fixed``, unless runs go on until decided.
+            p0: For ``sprt``, the rate below ``at_most`` up to which a component is rarely rejected.
+
+        Raises:
+            RequirementViolated: If it is violated or undecided.
+            ConfigurationError: For a check that cannot be read, and a rate or method that makes
+                no sense.
+        """
+        __tracebackhide__ = True
+        requirement = replace(
+            self.requirement or Requirement(id=check_name(check)),
+            check=check_name(check),
+            at_most=at_most,
+            confidence=confidence,
+            method=method,
+            p0=p0,
+            paired=None,
+        )
+        try:
+            verdict = self.judge(requirement, check)
+        except ConfigurationError as error:
+            raise error.with_traceback(None) from None
+        return self.decided(verdict, requirement)
+
+    def decided(self, verdict: CampaignVerdict, requirement: Requirement) -> CampaignVerdict:
+        """Tell of a verdict, and return it if it is "supported".
+
+        Raises:
+            RequirementViolated: If it is not.
+        """
+        __tracebackhide__ = True
+        self.bench.on_verdict(verdict, requirement)
+        if verdict.verdict != "supported":
+            raise RequirementViolated(
+                "\n".join(reasons(verdict, requirement, self.judged)), verdict
+            )
+        return verdict

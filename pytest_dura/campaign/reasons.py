@@ -1,0 +1,85 @@
+"""Why a verdict is not "supported", in words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from typing import Any
+
+from pytest_dura.core.episode import Episode
+from pytest_dura.requirements.campaigns import CampaignVerdict
+from pytest_dura.requirements.model import Requirement
+
+
+def reasons(
+    verdict: CampaignVerdict, requirement: Requirement, episodes: Sequence[Episode]
+) -> list[str]:
+    """Why a verdict is not "supported": what, in which run, when and by how much, line by line."""
+    what = f"{verdict.verdict}: {verdict.requirement} on {verdict.case} ({verdict.component})"
+    lines = [f"{what}: {verdict.reason}"]
+    failures = [episode for episode in episodes if episode.failure is not None]
+    if failures and verdict.verdict == "undecided":
+        lines.insert(0, f"{failures[0].failure} (in {failures[0].id})")
+    if requirement.text:
+        lines.append(f"required: {requirement.text}")
+    if requirement.check and requirement.check != verdict.requirement:
+        lines.append(f"check:    {requirement.check}")
+    if verdict.counterexamples:
+        worst = verdict.counterexamples[0]
+        lines.append(f"worst:    {describe_counterexample(asdict(worst))}")
+        others = [one.episode.rpartition("#")[2] for one in verdict.counterexamples[1:]]
+        if others:
+            lines.append(f"also in:  {_runs(others)}")
+    invalid = [one for one in episodes if one.validity == "invalid"]
+    if invalid and verdict.verdict == "undecided":
+        lines.append(f"invalid:  {invalid[0].id}: {invalid[0].invalid_reason}")
+    failed = component_failure(episodes)
+    if failed:
+        lines.append(f"component: {failed}")
+    return lines
+
+
+def describe_counterexample(example: Mapping[str, Any]) -> str:
+    """In which run, when, and by how much; from a counterexample's plain data."""
+    time, margin = example["time"], example["margin"]
+    when = "" if time is None else f" at t = {time:.2f} s"
+    by = ""
+    if margin is not None:
+        by = f", by {abs(margin):.3g}" if margin else ", right at the bound"
+    return f"{example['episode']}{when}{by}"
+
+
+def component_failure(episodes: Sequence[Episode]) -> str | None:
+    """The first failure of the component itself, and in how many episodes there was one."""
+    first, count = None, 0
+    for episode in episodes:
+        for event in episode.events:
+            if event.kind == "component_failure":
+                first = first or f"{event.subject} {event.detail} (t = {event.time:.2f} s)"
+                count += 1
+                break
+    return None if first is None else f"{first}; in {count} of {len(episodes)} episodes"
+
+
+def _runs(numbers: Sequence[str]) -> str:
+    shown = ", ".join(f"#{number}" for number in numbers[:8])
+    return shown + (f" and {len(numbers) - 8} more" if len(numbers) > 8 else "")
+
+
+def describe_check(requirement: Requirement) -> list[str]:
+    """What is judged and how, line by line."""
+    lines = [requirement.check or "decided by test code"]
+    paired = requirement.paired
+    if paired is not None and paired.measure:
+        lines = [f"{paired.measure} grows by at most {paired.change_at_most:g}"]
+    if paired is not None:
+        lines.append(f"on pairs of runs: with {paired.without}, and without")
+    if requirement.at_most is not None:
+        method = f" by {requirement.method}" if requirement.method else ""
+        lines.append(
+            f"violated in at most {requirement.at_most:g} of the episodes, "
+            f"at {requirement.confidence:g} confidence{method}"
+        )
+    if requirement.applies_to:
+        lines.append(f"applies to {', '.join(requirement.applies_to)}")
+    return lines

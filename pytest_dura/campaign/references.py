@@ -1,0 +1,139 @@
+"""Which requirements apply to which scenarios, and whether they can be judged there."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from fnmatch import fnmatchcase
+
+from pytest_dura.campaign.domains import Domain, check_role_name, domain_of
+from pytest_dura.campaign.problems import did_you_mean, placed
+from pytest_dura.campaign.requirement_files import Located
+from pytest_dura.campaign.scenario import Scenario
+from pytest_dura.campaign.worlds import percept_signal_names, signal_names
+from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.loop_signals import LOOP_SIGNALS
+from pytest_dura.requirements.bounds import check_time_step, parse
+from pytest_dura.requirements.checks import is_function_path
+from pytest_dura.requirements.judging import method_of
+from pytest_dura.requirements.model import FAULTS
+
+
+def applied(
+    scenarios: Mapping[str, Scenario], requirements: Mapping[str, Located]
+) -> dict[str, Scenario]:
+    """The scenarios, each with the requirements that name it in ``applies_to`` after its own."""
+    found = dict(scenarios)
+    for name, located in requirements.items():
+        for glob in located.requirement.applies_to:
+            for scenario in found.values():
+                if fnmatchcase(scenario.name, glob) and name not in scenario.requirements:
+                    added = (*scenario.requirements, name)
+                    found[scenario.name] = scenario.model_copy(update={"requirements": added})
+    return found
+
+
+def check_reference(scenario: Scenario, index: int, requirements: Mapping[str, Located]) -> None:
+    """Refuse a requirement that does not exist, or cannot be judged in this scenario.
+
+    Raises:
+        ConfigurationError: At the place that has to be mended, in either file.
+    """
+    name = scenario.requirements[index]
+    key = f"requirements.{index}"
+    file, line = scenario.file, scenario.line_of(key)
+    if name not in requirements:
+        raise ConfigurationError(
+            f"unknown requirement {name!r}",
+            file=file,
+            line=line,
+            key=key,
+            found=name,
+            expected="one of " + ", ".join(requirements) if requirements else "a requirement",
+            remedy=did_you_mean(name, requirements)
+            if requirements
+            else "define it in a requirement file, requirements.yaml",
+        )
+    located = requirements[name]
+    requirement = located.requirement
+    if not requirement.check and not (requirement.paired and requirement.paired.measure):
+        raise ConfigurationError(
+            f"requirement {name!r} has no check, so no scenario can be judged by it",
+            file=file,
+            line=line,
+            key=key,
+            found=name,
+            expected="a requirement with a `check`",
+            remedy=f"add a `check` in {located.document.file}:{located.line}",
+        )
+    try:
+        _check_paired(scenario, located)
+        method_of(requirement, until_decided=scenario.until_decided)
+    except ConfigurationError as error:
+        raise placed(error, file=file, line=line, key=key) from None
+    if requirement.check and not is_function_path(requirement.check):
+        try:
+            _check_formula(scenario, requirement.check)
+        except ConfigurationError as error:
+            raise located.error(error) from None
+
+
+def _check_paired(scenario: Scenario, located: Located) -> None:
+    paired = located.requirement.paired
+    if paired is None:
+        return
+    if paired.without != FAULTS:
+        check_role_name(paired.without, switched_off=True)
+    elif not scenario.faults:
+        raise ConfigurationError(
+            f"the requirement {located.requirement.id!r} compares runs with faults to runs "
+            "without, and this scenario has no faults",
+            found=located.requirement.id,
+            expected="a scenario with faults",
+            remedy="leave the requirement out here",
+        )
+
+
+def _check_formula(scenario: Scenario, check: str) -> None:
+    formula = parse(check)
+    known = _known_signals(domain_of(scenario.simulator.path), formula.percept_signals)
+    if known is not None:
+        parse(check, known)
+    check_time_step(formula, scenario.time_step)
+
+
+def _known_signals(domain: Domain | None, percepts: tuple[str, ...]) -> tuple[str, ...] | None:
+    """Every signal that a formula may read; ``None`` where only the simulator will tell."""
+    truth = None if domain is None else signal_names(domain)
+    if domain is None or truth is None:
+        return None
+    perceived = percept_signal_names(domain)
+    named = percepts if perceived is None else tuple(f"percept.{name}" for name in perceived)
+    return (*truth, *named, *LOOP_SIGNALS)
+
+
+def unused_requirements(
+    scenarios: Mapping[str, Scenario], requirements: Mapping[str, Located], theirs: set[str]
+) -> dict[str, str]:
+    """The ids of the requirements in ``theirs`` files that no scenario uses, with their places."""
+    used = {name for scenario in scenarios.values() for name in scenario.requirements}
+    return {
+        name: f"{one.document.file}:{one.line}"
+        for name, one in requirements.items()
+        if name not in used and one.document.file in theirs
+    }
+
+
+def too_long(scenarios: Mapping[str, Scenario], requirements: Mapping[str, Located]) -> list[str]:
+    """Formulas that look further ahead than the longest episode: undecided unless violated."""
+    found = []
+    for scenario in scenarios.values():
+        for name in scenario.requirements:
+            check = requirements[name].requirement.check
+            horizon = parse(check).horizon if check and not is_function_path(check) else None
+            if horizon is not None and horizon > scenario.duration:
+                found.append(
+                    f"{scenario.file}:{scenario.line_of('duration')}: the requirement {name!r} "
+                    f"looks {horizon:g} s ahead, but {scenario.name!r} ends after "
+                    f"{scenario.duration:g} s"
+                )
+    return found

@@ -1,0 +1,40 @@
+"""Signals that the loop itself has, whatever the simulator: who was in control, and for how long.
+
+A decision is made at every tick but the last, so the last sample repeats the one before it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_dura.core.episode import Episode
+
+PREFIX = "loop."
+LOOP_SIGNALS = ("loop.recovering", "loop.recovering_for", "loop.fallback", "loop.unsafe")
+"""0 or 1 for: recovery's action, or the simulator's fallback, was carried out; the proposal was
+unsafe. ``recovering_for`` is the time since recovery took over, in s, 0 while it does not act."""
+
+
+def loop_signals(episode: Episode) -> dict[str, NDArray[np.float64]]:
+    """The columns by name, each of shape ``(ticks,)``."""
+    source = _to_the_end(episode.decisions["source"], episode.ticks, "")
+    verdict = _to_the_end(episode.decisions["verdict"], episode.ticks, 0)
+    recovering = source == "recovery"
+    started = np.where(recovering & ~np.roll(recovering, 1), episode.time, -np.inf)
+    if len(recovering) and recovering[0]:
+        started[0] = episode.time[0]
+    with np.errstate(invalid="ignore"):
+        lasting = episode.time - np.maximum.accumulate(started)
+    return {
+        "loop.recovering": recovering.astype(float),
+        "loop.recovering_for": np.where(recovering, lasting, 0.0),
+        "loop.fallback": (source == "fallback").astype(float),
+        "loop.unsafe": (verdict == 2).astype(float),
+    }
+
+
+def _to_the_end(column: NDArray[np.generic], ticks: int, nothing: object) -> NDArray[np.generic]:
+    """The column of decisions with its last value repeated up to the episode's last tick."""
+    last = column[-1:] if len(column) else np.array([nothing])
+    return np.concatenate([column[:ticks], np.repeat(last, max(ticks - len(column), 0))])

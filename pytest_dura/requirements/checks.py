@@ -1,0 +1,100 @@
+"""Checks: what decides a requirement on one episode, a formula or a function of the user's own."""
+
+from __future__ import annotations
+
+import inspect
+import math
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, TypeAlias
+
+from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.roles import RoleSpec
+
+_PATH = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*")
+
+Check: TypeAlias = "str | Callable[..., Any]"
+"""A formula, the import path of a function, or the function itself."""
+
+
+@dataclass(frozen=True, slots=True)
+class CheckResult:
+    """What a check function may return instead of a truth value or a margin.
+
+    Args:
+        holds: Whether the episode satisfies the requirement.
+        margin: By how much, negative for a violation, if there is such a measure.
+        time: Seconds at which it was violated first.
+        detail: Why, in words.
+        vacuous: Whether it holds only because what it is about never happened.
+    """
+
+    holds: bool
+    margin: float | None = None
+    time: float | None = None
+    detail: str = ""
+    vacuous: bool = False
+
+
+def is_function_path(check: str) -> bool:
+    """Whether a check is an import path ``package.module:function``; no formula looks like one."""
+    return _PATH.fullmatch(check.strip()) is not None
+
+
+def check_name(check: Check) -> str:
+    """The text under which a check stands in reports."""
+    if isinstance(check, str):
+        return check
+    return f"{check.__module__}:{check.__qualname__}"
+
+
+@lru_cache(maxsize=256)
+def load_function(path: str) -> Callable[..., Any]:
+    """The function that an import path leads to.
+
+    Raises:
+        ConfigurationError: If it cannot be imported, or cannot be called with one episode.
+    """
+    function = RoleSpec(path.strip()).factory()
+    try:
+        inspect.signature(function).bind(object())
+    except TypeError as error:
+        raise ConfigurationError(
+            f"{path} cannot be called with an episode: {error}",
+            found=f"{path}{inspect.signature(function)}",
+            expected="a function of one episode",
+            remedy="let it take the episode as its only required parameter",
+        ) from None
+    except ValueError:  # a builtin tells no signature
+        pass
+    return function
+
+
+def check_result(value: Any) -> CheckResult:
+    """What a check function returned, as a result: a truth value, or a margin (0 satisfies).
+
+    Raises:
+        TypeError: For anything else.
+        ValueError: For a margin that is not a number.
+    """
+    if isinstance(value, CheckResult):
+        if value.margin is not None:
+            _number(value.margin)
+        return value
+    if value is True or value is False or type(value).__name__ == "bool":  # numpy's own bool
+        return CheckResult(bool(value))
+    if isinstance(value, (int, float)) or hasattr(value, "__float__"):
+        margin = _number(value)
+        return CheckResult(margin >= 0, margin)
+    raise TypeError(
+        f"returned {type(value).__name__}, not a truth value, a margin or a CheckResult"
+    )
+
+
+def _number(value: Any) -> float:
+    number = float(value)
+    if math.isnan(number):
+        raise ValueError("its margin is not a number (NaN)")
+    return number
