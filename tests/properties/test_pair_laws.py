@@ -1,0 +1,109 @@
+"""Laws of pairs: swapping the runs swaps the table, and nothing is lost in counting."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Any
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import binomtest
+
+from pytest_dura.requirements.changes import Change
+from pytest_dura.requirements.episodes import EpisodeVerdict
+from pytest_dura.requirements.pairs import Pair, PairCounts, judge_pairs
+
+lawful = settings(derandomize=True, deadline=None, max_examples=100)
+
+words = st.sampled_from(["satisfied", "violated", "invalid", "missing"])
+tables = st.lists(st.tuples(words, words, st.booleans()), max_size=30)
+values = st.none() | st.just(math.nan) | st.floats(-1e6, 1e6)
+measured = st.dictionaries(st.text("abc", max_size=3), st.tuples(values, values), max_size=12)
+
+
+def verdict(word: Any, episode: str) -> EpisodeVerdict:
+    return EpisodeVerdict("R", episode, "P", word, None, None, "", 10, 10)
+
+
+def pairs(table: list[tuple[str, str, bool]], *, swapped: bool = False) -> list[Pair]:
+    found = []
+    for run, (own, twin, acted) in enumerate(table):
+        sides = (verdict(own, f"case#{run}"), verdict(twin, f"twin#{run}"))
+        found.append(Pair(*(reversed(sides) if swapped else sides), acted=acted))
+    return found
+
+
+@lawful
+@given(tables)
+def test_swapping_the_runs_swaps_the_table_and_nothing_else(table: Any) -> None:
+    found, swapped = judge_pairs(pairs(table)), judge_pairs(pairs(table, swapped=True))
+    assert (found.only_with, found.only_without) == (swapped.only_without, swapped.only_with)
+    assert found.acted_only_with == swapped.acted_only_without
+    assert found.violated_with == swapped.violated_without
+    same = ("pairs", "both", "neither", "incomplete", "acted_both", "acted_neither", "p_value")
+    assert all(getattr(found, name) == getattr(swapped, name) for name in same)
+
+
+@lawful
+@given(tables)
+def test_every_pair_is_counted_in_one_cell(table: Any) -> None:
+    found = judge_pairs(pairs(table))
+    cells = (found.only_with, found.only_without, found.both, found.neither)
+    assert sum(cells) + found.incomplete == found.pairs == len(table)
+    named = (
+        found.prevented + found.introduced + found.futile + found.unheeded
+        + found.unnecessary + found.unneeded
+    )  # fmt: skip
+    assert named == found.complete
+    assert 0 <= found.unexplained <= found.only_with + found.only_without
+    assert found.violated_with == sum(own == "violated" for own, _, _ in table)
+    assert PairCounts.from_json(json.loads(json.dumps(found.to_json()))) == found
+
+
+@lawful
+@given(tables)
+def test_the_order_of_the_pairs_does_not_matter(table: Any) -> None:
+    assert judge_pairs(pairs(table)) == judge_pairs(reversed(pairs(table)))
+
+
+@lawful
+@given(st.integers(0, 40), st.integers(0, 40))
+def test_the_p_value_is_that_of_the_exact_test_on_discordant_pairs(k: int, m: int) -> None:
+    table = [("violated", "satisfied", True)] * k + [("satisfied", "violated", True)] * m
+    found = judge_pairs(pairs([*table, ("violated", "violated", True)]))
+    expected = binomtest(k, k + m).pvalue if k + m else 1.0
+    assert math.isclose(found.p_value, expected, rel_tol=1e-9)
+
+
+@lawful
+@given(measured)
+def test_every_pair_has_a_change_or_a_reason(sides: Any) -> None:
+    found = Change.between("m", sides)
+    reasons = (*found.lost, *found.gained, *found.valueless, *found.incomplete)
+    assert len(set(reasons)) == len(reasons) == found.values.count(None)
+    assert found.n + len(reasons) == len(sides)
+    assert Change.from_json(json.loads(json.dumps(found.to_json(), allow_nan=False))) == found
+
+
+@lawful
+@given(measured)
+def test_swapping_the_runs_turns_the_change_around(sides: Any) -> None:
+    found = Change.between("m", sides)
+    turned = Change.between("m", {pair: (twin, own) for pair, (own, twin) in sides.items()})
+    assert turned.values == tuple(None if one is None else -one for one in found.values)
+    assert (turned.lost, turned.gained) == (found.gained, found.lost)
+    assert turned.p_value == found.p_value
+
+
+@lawful
+@given(measured.filter(bool))
+def test_the_summary_lies_within_the_extremes(sides: Any) -> None:
+    found = Change.between("m", sides)
+    if found.n:
+        assert found.least is not None
+        assert found.greatest is not None
+        low, high = found.least[1], found.greatest[1]
+        slack = 1e-9 * max(abs(low), abs(high))
+        assert low - slack <= found.mean <= high + slack
+        assert low <= found.median <= high
