@@ -93,6 +93,28 @@ def test_the_bounds_invert_the_tests() -> None:
     assert 0.0 < test.lower < 0.15 < test.upper < 0.5
 
 
+@pytest.mark.parametrize("stretches", [[29], [0, 37], [0, 50, 55]])
+def test_decision_and_bound_agree_at_limits_that_differ_in_the_last_digit(stretches) -> None:
+    """Around the bound, rounding makes the e-value rise and fall from one number to the next."""
+    *before, last = stretches
+    episodes = [violated for clean in before for violated in [*[False] * clean, True]]
+    episodes += [False] * last
+    anywhere = EProcess(0.07, 0.95)
+    for violated in episodes:
+        anywhere.update(violated)
+    limit, decisions = anywhere.upper, set()
+    for _ in range(15):
+        limit = math.nextafter(limit, 0.0)
+    for _ in range(30):
+        test = EProcess(limit, 0.95)
+        for violated in episodes:
+            decision = test.update(violated)
+        assert (decision == "supported") == (test.upper <= limit)
+        decisions.add(decision)
+        limit = math.nextafter(limit, 1.0)
+    assert decisions == {None, "supported"}
+
+
 def test_the_upper_bound_keeps_what_earlier_looks_have_shown() -> None:
     test = EProcess(0.02, 0.95)
     for _ in range(40):
