@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from pytest_dura.driving.bodies import CAR_LENGTH, VX, VY, BodyList
 from pytest_dura.driving.following import RESPONSE
 from pytest_dura.driving.junction import ARM_LENGTH, SPEED_LIMIT, Route, all_routes, conflict
-from pytest_dura.driving.maneuvers import COMFORT_BRAKING
+from pytest_dura.driving.maneuvers import COMFORT_BRAKING, MAX_BRAKING
 
 Floats = NDArray[np.float64]
 
@@ -62,18 +62,21 @@ class RightOfWay(NamedTuple):
 def right_of_way(
     route: Route,
     s: Floats,
+    speed: Floats,
     bodies: Sequence[BodyList],
     routes: Sequence[tuple[int, ...]],
+    *,
     dt: float,
 ) -> RightOfWay:
     """What the ego owed to cars with priority, and what its entry demanded of them.
 
-    Braking and gap time are taken when the ego crosses its stop line and when it enters the
-    conflict: at the first the others see it coming, until the second it may still have waited.
+    Braking and gap time are taken when the ego crosses its stop line, at which the others see it
+    coming, and when it could last have stopped before the conflict, if that is later.
 
     Args:
         route: The ego's.
         s: Where the ego is on it.
+        speed: The ego's.
         bodies: The others at each tick.
         routes: The number of each one's route, or ``NOT_A_CAR``.
         dt: Seconds between two ticks.
@@ -93,13 +96,15 @@ def right_of_way(
         if other.destination == route.destination:
             ends = begins  # behind the point where the lanes merge it is following
         distance = other_begins - _HALF - other.project_all(data[rows, :2])[0]
-        speed = np.hypot(data[rows, VX], data[rows, VY])
-        coming = np.flatnonzero((distance > 0.0) & (speed > _WAITING))
+        speeds = np.hypot(data[rows, VX], data[rows, VY])
+        coming = np.flatnonzero((distance > 0.0) & (speeds > _WAITING))
         concerned = (s + _HALF > ARM_LENGTH - DECISION) & (s - _HALF <= ends)
-        time, at = distance[coming] / speed[coming], owner[rows[coming]]
+        time, at = distance[coming] / speeds[coming], owner[rows[coming]]
         np.minimum.at(found.arrival, at, np.where(concerned[at], np.minimum(time, CAP), CAP))
-        cars = _Cars(owner[rows], [names[row] for row in rows.tolist()], distance, speed)
-        _entry(found, s, (begins, ends), cars, dt)
+        cars = _Cars(owner[rows], [names[row] for row in rows.tolist()], distance, speeds)
+        stay = _stay(s, speed, begins, ends)
+        if stay is not None:
+            _demand(found, stay, cars, dt)
     return found
 
 
@@ -120,23 +125,38 @@ class _Cars(NamedTuple):
         }
 
 
-def _entry(
-    found: RightOfWay, s: Floats, place: tuple[float, float], cars: _Cars, dt: float
-) -> None:
-    """Add what the ego's entry into one conflict demanded of the cars that came after it."""
-    begins, ends = place
+class _Stay(NamedTuple):
+    """Ticks of the ego's way through a conflict; ``leaves`` is ``None`` if it never does.
+
+    ``decides`` is when it could last have stopped before the conflict, not before ``line``.
+    """
+
+    line: int
+    decides: int
+    enters: int
+    leaves: int | None
+
+
+def _stay(s: Floats, speed: Floats, begins: float, ends: float) -> _Stay | None:
     inside = np.flatnonzero((s + _HALF >= begins) & (s - _HALF <= ends))
     if not len(inside):
-        return
-    line, entry = int(np.argmax(s + _HALF > ARM_LENGTH)), int(inside[0])
-    leaves = int(inside[-1]) + 1
-    after = {name for name, (distance, _) in cars.at(entry).items() if distance > 0.0}
-    for tick in (line, entry):
-        left = (leaves - tick) * dt if leaves < len(s) else math.inf
+        return None
+    enters, last = int(inside[0]), int(inside[-1])
+    line = int(np.argmax(s + _HALF > ARM_LENGTH))
+    stops = s + _HALF + speed**2 / (2 * MAX_BRAKING) <= begins
+    decides = int(np.flatnonzero(stops[: enters + 1]).max(initial=line))
+    return _Stay(line, max(line, decides), enters, last + 1 if last + 1 < len(s) else None)
+
+
+def _demand(found: RightOfWay, stay: _Stay, cars: _Cars, dt: float) -> None:
+    """Add what the ego's entry into one conflict demanded of the cars that came after it."""
+    after = {name for name, (distance, _) in cars.at(stay.enters).items() if distance > 0.0}
+    during = slice(stay.line, stay.leaves)
+    for tick in (stay.line, stay.decides):
+        left = math.inf if stay.leaves is None else (stay.leaves - tick) * dt
         for name, (distance, speed) in cars.at(tick).items():
             if name in after and speed > _WAITING:
                 time = max(min(distance / speed - left, CAP), -CAP)
-                during = slice(line, leaves)
                 demanded = demanded_braking(distance, speed, left)
                 found.braking[during] = np.maximum(found.braking[during], demanded)
                 found.gap_time[during] = np.minimum(found.gap_time[during], time)

@@ -6,36 +6,23 @@ Units are SI. What has no value on an empty road saturates at a declared cap the
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pytest_dura.core.state import Percept, Tick
-from pytest_dura.driving import geometry
-from pytest_dura.driving.bodies import (
-    CAR_LENGTH,
-    CAR_WIDTH,
-    HEADING,
-    LENGTH,
-    VX,
-    VY,
-    WIDTH,
-    BodyList,
-    X,
-    Y,
-)
+from pytest_dura.driving.bodies import CAR_LENGTH
 from pytest_dura.driving.following import following_margin, leaders
 from pytest_dura.driving.junction import ARM_LENGTH, Route
+from pytest_dura.driving.now import percept_at
+from pytest_dura.driving.proximity import GAP_CAP, TTC_CAP, proximity
 from pytest_dura.driving.right_of_way import right_of_way
 
-GAP_CAP = 50.0
-"""m; farther objects do not matter at these speeds."""
-TTC_CAP = 10.0
-"""s; later contacts do not matter."""
-_EGO_CIRCLE = math.hypot(CAR_LENGTH, CAR_WIDTH) / 2
-_ROUNDING = 1e-6
+__all__ = [
+    "GAP_CAP", "NAMES", "PERCEPT_NAMES", "TTC_CAP", "percept_at", "percept_signals", "proximity",
+    "truth_signals",
+]  # fmt: skip
 
 Floats = NDArray[np.float64]
 
@@ -60,7 +47,7 @@ def truth_signals(ticks: Sequence[Tick], route: Route, dt: float) -> dict[str, F
     gap, ttc = proximity(_moving(x, y, heading, speed), bodies)
     leader = leaders(route, s, bodies)
     routes = [tick.truth["routes"] for tick in ticks]
-    priority = right_of_way(route, s, bodies, routes, dt)
+    priority = right_of_way(route, s, speed, bodies, routes, dt=dt)
     lateral = speed * yaw_rate
     collided = (contact > 0).astype(float)
     half = CAR_LENGTH / 2
@@ -93,7 +80,8 @@ def percept_signals(percepts: Sequence[Percept]) -> dict[str, Floats]:
     poses = np.array([percept["localisation"] for percept in percepts], dtype=float)
     speed = np.array([percept["odometry"].speed for percept in percepts], dtype=float)
     bodies = [percept["lidar"] for percept in percepts]
-    gap, ttc = proximity(_moving(*poses.T, speed), bodies)
+    x, y, heading = poses.T
+    gap, ttc = proximity(_moving(x, y, heading, speed), bodies)
     route = percepts[0]["map"].route
     s, _, _ = route.project_all(poses[:, :2])
     return {
@@ -104,50 +92,3 @@ def percept_signals(percepts: Sequence[Percept]) -> dict[str, Floats]:
 def _moving(x: Floats, y: Floats, heading: Floats, speed: Floats) -> Floats:
     """``x, y, heading, vx, vy`` of an ego that moves along its heading."""
     return np.stack([x, y, heading, speed * np.cos(heading), speed * np.sin(heading)], axis=1)
-
-
-def proximity(ego: Floats, bodies: Sequence[BodyList]) -> tuple[Floats, Floats]:
-    """Gap to the nearest object and least time to collision at each tick.
-
-    Args:
-        ego: ``x, y, heading, vx, vy`` per tick, shape ``(ticks, 5)``.
-        bodies: The objects at each tick.
-    """
-    gap, ttc = np.full(len(ego), GAP_CAP), np.full(len(ego), TTC_CAP)
-    counts = [len(at_tick) for at_tick in bodies]
-    if not sum(counts):
-        return gap, ttc
-    others = np.concatenate([at_tick.data for at_tick in bodies])
-    owner = np.repeat(np.arange(len(ego)), counts)
-    mine = ego[owner]
-    offset = others[:, :2] - mine[:, :2]
-    motion = others[:, VX : VY + 1] - mine[:, 3:5]
-    apart = np.hypot(offset[:, 0], offset[:, 1])
-    # Circles around the boxes tell which pairs need a closer look; most need none.
-    circles = _EGO_CIRCLE + np.hypot(others[:, LENGTH], others[:, WIDTH]) / 2 + _ROUNDING
-    bound = np.full(len(ego), GAP_CAP)
-    np.minimum.at(bound, owner, apart)
-    nearest = apart - circles <= bound[owner]
-    np.minimum.at(
-        gap, owner[nearest], geometry.gap(_ego_boxes(mine[nearest]), _boxes(others[nearest]))
-    )
-    squared = np.maximum((motion * motion).sum(axis=1), _ROUNDING)
-    time = np.clip(-(offset * motion).sum(axis=1) / squared, 0.0, TTC_CAP)[:, None]
-    meeting = np.hypot(*(offset + time * motion).T) <= circles
-    mine, others, owner = mine[meeting], others[meeting], owner[meeting]
-    times = geometry.time_to_collision(
-        _ego_boxes(mine), mine[:, 3:5], _boxes(others), others[:, VX : VY + 1], TTC_CAP
-    )
-    np.minimum.at(ttc, owner, times)
-    return gap, ttc
-
-
-def _ego_boxes(states: Floats) -> Floats:
-    boxes = np.empty((len(states), 5))
-    boxes[:, :3] = states[:, :3]
-    boxes[:, 3:] = CAR_LENGTH, CAR_WIDTH
-    return boxes
-
-
-def _boxes(bodies: Floats) -> Floats:
-    return bodies[:, [X, Y, HEADING, LENGTH, WIDTH]]

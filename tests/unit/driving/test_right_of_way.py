@@ -1,0 +1,115 @@
+"""What the ego's entry into the junction demands of cars with priority."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from roads import always, drive
+
+from pytest_dura.core.state import Tick
+from pytest_dura.driving.maneuvers import Command, Maneuver
+from pytest_dura.driving.right_of_way import BRAKING_CAP, CAP, demanded_braking
+
+
+def crossing(
+    away: float, *, arm: str = "west", turn: str = "straight", act: Any = None, **ego: Any
+) -> dict[str, Any]:
+    """Signals of an ego 20 m before its line at 8 m/s that meets one car."""
+    other = {"id": "OTHER", "arm": arm, "turn": turn, "distance": away, "speed": 8.0}
+    start = {"distance": 22.5, "speed": 8.0, **ego}
+    world = {"ego": start, "vehicles": [other], "courtesy": "none"}
+    act = act or always("proceed", 0.0)
+    simulator, ticks = drive(world, 120, act)
+    return simulator.signals(ticks)
+
+
+def test_a_car_that_comes_in_time_need_not_brake() -> None:
+    assert demanded_braking(40.0, 8.0, 3.0) == 0.0
+
+
+def test_the_braking_brings_the_car_a_second_behind_the_ego() -> None:
+    # 20 m at 8 m/s while the ego needs 2 s: 16.8 m are left for the 2.6 s after the reaction.
+    braking = demanded_braking(20.0, 8.0, 2.0)
+    assert 8.0 * 0.4 + 8.0 * 2.6 - braking * 2.6**2 / 2 == pytest.approx(20.0)
+
+
+def test_a_car_that_would_stand_before_that_stops_before_the_conflict() -> None:
+    braking = demanded_braking(20.0, 8.0, math.inf)
+    assert 8.0 * 0.4 + 8.0**2 / (2 * braking) == pytest.approx(20.0)
+    assert demanded_braking(20.0, 8.0, 100.0) == pytest.approx(braking)
+
+
+def test_who_cannot_stop_any_more_is_asked_for_the_cap() -> None:
+    assert demanded_braking(3.0, 8.0, 2.0) == BRAKING_CAP
+    assert demanded_braking(4.0, 8.0, 20.0) == BRAKING_CAP
+
+
+def test_entering_close_before_a_car_with_priority_demands_hard_braking() -> None:
+    found = crossing(33.0)
+    assert found["priority_braking"].max() > 3.0
+    assert found["gap_time"].min() < 1.0
+    begins = int(np.argmax(found["priority_braking"] > 0.0))
+    assert found["in_conflict_zone"][begins] == 1.0
+    assert found["in_conflict_zone"][begins - 1] == 0.0
+
+
+@pytest.mark.parametrize("distance", [10.0, 75.0], ids=["behind it", "long before it"])
+def test_passing_behind_or_long_before_demands_nothing(distance: float) -> None:
+    found = crossing(distance)
+    assert found["priority_braking"].max() == 0.0
+    assert not found["collided"].any()
+    assert found["priority_arrival"].min() < CAP, "it was there all the same"
+
+
+def test_a_car_without_priority_is_owed_nothing() -> None:
+    for found in (crossing(33.0, arm="north"), crossing(33.0, arm="north", turn="left")):
+        assert found["priority_braking"].max() == 0.0
+        assert found["priority_arrival"].min() == CAP
+
+
+def test_a_car_that_turns_off_before_the_ego_is_owed_nothing() -> None:
+    assert crossing(33.0, turn="right")["priority_arrival"].min() == CAP
+
+
+def test_merging_before_a_car_counts_and_driving_on_before_it_does_not() -> None:
+    close, far = crossing(37.0, turn="left"), crossing(60.0, turn="left")
+    assert close["priority_braking"].max() > 3.0
+    assert far["priority_braking"].max() == 0.0
+    last = int(np.flatnonzero(close["priority_braking"])[-1])
+    assert close["cleared"][last] == 0.0, "behind the merging point it is following"
+
+
+def stop_inside(tick: Tick) -> Command:
+    """Into the junction, and stand there."""
+    return Command(Maneuver.EMERGENCY_BRAKE if tick.truth["ego"].s > 106.0 else Maneuver.PROCEED)
+
+
+def test_standing_in_the_way_demands_a_stop() -> None:
+    found = crossing(60.0, act=stop_inside)
+    assert found["gap_time"].min() == -CAP
+    assert found["priority_braking"].max() > 0.5
+
+
+def wait_inside(tick: Tick) -> Command:
+    """Past the line, stand before the lane of the others, and go when the car is near."""
+    ego, other = tick.truth["ego"], tick.truth["bodies"].get("OTHER")
+    if other.x > -27.0:
+        return Command(Maneuver.ACCELERATE)
+    stop = ego.s > 99.0
+    return Command(Maneuver.EMERGENCY_BRAKE if stop else Maneuver.PROCEED_CAUTIOUSLY)
+
+
+def test_who_waits_inside_and_then_goes_is_judged_when_it_goes() -> None:
+    found = crossing(75.0, act=wait_inside, speed=5.0)
+    assert ((found["speed"] < 0.1) & (found["in_conflict_zone"] > 0)).any()
+    assert found["priority_braking"].max() > 3.0
+
+
+def test_arrival_counts_down_while_the_ego_has_to_decide() -> None:
+    found = crossing(50.0, distance=60.0)["priority_arrival"]
+    assert found[0] == CAP, "the ego is still far from its line"
+    begins = int(np.argmax(found < CAP))
+    assert found[begins + 1] < found[begins] < 6.5
