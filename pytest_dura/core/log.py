@@ -89,10 +89,12 @@ class EpisodeLog:
         unsafe = output.critical or output.verdict is Assessed.UNSAFE
         if unsafe:
             self._violation(tick, name)
+            self.metrics.log_flag(name, tick.index)
         self._lasting(tick, "unsafe", name, "; ".join(output.reasons) if unsafe else None)
 
     def alerted(self, tick: Tick, name: str, output: SecurityAssessment) -> None:
         """The SecurityAssessor has looked at percept and component."""
+        self.metrics.log_alerts(name, tick.index, raised=bool(output.alerts))
         for alert in output.alerts:
             if alert not in self._alerts:  # a refined proposal is assessed in the same tick
                 self._alerts[alert] = None

@@ -59,11 +59,13 @@ class DependabilityMetrics:
         wall_clock: The same, for values that depend on the machine's speed.
         robustness: The score of each monitor by role name: ``(times, scores)``, one for each
             assessment, of which a tick has several under ``refine``.
+        flags: Ticks at which each monitor found a proposal unsafe, by role name, each once.
         faults: One record per planned fault.
         recoveries: Stretches of ticks in which recovery acted: ``(first, last, success)``.
             A stretch succeeds if the proposal was acceptable again and nothing critical followed.
         processing_ns: Wall-clock nanoseconds by role: ``(ticks, nanoseconds)``.
         alerts: Alerts raised; the same one at the same tick counts once.
+        alert_ticks: Ticks at which each assessor that was asked raised alerts, by role name.
         proposals: How often the Generator was asked.
         valid_proposals: How often it answered with an action of this simulator.
         user: User-defined metrics, filled when the episode is complete.
@@ -73,10 +75,12 @@ class DependabilityMetrics:
     performance: dict[str, tuple[list[float], list[float]]] = field(default_factory=dict)
     wall_clock: dict[str, tuple[list[float], list[float]]] = field(default_factory=dict)
     robustness: dict[str, tuple[list[float], list[float]]] = field(default_factory=dict)
+    flags: dict[str, list[int]] = field(default_factory=dict)
     faults: dict[str, FaultRecord] = field(default_factory=dict)
     recoveries: list[tuple[int, int, bool]] = field(default_factory=list)
     processing_ns: dict[str, tuple[list[int], list[int]]] = field(default_factory=dict)
     alerts: int = 0
+    alert_ticks: dict[str, list[int]] = field(default_factory=dict)
     proposals: int = 0
     valid_proposals: int = 0
     user: dict[str, float] = field(default_factory=dict)
@@ -92,6 +96,16 @@ class DependabilityMetrics:
         times, scores = self.robustness.setdefault(role, ([], []))
         times.append(time)
         scores.append(score)
+
+    def log_flag(self, role: str, tick: int) -> None:
+        """A monitor found a proposal of this tick unsafe; a tick counts once, however often."""
+        _once(self.flags.setdefault(role, []), tick)
+
+    def log_alerts(self, role: str, tick: int, *, raised: bool) -> None:
+        """An assessor was asked, and raised alerts or none."""
+        ticks = self.alert_ticks.setdefault(role, [])
+        if raised:
+            _once(ticks, tick)
 
     def log_performance(
         self, time: float, values: Mapping[str, float], wall_clock: Mapping[str, float]
@@ -132,8 +146,10 @@ class DependabilityMetrics:
             },
             "performance": self.performance,
             "robustness": self.robustness,
+            "flags": self.flags,
             "recoveries": self.recoveries,
             "alerts": self.alerts,
+            "alert_ticks": self.alert_ticks,
             "proposals": [self.proposals, self.valid_proposals],
         }
 
@@ -162,6 +178,11 @@ class DependabilityMetrics:
             },
             "user": dict(self.user),
         }
+
+
+def _once(ticks: list[int], tick: int) -> None:
+    if not ticks or ticks[-1] != tick:
+        ticks.append(tick)
 
 
 def _last_and_worst(values: list[float]) -> dict[str, float]:
