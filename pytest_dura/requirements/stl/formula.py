@@ -99,7 +99,7 @@ def unknown_signal(
 
 def marked(text: str, position: int) -> str:
     """The formula on one line, with a caret below the position."""
-    line = "".join(" " if letter.isspace() else letter for letter in text)
+    line = "".join(letter if letter.isprintable() else " " for letter in text)
     return f"\n    {line}\n    {' ' * position}^"
 
 
