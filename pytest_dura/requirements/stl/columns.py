@@ -13,7 +13,7 @@ from pytest_dura.requirements.stl.formula import Formula, unknown_signal
 from pytest_dura.requirements.stl.windows import Array
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True, eq=False)
 class Frame:
     """One trace, or several of them in rows.
 

@@ -141,13 +141,12 @@ def _computed(plan: Plan, frame: Frame) -> Array:
 
 def _shape(found: Mapping[str, Array], columns: Mapping[str, ArrayLike]) -> tuple[int, ...]:
     """The shape that all columns have; a formula of constants has that of any column."""
-    shapes = {name: column.shape for name, column in found.items()}
-    if not shapes:
-        shapes = {name: np.shape(column) for name, column in columns.items()}
-    first = next(iter(shapes.values()), (0,))
-    for name, shape in shapes.items():
-        if shape != first:
-            raise other_length(name, shape, first)
+    if not found:
+        found = {name: np.asarray(column) for name, column in columns.items()}
+    first = next((column.shape for column in found.values()), (0,))
+    for name, column in found.items():
+        if column.shape != first:
+            raise other_length(name, column.shape, first)
     if len(first) not in (1, 2):
         raise ConfigurationError(
             "columns are traces or rows of traces", found=first, expected="shape (n,) or (m, n)"

@@ -1,0 +1,66 @@
+"""Sliding and running windows on arrays, against slices taken by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pytest_dura.requirements.stl import windows
+
+INF = np.inf
+
+
+@pytest.mark.parametrize("first, last", [(0, 0), (0, 1), (0, 6), (2, 5), (3, 3), (0, 50), (8, 99)])
+@pytest.mark.parametrize("size", [1, 2, 9, 20])
+@pytest.mark.parametrize("join, of", [(np.minimum, min), (np.maximum, max)])
+def test_sliding_windows_are_cut_at_the_ends(first, last, size, join, of) -> None:
+    values = np.random.default_rng(size).normal(size=(3, size))
+    empty = INF if of is min else -INF
+    ahead = windows.sliding(join, values, first, last)
+    back = windows.sliding_past(join, values, first, last)
+    for row in range(3):
+        for t in range(size):
+            later = values[row, t + first : t + last + 1].tolist()
+            assert ahead[row, t] == of(later, default=empty)
+            earlier = values[row, max(t - last, 0) : max(t - first + 1, 0)].tolist()
+            assert back[row, t] == of(earlier, default=empty)
+
+
+@pytest.mark.parametrize("first, last", [(0, 0), (0, 3), (1, 1), (2, 7), (0, None), (9, 12)])
+@pytest.mark.parametrize("size", [1, 2, 9, 20])
+def test_until_needs_its_left_side_before_the_right_one_and_not_with_it(first, last, size) -> None:
+    left, right = np.random.default_rng(size).normal(size=(2, size))
+    found = windows.until(left, right, first, last)
+    mirrored = windows.since(left[::-1], right[::-1], first, last)[::-1]
+    for t in range(size):
+        end = size if last is None else min(t + last + 1, size)
+        best = max((min(right[u], *left[t:u], INF) for u in range(t + first, end)), default=-INF)
+        assert found[t] == best
+        assert mirrored[t] == best
+
+
+def test_running_windows() -> None:
+    values = np.array([3.0, 1.0, 2.0])
+    assert windows.running(np.minimum, values).tolist() == [1, 1, 2]
+    assert windows.running(np.maximum, values).tolist() == [3, 2, 2]
+    assert windows.running_past(np.minimum, values).tolist() == [3, 1, 1]
+    assert windows.running_past(np.maximum, values).tolist() == [3, 3, 3]
+
+
+def test_neighbours_and_unknown_tails() -> None:
+    values = np.array([3.0, 1.0, 2.0])
+    assert windows.following(values, INF).tolist() == [1, 2, INF]
+    assert windows.preceding(values, -INF).tolist() == [-INF, 3, 1]
+    assert windows.open_tail(values, 1, INF).tolist() == [3, 1, INF]
+    assert windows.open_tail(values, 9, INF).tolist() == [INF] * 3
+    assert windows.open_tail(values, 0, INF).tolist() == [3, 1, 2]
+
+
+def test_no_input_is_changed() -> None:
+    values = np.array([3.0, 1.0, 2.0])
+    values.flags.writeable = False
+    windows.sliding(np.minimum, values, 0, 2)
+    windows.sliding_past(np.maximum, values, 1, 2)
+    windows.until(values, values, 1, 2)
+    windows.since(values, values)
+    windows.open_tail(values, 2, INF)
