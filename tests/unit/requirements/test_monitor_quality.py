@@ -279,9 +279,9 @@ def test_verdicts_belong_to_their_episodes_and_to_one_claim() -> None:
 def test_real_monitors_are_told_apart_by_their_quality() -> None:
     check = Requirement("R", check="always (temperature < 17.5)")
     judged = []
-    for run, component in enumerate((Overheater(), Controller(target=16.0), Overheater())):
+    for run, target in enumerate((90.0, 16.0, 90.0)):
         episode = run_loop(
-            component,
+            Controller(target),
             policy="log_only",
             seconds=2.0 if run < 2 else 0.2,
             safety_monitor=HeatMonitor(limit=16.5),
