@@ -80,7 +80,7 @@ def watch(episode: Episode) -> Watch:
         alarms={name: _stretches(asked[name], flagged.get(name, set())) for name in sorted(asked)},
         alerts=_stretches(episode.time.tolist(), alerted) if metrics.alert_ticks else None,
         manifested_at=_first(fault.manifested_at for fault in faults),
-        detected_at=_first(fault.detected_at for fault in faults if fault.success),
+        detected_at=_first(fault.detected_at for fault in faults),
         intervention=_intervention(episode),
     )
 

@@ -200,7 +200,7 @@ def test_the_lead_time_is_to_the_first_alarm_in_the_window(alarms: Any, lead: fl
 
 
 def test_float_times_do_not_move_an_alarm_over_the_edge() -> None:
-    violated_at = sum([0.1] * 73)  # a hair above 7.3
+    violated_at = 7.3 + 1e-9
     assert counts(judge(("violated", violated_at, (7.3, 7.3)))) == (0, 1, 0, 0)
     assert counts(judge(("violated", violated_at, (2.3, 2.3)))) == (1, 0, 0, 0)
 
@@ -317,10 +317,11 @@ def test_alerts_are_judged_by_whether_a_fault_manifested() -> None:
             seen(5),
             seen(6, validity="invalid"),
             seen(7, validity="missing", alerts=None),
+            attacked(8, (2.0, 2.9)),
         ]
     )
-    assert counts(found) == (1, 3, 1, 1)
-    assert (found.early, found.late) == (1, 1)
+    assert counts(found) == (1, 4, 1, 1)
+    assert (found.early, found.late) == (2, 1)
     assert (found.invalid, found.missing) == (1, 1)
     assert (found.delays, found.lead_times, found.horizon) == ((0.5,), (), None)
     assert (found.monitor, found.target, found.false_alarms) == ("alerts", "faults", 2)
