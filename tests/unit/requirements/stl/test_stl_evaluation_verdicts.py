@@ -1,0 +1,362 @@
+"""Verdicts on traces: status, margin, interval, times, texts, vacuity, and what is refused."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pytest_dura import ConfigurationError
+from pytest_dura.requirements.stl.evaluation import Evaluation, evaluate
+from pytest_dura.requirements.stl.parsing import parse
+from pytest_dura.requirements.stl.robustness import (
+    robustness,
+    robustness_batch,
+    robustness_interval,
+)
+
+INF = math.inf
+
+
+def judge(
+    text: str, time: Any = None, *, complete: bool = True, step: float | None = None, **signals: Any
+) -> Evaluation:
+    first = next(iter(signals.values()))
+    time = range(len(first)) if time is None else time
+    return evaluate(parse(text), list(time), signals, complete=complete, time_step=step)
+
+
+def test_always_takes_the_worst_sample() -> None:
+    found = judge("always (x >= 2)", x=[5, 3, 4])
+    assert (found.status, found.margin, found.worst_time) == ("satisfied", 1.0, 1.0)
+    assert (found.lower, found.upper, found.time) == (1.0, 1.0, None)
+    assert found.robustness == 1.0
+    assert found.detail == "always (x >= 2)"
+
+
+def test_a_violation_has_its_first_time_and_its_worst_margin() -> None:
+    found = judge("always (x < 2)", x=[1, 2.5, 7, 3], time=[0, 0.1, 0.2, 0.3])
+    assert (found.status, found.time) == ("violated", 0.1)
+    assert (found.margin, found.worst_time) == (-5.0, 0.2)
+
+
+def test_eventually_takes_the_best_sample() -> None:
+    assert judge("eventually (x > 2)", x=[1, 4, 3]).margin == 2.0
+    found = judge("eventually (x > 5)", x=[1, 4, 3])
+    assert (found.status, found.margin, found.worst_time) == ("violated", -1.0, 1.0)
+    assert found.time == 2.0, "only the end of the episode decides that it never was"
+
+
+@pytest.mark.parametrize(
+    "text, status",
+    [
+        ("always (x > 0)", "violated"),
+        ("always (x >= 0)", "satisfied"),
+        ("always (x < 0)", "violated"),
+        ("always (x <= 0)", "satisfied"),
+        ("always (x == 0)", "satisfied"),
+        ("always (x != 0)", "violated"),
+        ("eventually (x > 0)", "violated"),
+        ("eventually (x >= 0)", "satisfied"),
+        ("not (x > 0)", "satisfied"),
+        ("not (x >= 0)", "violated"),
+        ("(x > 0) iff (x >= 0)", "violated"),
+        ("(x > 0) xor (x >= 0)", "satisfied"),
+        ("(x > 0) iff (x < 0)", "satisfied"),
+    ],
+)
+def test_on_the_bound_strictness_decides_and_the_margin_is_zero(text: str, status: str) -> None:
+    found = judge(text, x=[0.0, 0.0])
+    assert (found.status, found.margin) == (status, 0.0)
+
+
+def test_equality_never_has_a_positive_margin_and_holds_at_zero() -> None:
+    assert judge("x == 3", x=[3]).status == "satisfied"
+    assert (judge("x == 3", x=[4.5]).status, judge("x == 3", x=[4.5]).margin) == ("violated", -1.5)
+    assert (judge("x != 3", x=[4.5]).status, judge("x != 3", x=[4.5]).margin) == ("satisfied", 1.5)
+
+
+def test_iff_and_xor_have_the_margin_of_their_implications() -> None:
+    # rtamt gives -2 for the first: false, though both sides hold.
+    found = judge("(x > 0) iff (y > 0)", x=[5], y=[3])
+    assert (found.status, found.margin) == ("satisfied", 3.0)
+    found = judge("(x > 0) xor (y > 0)", x=[5], y=[3])
+    assert (found.status, found.margin) == ("violated", -3.0)
+
+
+def test_a_window_counts_from_the_start_and_is_closed() -> None:
+    x = [9, 1, 2, 3, 9]
+    assert judge("always[1:3] (x <= 3)", x=x).status == "satisfied"
+    assert judge("always[1:4] (x <= 3)", x=x).status == "violated"
+    late = judge("always[1:3] (x < 3)", x=x, time=[10, 11, 12, 13, 14])
+    assert (late.time, late.worst_time) == (13.0, 13.0)
+
+
+def test_window_bounds_forgive_the_sum_of_float_steps() -> None:
+    summed = [0.0]
+    for _ in range(10):
+        summed.append(summed[-1] + 0.1)
+    assert summed[8] < 0.8
+    x = [0.0] * 11
+    x[8] = -1.0
+    assert judge("always[0.8:1] (x >= 0)", time=summed, x=x).status == "violated"
+    assert judge("always[0:0.8] (x >= 0)", time=summed, x=x).status == "violated"
+    assert judge("always[0:0.7] (x >= 0)", time=summed, x=x).status == "satisfied"
+
+
+@pytest.mark.parametrize(
+    "text, x, status, interval",
+    [
+        ("always[0:5] (x > 0)", [1, 2, 3], "undecided", (-INF, 1.0)),
+        ("always[0:5] (x > 0)", [1, -2, 3], "violated", (-INF, -2.0)),
+        ("eventually[0:5] (x > 0)", [-1, -2, -3], "undecided", (-1.0, INF)),
+        ("eventually[0:5] (x > 0)", [-1, 2, -3], "satisfied", (2.0, INF)),
+        ("always[4:5] (x > 0)", [1, 2, 3], "undecided", (-INF, INF)),
+        ("always[0:2] (x > 0)", [1, 2, 3], "satisfied", (1.0, 1.0)),
+        ("always ((x > 0) implies (eventually[0:1] (x < 0)))", [1, -2, 3], "undecided", (-3.0, 2)),
+        ("always ((x > 0) implies (eventually[0:1] (x < 0)))", [1, 2, -1], "violated", (-1, -1)),
+        ("next (x > 0)", [1], "undecided", (-INF, INF)),
+        ("s_next (x > 0)", [1], "undecided", (-INF, INF)),
+        ("(x > 0) until[0:5] (x < -5)", [1, 2, 3], "undecided", (-5 - 1, 1)),
+        ("(x > 0) until (x < -5)", [1, 2, 3], "violated", (-6, -6)),
+        ("prev (x > 0)", [1], "satisfied", (INF, INF)),
+        ("s_prev (x > 0)", [1], "violated", (-INF, -INF)),
+        ("once[1:2] (x > 0)", [1], "violated", (-INF, -INF)),
+    ],
+)
+def test_what_the_end_of_a_trace_leaves_open(
+    text: str, x: list[float], status: str, interval: tuple[float, float]
+) -> None:
+    found = judge(text, x=x, step=1.0)
+    assert found.status == status
+    assert (found.lower, found.upper) == interval
+    if status == "undecided":
+        assert f"the trace ends at {len(x) - 1} s, which does not decide `" in found.detail
+        assert found.robustness == interval[0], "a comparison with a limit fails closed"
+
+
+def test_a_prefix_decides_only_what_no_further_sample_can_change() -> None:
+    assert judge("always (x > 0)", x=[1, 2], complete=False).status == "undecided"
+    assert judge("always (x > 0)", x=[1, -2], complete=False).status == "violated"
+    assert judge("eventually (x > 0)", x=[-1, -2], complete=False).status == "undecided"
+    assert judge("eventually (x > 0)", x=[-1, 2], complete=False).status == "satisfied"
+    assert judge("always[0:1] (x > 0)", x=[1, 2], complete=False).status == "satisfied"
+    assert judge("(x > 0) until (x > 5)", x=[1, 2], complete=False).status == "undecided"
+    assert judge("(x > 0) until (x > 5)", x=[1, -2], complete=False).status == "violated"
+    assert judge("(x > 0) until (x > 5)", x=[1, 6], complete=False).status == "satisfied"
+
+
+def test_a_response_that_fails_is_decided_when_its_window_ends() -> None:
+    text = "always ((x > 5) implies (eventually[0:2] (y < 0)))"
+    found = judge(text, x=[0, 9, 0, 0, 0, 0], y=[1, 1, 1, 1, -1, -1])
+    assert (found.status, found.time) == ("violated", 3.0)
+    assert found.worst_time == 1.0
+
+
+def test_a_conjunction_is_as_good_as_its_worst_part() -> None:
+    found = judge("always (x > 0) and always (y < 5)", x=[3, 2], y=[1, 4])
+    assert (found.status, found.margin, found.worst_time) == ("satisfied", 1.0, 1.0)
+    assert found.detail in ("always (y < 5)", "always (x > 0)")
+
+
+def test_a_conjunction_is_violated_first_where_any_part_is() -> None:
+    found = judge("always (x > 0) and always (y > 0)", x=[1, 1, -9], y=[1, -1, 1])
+    assert (found.status, found.time, found.margin) == ("violated", 1.0, -9.0)
+    assert found.worst_time == 2.0
+    assert found.detail == "always (x > 0); always (y > 0)"
+
+
+def test_one_violated_part_decides_whatever_is_still_open() -> None:
+    found = judge("always[0:9] (x > 0) and always (y > 0)", x=[1, 1], y=[-1, 1])
+    assert (found.status, found.margin, found.detail) == ("violated", -1.0, "always (y > 0)")
+    assert judge("always[0:9] (x > 0) and always (y > 0)", x=[1, 1], y=[1, 1]).status == "undecided"
+    far = judge("eventually[0:9] (x > 5) and always (y > 0)", x=[1, 1], y=[1, -1])
+    assert (far.status, far.margin) == ("violated", -1.0), "the margin is that of the violation"
+
+
+def test_other_roots_have_the_time_of_the_violation_or_the_start() -> None:
+    assert judge("(x > 0) until (y > 0)", x=[1, -1, 1], y=[-1, -1, 1]).worst_time == 1.0
+    assert judge("(x > 0) until (y > 0)", x=[1, 1, 1], y=[-1, -1, 1]).worst_time == 0.0
+
+
+def test_huge_values_make_no_warning() -> None:
+    assert judge("always (x > -1e308)", x=[1e308]).status == "satisfied"
+    assert judge("always (x < -1e308)", x=[1e308]).margin == -INF
+
+
+@pytest.mark.parametrize("bad", [math.nan, INF, -INF])
+def test_samples_that_are_not_finite_are_refused(bad: float) -> None:
+    with pytest.raises(ConfigurationError, match=r"'x' is not finite at t = 2\.00 s"):
+        judge("always (x >= 2)", x=[5, 5, bad, 5, -9])
+    found = judge("always (x >= 2)", x=[5, 5], other=[bad, bad])
+    assert found.status == "satisfied", "of signals that are not read, nothing is asked"
+
+
+@pytest.mark.parametrize(
+    "text, x, expression, found",
+    [
+        ("always (1 / x > 0)", [2, 1, 0], "1 / x", INF),
+        ("always (1 / (1 / x) >= 0)", [2, 1, 0], "1 / x", INF),
+        ("always (sqrt(x - 1) >= 0)", [2, 1, 0], "sqrt(x - 1)", math.nan),
+        ("always (exp(x) >= 0)", [2, 1, 1000], "exp(x)", INF),
+        ("always (pow(x, 0 - 1) >= 0)", [2, 1, 0], "pow(x, 0 - 1)", INF),
+        ("always (x * 1e307 * 10 > 0)", [1, 1, 2], "(x * 1e+307) * 10", INF),
+    ],
+)
+def test_expressions_that_are_not_finite_are_refused(
+    text: str, x: list[float], expression: str, found: float
+) -> None:
+    with pytest.raises(ConfigurationError) as caught:
+        judge(text, x=x)
+    assert caught.value.problem == f"the expression `{expression}` is not finite at t = 2.00 s"
+    assert caught.value.found == pytest.approx(found, nan_ok=True)
+
+
+def test_an_empty_trace_is_refused() -> None:
+    with pytest.raises(ConfigurationError, match="empty trace"):
+        judge("always (x > 0)", x=[])
+    with pytest.raises(ConfigurationError, match="empty trace"):
+        robustness(parse("x > 0"), {"x": []}, 1.0)
+    with pytest.raises(ConfigurationError, match="empty trace"):
+        robustness_batch(parse("x > 0"), [{"x": [1]}, {"x": []}], 1.0)
+
+
+def test_a_trace_of_one_sample_is_judged() -> None:
+    assert judge("always (x > 0) and eventually (x > 0)", x=[1]).margin == 1.0
+    assert judge("always[0:0.3] (x > 0)", x=[1]).status == "undecided"
+    assert judge("always[0:0.3] (x > 0)", x=[-1]).status == "violated"
+    assert judge("always[0:0] (x > 0)", x=[1]).status == "satisfied"
+    assert judge("once[0.3:0.7] (x > 0)", x=[1]).status == "violated"
+
+
+def test_a_signal_that_the_trace_does_not_have() -> None:
+    with pytest.raises(ConfigurationError) as caught:
+        judge("always (xx > 0)", x=[1], y=[1])
+    assert caught.value.expected == "one of x, y"
+    assert caught.value.remedy == "did you mean 'x'?"
+
+
+@pytest.mark.parametrize("x", [[1, 2], [[1, 2, 3]], 4.0])
+def test_columns_of_another_shape_are_refused(x: Any) -> None:
+    with pytest.raises(ConfigurationError, match="different lengths"):
+        evaluate(parse("always (x > 0)"), [0, 1, 2], {"x": x})
+
+
+@pytest.mark.parametrize("x", ["abc", [1, "b", 3], [[1], [1, 2], 3], {"a": 1}])
+def test_columns_that_are_no_numbers_are_refused(x: Any) -> None:
+    with pytest.raises(ConfigurationError, match="'x' is no array of numbers"):
+        evaluate(parse("always (x > 0)"), [0, 1, 2], {"x": x})
+
+
+def test_columns_that_do_not_fit_each_other_are_refused_without_a_time() -> None:
+    with pytest.raises(ConfigurationError, match="different lengths"):
+        robustness(parse("x > y"), {"x": [1, 2], "y": [1, 2, 3]}, 1.0)
+    with pytest.raises(ConfigurationError, match="traces or rows"):
+        robustness(parse("x > 0"), {"x": np.zeros((2, 2, 2))}, 1.0)
+    with pytest.raises(ConfigurationError, match="trace 1 is not one trace"):
+        robustness_batch(parse("x > 0"), [{"x": [1]}, {"x": [[1]]}], 1.0)
+
+
+@pytest.mark.parametrize(
+    "time, said",
+    [
+        ([0, 1, 2.02, 3.02], "1.02 s after t = 1.00 s"),
+        ([0, 1, 1, 2], "0 s after t = 1.00 s"),
+        ([3, 2, 1, 0], "even distances"),
+        ([0, 0, 0, 0], "even distances"),
+        ([0, 1, math.nan, 3], "a time is not finite"),
+        ([0, 1, 2, INF], "a time is not finite"),
+    ],
+)
+def test_uneven_sampling_is_refused(time: list[float], said: str) -> None:
+    with pytest.raises(ConfigurationError, match=said):
+        judge("always (x > 0)", time=time, x=[1, 2, 3, 4])
+
+
+def test_sampling_may_jitter_by_one_percent_and_must_fit_a_declared_step() -> None:
+    assert judge("always (x > 0)", time=[0, 1.005, 2, 3], x=[1, 2, 3, 4]).status == "satisfied"
+    with pytest.raises(ConfigurationError, match="even distances") as caught:
+        judge("always (x > 0)", time=[0, 1, 2, 3], x=[1, 2, 3, 4], step=0.5)
+    assert "the declared time step" in str(caught.value.expected)
+
+
+def test_a_window_between_two_samples_is_refused() -> None:
+    with pytest.raises(ConfigurationError, match="falls between two samples"):
+        judge("always[0.2:0.8] (x > 0)", x=[1, 2, 3])
+    with pytest.raises(ConfigurationError, match="falls between two samples"):
+        robustness(parse("once[0.2:0.8] (x > 0)"), {"x": [1, 2, 3]}, 1.0)
+
+
+@pytest.mark.parametrize(
+    "text, x, y, vacuous",
+    [
+        ("always ((x > 5) implies (y > 0))", [1, 2, 3], [1, 1, 1], True),
+        ("always ((x > 2) implies (y > 0))", [1, 2, 3], [1, 1, 1], False),
+        ("always ((x >= 3) implies (y > 0))", [1, 2, 3], [1, 1, 1], False),
+        ("always ((x > 3) implies (y > 0))", [1, 2, 3], [1, 1, 1], True),
+        ("(x > 1) implies (y > 0)", [1, 2, 3], [1, 1, 1], True),
+        ("always[0:1] ((x > 2) implies (y > 0))", [1, 2, 3], [1, 1, 1], True),
+        ("always[1:2] ((x < 2) implies (y > 0))", [1, 2, 3], [1, 1, 1], True),
+        ("always[0:1] (always[0:1] ((x > 2) implies (y > 0)))", [1, 2, 3], [1, 1, 1], False),
+        ("always[0:1] (historically[1:1] ((x > 1) implies (y > 0)))", [3, 2, 3], [1, 1, 1], False),
+        ("eventually[2:2] (once[1:1] ((x > 2) implies (y > 0)))", [3, 2, 3], [1, 1, 1], True),
+        ("eventually[2:2] (historically ((x > 2) implies (y > 0)))", [3, 2, 1], [1, 1, 1], False),
+        ("always ((x > 5) implies (y > 0)) and always (y > 0)", [1, 2, 3], [1, 1, 1], False),
+        (
+            "always ((x > 5) implies (y > 0)) and always ((y < 0) implies (x > 0))",
+            [1, 2, 3],
+            [1, 1, 1],
+            True,
+        ),
+        ("((x > 5) implies (y > 0)) or (y < 0)", [1, 2, 3], [1, 1, 1], True),
+        ("((x > 5) implies (y > 0)) or (y > 0)", [1, 2, 3], [1, 1, 1], False),
+        ("(y < 0) or ((x > 5) implies (y > 0))", [1, 2, 3], [1, 1, 1], True),
+        ("always ((x > 0) implies ((x > 5) implies (y > 0)))", [1, 2, 3], [1, 1, 1], True),
+        ("always ((x > 0) implies ((x > 2) implies (y > 0)))", [1, 2, 3], [1, 1, 1], False),
+        ("not ((y < 0) implies (y < 0)) or (x > 0)", [1, 2, 3], [1, 1, 1], False),
+        ("(x > 0) until ((x > 5) implies (y > 0))", [1, 2, 3], [1, 1, 1], False),
+        # Whether x stays above 2 is not known at the last sample: it did not hold there.
+        ("always ((always[0:1] (x > 2)) implies (y > 0))", [1, 2, 3], [1, 1, 1], True),
+        ("always ((always[0:1] (x > 2)) implies (y > 0))", [1, 3, 3], [1, 1, 1], False),
+        ("always (x > 0)", [1, 2, 3], [1, 1, 1], False),
+    ],
+)
+def test_a_verdict_that_rests_on_conditions_that_never_held(
+    text: str, x: list[float], y: list[float], vacuous: bool
+) -> None:
+    found = judge(text, x=x, y=y)
+    assert (found.status, found.vacuous) == ("satisfied", vacuous)
+
+
+def test_only_a_satisfied_formula_is_vacuous() -> None:
+    assert not judge("always[0:9] ((x > 5) implies (x < 0))", x=[1, 2]).vacuous
+    assert not judge("always ((x > 5) implies (x < 0)) and always (x < 0)", x=[1, 2]).vacuous
+
+
+def test_a_batch_names_the_trace_that_it_refuses() -> None:
+    traces = [{"x": [1.0] * 5}, {"x": [1.0, 2.0]}, {"x": [1.0, 2.0, math.nan]}]
+    with pytest.raises(ConfigurationError, match=r"not finite at t = 0\.20 s of trace 2"):
+        robustness_batch(parse("x > 0"), traces, 0.1)
+    traces[2] = {"x": [1.0, 2.0, 0.0]}
+    with pytest.raises(
+        ConfigurationError, match=r"`1 / x` is not finite at t = 0\.20 s of trace 2"
+    ):
+        robustness_batch(parse("1 / x > 0"), traces, 0.1)
+
+
+def test_rows_of_equal_length_are_computed_together() -> None:
+    rows = np.random.default_rng(1).normal(size=(150, 7))
+    formula = parse("always ((x > 0) implies (eventually[1:2] (x < 0)))")
+    whole = robustness(formula, {"x": rows}, 1.0)
+    assert whole.shape == rows.shape
+    for row, values in zip(rows, whole, strict=True):
+        assert robustness(formula, {"x": row}, 1.0).tolist() == values.tolist()
+    lower, upper = robustness_interval(formula, {"x": rows[:3]}, 1.0, complete=False)
+    one = robustness_interval(formula, {"x": rows[2]}, 1.0, complete=False)
+    assert (lower[2].tolist(), upper[2].tolist()) == (one[0].tolist(), one[1].tolist())
+
+
+def test_no_traces_give_no_results() -> None:
+    assert robustness_batch(parse("x > 0"), [], 1.0) == []
