@@ -94,14 +94,15 @@ class Campaign:
         """
         if requirement.paired is not None:
             return self.paired(requirement.paired.without).judge(requirement, check)
-        judge = self._judge(requirement)
+        judge = self.judge_of(requirement)
         self.judged = []
         for episode in self.enough_for(judge):
             judge.add(judge_episode(requirement, episode, check))
             self.judged.append(episode)
         return judge.verdict()
 
-    def _judge(self, requirement: Requirement) -> CampaignJudge:
+    def judge_of(self, requirement: Requirement) -> CampaignJudge:
+        """What takes in the verdicts on this campaign's episodes."""
         return CampaignJudge(
             requirement,
             self.case.id,
@@ -136,7 +137,7 @@ class Campaign:
 
     def require(
         self,
-        check: Check,
+        check: Check | None = None,
         at_most: float | None = None,
         confidence: float = 0.95,
         method: Method | None = None,
@@ -145,7 +146,8 @@ class Campaign:
         """The verdict of a check, if the campaign supports it.
 
         Args:
-            check: Formula over signals, or a function of the episode or its import path.
+            check: Formula over signals, or a function of the episode or its import path. Without
+                one, the requirement in the test's marker is judged as its file defines it.
             at_most: Greatest acceptable rate of episodes that violate it; by default none may.
             confidence: One-sided confidence of the bound on that rate.
             method: ``fixed`` for the planned number of runs; ``sprt`` or ``e-process`` to end the
@@ -158,20 +160,35 @@ class Campaign:
                 no sense.
         """
         __tracebackhide__ = True
-        requirement = replace(
-            self.requirement or Requirement(id=check_name(check)),
-            check=check_name(check),
-            at_most=at_most,
-            confidence=confidence,
-            method=method,
-            p0=p0,
-            paired=None,
-        )
+        if check is None:
+            requirement = self._own_requirement()
+        else:
+            requirement = replace(
+                self.requirement or Requirement(id=check_name(check)),
+                check=check_name(check),
+                at_most=at_most,
+                confidence=confidence,
+                method=method,
+                p0=p0,
+                paired=None,
+            )
         try:
             verdict = self.judge(requirement, check)
         except ConfigurationError as error:
             raise error.with_traceback(None) from None
         return self.decided(verdict, requirement)
+
+    def _own_requirement(self) -> Requirement:
+        own = self.requirement
+        if own is None or not (own.check or own.paired):
+            raise ConfigurationError(
+                "there is no check to decide by",
+                key="check",
+                found=own.id if own is not None else "a test without a marker `requirement`",
+                expected="a check, or a requirement with one in its file",
+                remedy='call campaign.require("always (gap > 0)"), or add a `check` to the file',
+            )
+        return own
 
     def decided(self, verdict: CampaignVerdict, requirement: Requirement) -> CampaignVerdict:
         """Tell of a verdict, and return it if it is "supported".

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from pytest_dura.campaign.cases import NO_FAULTS, Case, expand_cases
+from pytest_dura.core.episode import Episode
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.requirements.campaigns import CampaignVerdict
+from pytest_dura.requirements.changes import Change
 from pytest_dura.requirements.checks import Check, check_name
 from pytest_dura.requirements.episodes import EpisodeVerdict, JudgedEpisode, judge_episode
 from pytest_dura.requirements.model import FAULTS, Method, Paired, Requirement
@@ -45,11 +46,6 @@ class PairedCampaign:
         for episode in self.campaign:
             yield episode, self.twin(episode)
 
-    @cached_property
-    def pairs(self) -> list[tuple[JudgedEpisode, JudgedEpisode]]:
-        """The pairs of all planned runs: the episode, and its twin."""
-        return list(self)
-
     def twin(self, episode: JudgedEpisode) -> JudgedEpisode:
         """The episode of the same run and seed without something."""
         return self.campaign.bench.episode(
@@ -63,17 +59,28 @@ class PairedCampaign:
             ConfigurationError: For a check or measure that cannot be used.
         """
         campaign = self.campaign
-        judge = campaign._judge(requirement)  # noqa: SLF001 - the other half of one campaign
-        campaign.judged, counted = [], []
+        judge = campaign.judge_of(requirement)
+        campaign.judged, compared = [], _Compared(requirement, check)
         for episode in campaign.enough_for(judge):
             twin = self.twin(episode)
-            verdict, pair = self._pair(requirement, episode, twin, check)
-            judge.add(verdict)
-            counted.append(pair)
+            judge.add(compared.add(episode, twin))
             campaign.judged += [episode, twin]
         found = judge.verdict()
-        table = {} if None in counted else self._counts([one for one in counted if one]).to_json()
-        return replace(found, pairs={"without": self.without, "case": self.case.id, **table})
+        table = {"without": self.without, "case": self.case.id, **compared.table()}
+        doubt = self._doubt(compared)
+        if doubt is not None and found.verdict == "supported":
+            return replace(found, verdict="undecided", reason=doubt, pairs=table)
+        return replace(found, pairs=table)
+
+    def _doubt(self, compared: _Compared) -> str | None:
+        """Why the pairs cannot be trusted: runs of equal seeds differ though nothing acted."""
+        counts = compared.counts
+        if self.without != "recovery_planner" or counts is None or not counts.unexplained:
+            return None
+        return (
+            f"infrastructure: nondeterministic: {counts.unexplained} of {counts.pairs} pairs "
+            "differ although recovery never acted in them"
+        )
 
     def require(
         self,
@@ -120,31 +127,62 @@ class PairedCampaign:
 
     def counts(self, check: Check) -> PairCounts:
         """How many of all planned pairs violate a check in both runs, one of them, or neither."""
-        requirement = Requirement(check_name(check), check=check_name(check))
-        return self._counts(
-            [
-                _counted(episode, *_verdicts(requirement, episode, twin, check))
-                for episode, twin in self
-            ]
+        name = check_name(check)
+        compared = _Compared(Requirement(name, check=name, paired=Paired(self.without)), check)
+        for episode, twin in self:
+            compared.add(episode, twin)
+        assert compared.counts is not None
+        return compared.counts
+
+    def change(self, measure: str | Callable[[Episode], float]) -> Change:
+        """By how much a measure differs in each of the planned pairs.
+
+        Args:
+            measure: A function of an episode to a number, or its import path. NaN is no value.
+        """
+        name = check_name(measure)
+        return Change.between(
+            name,
+            {one.id: (_value(measure, one), _value(measure, twin)) for one, twin in self},
         )
 
-    def _counts(self, pairs: list[Pair]) -> PairCounts:
-        return judge_pairs(pairs)
 
-    def _pair(
-        self,
-        requirement: Requirement,
-        episode: JudgedEpisode,
-        twin: JudgedEpisode,
-        check: Check | None,
-    ) -> tuple[EpisodeVerdict, Pair | None]:
-        paired = requirement.paired
-        assert paired is not None
-        if paired.measure:
-            values = measured(paired.measure, episode), measured(paired.measure, twin)
-            return change_verdict(requirement, episode, twin, values), None
-        verdicts = _verdicts(requirement, episode, twin, check)
-        return pair_verdict(*verdicts), _counted(episode, *verdicts)
+class _Compared:
+    """The verdicts on pairs, and what they come to."""
+
+    def __init__(self, requirement: Requirement, check: Check | None) -> None:
+        assert requirement.paired is not None
+        self.requirement, self.check = requirement, check
+        self.measure = requirement.paired.measure
+        self._pairs: list[Pair] = []
+        self._values: dict[str, tuple[float | None, float | None]] = {}
+
+    def add(self, episode: JudgedEpisode, twin: JudgedEpisode) -> EpisodeVerdict:
+        """The verdict on the next pair."""
+        if self.measure:
+            values = _value(self.measure, episode), _value(self.measure, twin)
+            self._values[episode.id] = values
+            return change_verdict(self.requirement, episode, twin, values)
+        own = judge_episode(self.requirement, episode, self.check)
+        other = judge_episode(self.requirement, twin, self.check)
+        self._pairs.append(Pair(own, other, bool(episode.metrics.recoveries)))
+        return pair_verdict(own, other)
+
+    @property
+    def counts(self) -> PairCounts | None:
+        """Of a check; ``None`` for a measure."""
+        return None if self.measure else judge_pairs(self._pairs)
+
+    def table(self) -> dict[str, Any]:
+        """Plain data of what the pairs come to."""
+        if self.counts is not None:
+            return self.counts.to_json()
+        return {"change": Change.between(self.measure, self._values).to_json()}
+
+
+def _value(measure: str | Callable[[Episode], float], episode: Episode) -> float | None:
+    """The measure of a run; ``None`` of one that is invalid or missing."""
+    return None if episode.validity != "valid" else measured(measure, episode)
 
 
 def twin_case(case: Case, without: str) -> Case:
@@ -167,14 +205,3 @@ def twin_case(case: Case, without: str) -> Case:
     for role in case.without:
         bare = bare.switched_off(role)
     return bare
-
-
-def _verdicts(
-    requirement: Requirement, episode: JudgedEpisode, twin: JudgedEpisode, check: Check | None
-) -> tuple[EpisodeVerdict, EpisodeVerdict]:
-    return judge_episode(requirement, episode, check), judge_episode(requirement, twin, check)
-
-
-def _counted(episode: JudgedEpisode, own: EpisodeVerdict, twin: EpisodeVerdict) -> Pair:
-    acted: dict[str, Any] = {"acted": bool(episode.metrics.recoveries)}
-    return Pair(own, twin, **acted)

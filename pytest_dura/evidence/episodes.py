@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from pytest_dura.core.episode import Episode
+from pytest_dura.core.switching import switching
 from pytest_dura.evidence.plain import plain
 
 
@@ -69,6 +70,7 @@ def outcome(episode: Episode) -> dict[str, Any]:
         "gridlock": gridlock,
         "recoveries": len(episode.metrics.recoveries),
         "alerts": episode.metrics.alerts,
+        "switching": switching(episode).to_json(),
     }
 
 
@@ -101,7 +103,28 @@ def case_metrics(episodes: Sequence[Mapping[str, Any]], planned: int) -> dict[st
         "clearance_time": clearance if has_clearance else None,
         "recoveries": sum(one["outcome"]["recoveries"] for one in valid),
         "alerts": sum(one["outcome"]["alerts"] for one in valid),
+        "switching": _switching(valid),
         "user": _user_metrics(valid),
+    }
+
+
+def _switching(valid: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
+    """How control was shared over the valid episodes: see :class:`Switching` for the terms."""
+    found = [one["outcome"]["switching"] for one in valid]
+    found = [one for one in found if one["decisions"]]
+    decisions = sum(one["decisions"] for one in found)
+    if not found:
+        return None
+    times = [time for one in found for time in one["time_to_safe"] if time is not None]
+    return {
+        "share": sum(one["recovered"] for one in found) / decisions,
+        "takeovers": sum(one["takeovers"] for one in found),
+        "switches_per_episode": sum(one["switches"] for one in found) / len(found),
+        "time_to_safe": {
+            "median": statistics.median(times) if times else None,
+            "max": max(times) if times else None,
+            "censored": sum(one["censored"] for one in found),
+        },
     }
 
 

@@ -207,6 +207,7 @@ def case_record(
         "scenario": case.scenario.name,
         "faults": [dict(fault) for fault in case.faults],
         "component": component,
+        "without": list(case.without),
         "requirements": list(case.requirements),
         "planned": planned,
         "runs_override": runs_override,
@@ -219,6 +220,7 @@ def _episode_verdict(
     """The verdict of a test on an episode: by its outcome, and by the requirement's own check."""
     word, detail = _word(episode, error)
     margin = time = None
+    vacuous = False
     if requirement.check:
         from pytest_dura.requirements.episodes import judge_episode
 
@@ -228,6 +230,7 @@ def _episode_verdict(
             judged = None
         if judged is not None and judged.verdict == "violated" and error is not None:
             word, margin, time = "violated", judged.margin, judged.time
+        vacuous = word == "satisfied" and judged is not None and judged.vacuous
     return {
         "requirement": requirement.id,
         "episode": episode.id,
@@ -238,6 +241,7 @@ def _episode_verdict(
         "detail": detail,
         "proposals": episode.metrics.proposals,
         "valid_proposals": episode.metrics.valid_proposals,
+        "vacuous": vacuous,
     }
 
 

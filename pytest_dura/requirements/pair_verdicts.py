@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 from pytest_dura.core.episode import Episode
 from pytest_dura.core.errors import ConfigurationError, describe_error
-from pytest_dura.requirements.checks import load_function
+from pytest_dura.requirements.checks import check_name, load_function
 from pytest_dura.requirements.episodes import EpisodeVerdict, EpisodeWord
 from pytest_dura.requirements.model import Requirement
 
@@ -42,40 +43,27 @@ def pair_verdict(with_it: EpisodeVerdict, without: EpisodeVerdict) -> EpisodeVer
 
 
 def change_verdict(
-    requirement: Requirement, episode: Episode, twin: Episode, values: tuple[float, float]
+    requirement: Requirement,
+    episode: Episode,
+    twin: Episode,
+    values: tuple[float | None, float | None],
 ) -> EpisodeVerdict:
     """Whether a measure grew by more than is acceptable.
 
-    A value that is not a number stands for "never", more than any number: an episode without one
-    whose twin has one violates the requirement, and a pair without any says nothing.
+    A value that is not finite stands for "never", which is more than any number: an episode
+    without a value whose twin has one violates the requirement, and a pair without any says
+    nothing.
 
     Args:
         requirement: A requirement on pairs with a bound on the change.
         episode: The episode.
         twin: The episode of the same seed without something.
-        values: The measure of both.
+        values: The measure of both; ``None`` of a run that is invalid or missing.
     """
     assert requirement.paired is not None
     bound = requirement.paired.change_at_most
     assert bound is not None
-    own, other = values
-    word: EpisodeWord
-    margin: float | None = None
-    if spoilt := next((one for one in (episode, twin) if one.failure is not None), None):
-        word, detail = "missing", str(spoilt.failure)
-    elif math.isnan(own) and math.isnan(other):
-        word, detail = "invalid", "the measure has no value in either run"
-    elif math.isnan(own):
-        word, detail = "violated", f"it has no value, and {other:.4g} without"
-    elif math.isnan(other):
-        word, detail = "satisfied", f"it is {own:.4g}, and has no value without"
-    else:
-        margin = bound - (own - other)
-        word = "satisfied" if margin >= 0 else "violated"
-        detail = f"it is {own:.4g}, and {other:.4g} without: a change of {own - other:+.4g}"
-    invalid = next((one for one in (episode, twin) if one.validity == "invalid"), None)
-    if word == "satisfied" and invalid is not None:
-        word, detail = "invalid", f"{invalid.id}: {invalid.invalid_reason}"
+    word, margin, detail = _compared(episode, twin, values, bound)
     return EpisodeVerdict(
         requirement=requirement.id,
         episode=episode.id,
@@ -89,24 +77,44 @@ def change_verdict(
     )
 
 
-def measured(path: str, episode: Episode) -> float:
-    """The measure of an episode; NaN for one that has no value, or is missing.
+def _compared(
+    episode: Episode, twin: Episode, values: tuple[float | None, float | None], bound: float
+) -> tuple[EpisodeWord, float | None, str]:
+    own, other = values
+    if own is None or other is None:
+        spoilt = [one for one in (episode, twin) if one.validity != "valid"]
+        missing = next((one for one in spoilt if one.failure is not None), None)
+        if missing is not None:
+            return "missing", None, f"{missing.id}: {missing.failure}"
+        return "invalid", None, f"{spoilt[0].id}: {spoilt[0].invalid_reason}"
+    if not math.isfinite(own):
+        if not math.isfinite(other):
+            return "invalid", None, "the measure has no value in either run"
+        return "violated", None, f"the measure has no value, and {other:.4g} without"
+    if not math.isfinite(other):
+        return "satisfied", None, f"the measure is {own:.4g}, and has no value without"
+    detail = f"the measure is {own:.4g}, and {other:.4g} without: {own - other:+.4g}"
+    margin = bound - (own - other)
+    return ("satisfied" if margin >= 0 else "violated"), margin, detail
+
+
+def measured(measure: str | Callable[[Episode], float], episode: Episode) -> float:
+    """The measure of an episode; NaN for none.
 
     Raises:
         ConfigurationError: If the function cannot be imported, fails, or returns no number.
     """
-    if episode.failure is not None:
-        return math.nan
-    function = load_function(path)
+    function = load_function(measure) if isinstance(measure, str) else measure
     try:
         return float(function(episode))
     except ConfigurationError:
         raise
     except Exception as error:
+        name = check_name(measure)
         raise ConfigurationError(
-            f"the measure {path} failed on {episode.id}: {describe_error(error)}",
+            f"the measure {name} failed on {episode.id}: {describe_error(error)}",
             key="paired.measure",
-            found=path,
+            found=name,
             expected="a function of an episode to a number",
             remedy="mend the function; let it return NaN where there is no value",
         ) from error

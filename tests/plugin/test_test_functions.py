@@ -160,7 +160,7 @@ def test_an_unknown_name_by_hand_shows_the_users_line_only(project):
             ["*the marker dura cannot be used*", "*did you mean 'scenario'?"],
         ),
         (["dura(scenario=3)"], "episode", ["*wrong `scenario`", "*found:*3"]),
-        (["dura(scenario='corridor/free', runs=0)"], "episode", ["*wrong `runs`", "*at least 1"]),
+        (["dura(scenario='corridor/free', runs=0)"], "episode", ["*wrong `runs`", "*at least 1*"]),
         (["dura(scenario='corridor/free', faults=7)"], "episode", ["*wrong `faults`"]),
         (["dura(scenario='corridor/free', faults=[])"], "episode", ["*wrong `faults`"]),
         (["dura(scenario='corridor/free', faults=[None])"], "episode", ["*wrong `faults`"]),

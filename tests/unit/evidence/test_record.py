@@ -20,7 +20,7 @@ def case(component="C", planned=2):
 def episode(run=0, digest="d", validity="valid", **outcome):
     told = {
         "flagged": False, "collided": None, "clearance_time": None, "gridlock": None,
-        "recoveries": 0, "alerts": 0,
+        "recoveries": 0, "alerts": 0, "switching": {"decisions": 0, "time_to_safe": []},
     }  # fmt: skip
     return {
         "id": f"a/b#{run}", "case": "a/b", "component": "C", "seed": run, "planned": True,

@@ -1,0 +1,132 @@
+"""The verdicts in the terminal, and why those that are not "supported" are not."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from pytest_dura.plugin.commands import replay_command, rerun_command
+from pytest_dura.plugin.tables import WIDTH, Data, counted
+
+if TYPE_CHECKING:
+    from pytest_dura.plugin.session import DuraSession
+
+COLOURS = {"supported": {"green": True}, "violated": {"red": True}, "undecided": {"yellow": True}}
+
+
+def show_verdicts(session: DuraSession, terminal: Any, record: Data) -> None:
+    """Every verdict with its figures, and then each failure with what helps to mend it."""
+    verdicts = record["verdicts"]
+    if not verdicts:
+        return
+    terminal.line("")
+    same: dict[tuple[str, ...], list[Data]] = {}
+    for verdict in verdicts:
+        where = f"{verdict['case']} ({verdict['component']})"
+        same.setdefault((verdict["verdict"], where, _counts(verdict)), []).append(verdict)
+    for (word, where, counts), group in same.items():
+        terminal.write(f"{word:<9}", **COLOURS[word])
+        terminal.line(f"  {where}")
+        terminal.line(f"{'':<11}{counts}")
+        names = ", ".join(dict.fromkeys(map(_with_margin, group)))
+        for line in textwrap.wrap(names, WIDTH - 11, break_on_hyphens=False):
+            terminal.line(f"{'':<11}{line}")
+    terminal.line(f"{'':<11}(behind each requirement: its least margin, in the check's unit)")
+    alike: dict[tuple[str, ...], list[Data]] = {}
+    for verdict in verdicts:
+        if verdict["verdict"] != "supported":
+            # What is undecided for one reason is told once for all requirements of a case.
+            apart = (
+                verdict["requirement"] if verdict["verdict"] == "violated" else verdict["reason"]
+            )
+            alike.setdefault((verdict["case"], verdict["component"], apart), []).append(verdict)
+    for group in alike.values():
+        _show_failure(session, terminal, record, group)
+
+
+def _counts(verdict: Data) -> str:
+    """The figures that the verdict rests on."""
+    counts = f"n = {verdict['episodes']}, {counted(verdict['violations'], 'violation')}"
+    if verdict["pairs"]:
+        counts = f"pairs without {verdict['pairs']['without']}: {counts}"
+    bound = verdict["bound"]
+    if bound["upper"] is not None:
+        counts += f", rate <= {bound['upper']:.2g} at {bound['confidence']:g}"
+    counts += f", {verdict['method']}"
+    if verdict["saved"]:
+        counts += f", {verdict['saved']} of {verdict['planned']} runs saved"
+    waiver = f" [{verdict['waiver']['kind']}]" if verdict["waiver"] else ""
+    return counts + waiver
+
+
+def _with_margin(verdict: Data) -> str:
+    """The requirement, its least margin, and how many episodes satisfied it vacuously."""
+    told = [] if verdict["margin"] is None else [f"{verdict['margin']:.3g}"]
+    if verdict["vacuous"]:
+        told.append(f"{verdict['vacuous']} vacuous")
+    return str(verdict["requirement"]) + (f" ({', '.join(told)})" if told else "")
+
+
+def _show_failure(
+    session: DuraSession, terminal: Any, record: Data, verdicts: Sequence[Data]
+) -> None:
+    first = verdicts[0]
+    names = ", ".join(dict.fromkeys(one["requirement"] for one in verdicts))
+    terminal.line("")
+    terminal.line(
+        f"{first['verdict']}: {names} on {first['case']} ({first['component']})",
+        **COLOURS[first["verdict"]],
+    )
+    for line in textwrap.wrap(first["reason"], WIDTH - 2):
+        terminal.line(f"  {line}")
+    check = first["check"] or _check_of(record, first["requirement"])
+    if check and len(verdicts) == 1 and check != first["requirement"]:
+        terminal.line(f"  check:  {check}")
+    episode = None
+    if first["counterexamples"]:
+        from pytest_dura.campaign.reasons import describe_counterexample
+
+        episode = first["counterexamples"][0]["episode"]
+        terminal.line(f"  worst:  {describe_counterexample(first['counterexamples'][0])}")
+        for event in _critical(record, episode):
+            terminal.line(f"  event:  at t = {event['time']:.2f} s {event['detail']}")
+    else:
+        spoilt = _spoilt(record, first)
+        if spoilt is not None:
+            episode = spoilt["id"]
+            terminal.line(f"  {spoilt['failure'] or 'invalid: ' + spoilt['invalid_reason']}")
+    if episode is not None:
+        terminal.line(f"  replay: {replay_command(session, episode)}")
+    items = list(dict.fromkeys(item for one in verdicts for item in one["item"].split(", ")))
+    if len(items) > 1 and all(item.startswith(f"{first['case']}::") for item in items):
+        items = [first["case"]]
+    for item in items:
+        terminal.line(f"  rerun:  {rerun_command(session, item)}")
+
+
+def _check_of(record: Data, requirement: str) -> str:
+    return next((one["check"] for one in record["requirements"] if one["id"] == requirement), "")
+
+
+def _critical(record: Data, episode: str) -> list[Data]:
+    """What ended an episode before its time, if anything did."""
+    return [
+        event
+        for one in record["episodes"]
+        if one["id"] == episode
+        for event in one["events"]
+        if event["kind"] == "critical"
+    ]
+
+
+def _spoilt(record: Data, verdict: Data) -> Data | None:
+    """The first episode of the case that says nothing; a missing one before an invalid one."""
+    found = [
+        one
+        for one in record["episodes"]
+        if (one["case"], one["component"]) == (verdict["case"], verdict["component"])
+        and one["planned"]
+        and one["validity"] != "valid"
+    ]
+    return min(found, key=lambda one: one["validity"] != "missing", default=None)
