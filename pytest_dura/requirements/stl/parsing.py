@@ -24,7 +24,8 @@ is ``(not (a > 1)) and (b > 2)``; ``and`` before ``or`` before ``implies``; ``a 
 ``a / b / c`` from the left.
 
 Beyond rtamt's text: ``!=`` for ``!==``; dotted signals; signals with the names of operators, told
-by their place (see :mod:`words`); ``a/b`` is a division. Short of it: no comments, declarations,
+by their place (see :mod:`words`); ``a/b`` is a division; ``a - 5``, on which rtamt fails
+because it looks for a second formula. Short of it: no comments, declarations,
 assignments, truth values, named constants, nor numbers such as ``0x1F`` and ``1_000``. Windows
 are in seconds without a unit; one bound alone has a unit only beside a zero.
 """

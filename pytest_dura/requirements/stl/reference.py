@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,7 +19,6 @@ from pytest_dura.requirements.stl.nodes import (
     Not,
     Step,
     Temporal,
-    TemporalPair,
     Window,
 )
 from pytest_dura.requirements.stl.rendering import Renderer
@@ -105,16 +105,11 @@ def _expanded(node: Node) -> Node:
     """The formula without ``iff`` and ``xor``."""
     if isinstance(node, Comparison):
         return node
-    if isinstance(node, Not):
-        return Not(_expanded(node.operand))
-    if isinstance(node, Temporal):
-        return Temporal(node.operator, _expanded(node.operand), node.window)
-    if isinstance(node, Step):
-        return Step(node.operator, _expanded(node.operand))
-    left, right = _expanded(node.left), _expanded(node.right)
-    if isinstance(node, TemporalPair):
-        return TemporalPair(node.operator, left, right, node.window)
+    if isinstance(node, (Not, Temporal, Step)):
+        return replace(node, operand=_expanded(node.operand))
+    node = replace(node, left=_expanded(node.left), right=_expanded(node.right))
     if node.operator not in ("iff", "xor"):
-        return Boolean(node.operator, left, right)
-    both = Boolean("and", Boolean("implies", left, right), Boolean("implies", right, left))
+        return node
+    there = Boolean("implies", node.left, node.right)
+    both = Boolean("and", there, Boolean("implies", node.right, node.left))
     return both if node.operator == "iff" else Not(both)

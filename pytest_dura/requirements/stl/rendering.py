@@ -69,7 +69,11 @@ class Renderer:
             return f"{node.name}({self._expression(node.operand)})"
         if node.operator == "pow":
             return f"pow({self._expression(node.left)}, {self._expression(node.right)})"
-        return f"{self._term(node.left)} {node.operator} {self._term(node.right)}"
+        right = self._term(node.right)
+        if node.operator == "-" and isinstance(node.right, Constant):
+            # rtamt fails on `a - 5`, which it tries to read as a formula `a` and another, `-5`.
+            right = f"({right})"
+        return f"{self._term(node.left)} {node.operator} {right}"
 
     def _term(self, node: Expression) -> str:
         joined = isinstance(node, Arithmetic) and node.operator != "pow"
