@@ -12,10 +12,11 @@ from pytest_dura.campaign.scenario import Scenario
 from pytest_dura.campaign.worlds import percept_signal_names, signal_names
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.loop_signals import LOOP_SIGNALS
-from pytest_dura.requirements.bounds import check_time_step, parse
 from pytest_dura.requirements.checks import is_function_path
 from pytest_dura.requirements.judging import method_of
 from pytest_dura.requirements.model import FAULTS
+from pytest_dura.requirements.stl.checks import check_time_step
+from pytest_dura.requirements.stl.parsing import parse
 
 
 def applied(

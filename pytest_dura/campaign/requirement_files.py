@@ -14,10 +14,10 @@ from pytest_dura.campaign.scenario import Entry, not_empty
 from pytest_dura.campaign.validation import validate
 from pytest_dura.campaign.yaml_source import Document
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.requirements.bounds import parse
 from pytest_dura.requirements.checks import is_function_path, load_function
 from pytest_dura.requirements.judging import CampaignJudge
 from pytest_dura.requirements.model import Kind, Method, Paired, Requirement
+from pytest_dura.requirements.stl.parsing import parse
 
 
 class PairedEntry(Entry):

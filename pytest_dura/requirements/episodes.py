@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from pytest_dura.core.episode import Episode
 from pytest_dura.core.errors import ConfigurationError, describe_error
 from pytest_dura.core.loop_signals import PREFIX, loop_signals
-from pytest_dura.requirements.bounds import Evaluation, Formula, evaluate, parse
 from pytest_dura.requirements.checks import (
     Check,
     CheckResult,
@@ -22,8 +21,10 @@ from pytest_dura.requirements.checks import (
     is_function_path,
     load_function,
 )
-from pytest_dura.requirements.formula import unknown_signal
 from pytest_dura.requirements.model import Requirement
+from pytest_dura.requirements.stl.evaluation import Evaluation, evaluate
+from pytest_dura.requirements.stl.formula import Formula, unknown_signal
+from pytest_dura.requirements.stl.parsing import parse
 
 EpisodeWord = Literal["satisfied", "violated", "invalid", "missing"]
 
@@ -190,7 +191,14 @@ def evaluate_episode(formula: Formula, episode: Episode) -> tuple[Evaluation | N
             return undecided, gap
     complete = samples == episode.ticks and episode.failure is None
     cut = {name: column[:samples] for name, column in columns.items()}
-    return evaluate(formula, episode.time[:samples], cut, complete=complete), gap
+    found = evaluate(
+        formula,
+        episode.time[:samples],
+        cut,
+        complete=complete,
+        time_step=episode.spec.time_step,
+    )
+    return found, gap
 
 
 def _columns(formula: Formula, episode: Episode) -> Mapping[str, NDArray[np.float64]]:

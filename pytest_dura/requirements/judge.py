@@ -6,26 +6,35 @@ from collections.abc import Sequence
 
 from pytest_dura.core.simulator import Simulator
 from pytest_dura.core.state import Tick
-from pytest_dura.requirements.bounds import evaluate, parse
+from pytest_dura.requirements.checks import is_function_path
 from pytest_dura.requirements.model import Requirement
+from pytest_dura.requirements.stl.evaluation import evaluate
+from pytest_dura.requirements.stl.parsing import parse
+
+LATER = ("percept.", "loop.")
+"""Beginnings of the names of signals that are there only once the episode is complete."""
 
 
 class RequirementJudge:
     """Ends an episode once every requirement is decided and at least one is violated.
 
     A requirement that ranges over the episode and holds so far is not decided, and one on a
-    ``percept.`` signal or without a check never is before the end: either keeps the episode going.
+    signal of the percept or of the loop, on pairs of episodes, by a function or without a check
+    never is before the end: each of these keeps the episode going.
 
     Raises:
         ConfigurationError: If a check cannot be read.
     """
 
     def __init__(self, requirements: Sequence[Requirement]) -> None:
-        checks = [requirement.check for requirement in requirements]
-        self._open = not all(checks)
-        self._formulas = [parse(check) for check in checks if check]
-        self._open |= any(
-            name.startswith("percept.") for formula in self._formulas for name in formula.signals
+        checks = [
+            one.check
+            for one in requirements
+            if one.check and not one.paired and not is_function_path(one.check)
+        ]
+        self._formulas = [parse(check) for check in checks]
+        self._open = len(checks) < len(requirements) or any(
+            name.startswith(LATER) for formula in self._formulas for name in formula.signals
         )
 
     def __call__(self, simulator: Simulator, ticks: list[Tick]) -> bool:

@@ -157,7 +157,9 @@ class CampaignJudge:
         limit, confidence = self.requirement.at_most, self.requirement.confidence
         told = f"{counts}; {self.method} at {confidence:g} confidence"
         if test.decision == "violated":
-            return "violated", f"{told} rejects a rate of at most {limit:g}"
+            above = f", since the rate is above p0 = {self.requirement.p0:g}"
+            why = above if self.method == "sprt" else ""
+            return "violated", f"{told} rejects a rate of at most {limit:g}{why}"
         obstacles = self._obstacles(decided=test.decision is not None)
         if obstacles:
             return "undecided", "; ".join(obstacles)

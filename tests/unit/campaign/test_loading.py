@@ -161,7 +161,7 @@ def test_an_interval_between_two_ticks(tmp_path: Path) -> None:
     file = tmp_path / "requirements.yaml"
     file.write_text(requirement("A", "always[0.12:0.18] (headroom > 0)"))
     (tmp_path / "room.yaml").write_text(scenario("room", "A"))
-    with pytest.raises(ConfigurationError, match="no sample falls into the interval") as caught:
+    with pytest.raises(ConfigurationError, match="falls between two samples") as caught:
         load_library([tmp_path], builtin=False)
     assert caught.value.key == "requirements.0.check"
 

@@ -22,7 +22,14 @@ def episode(
     columns["gap"] = np.array(gap, dtype=float)
     ticks = len(columns["gap"])
     return Episode(
-        spec=EpisodeSpec("case", run, 1, RoleSpec("a:Sim"), {"generator": RoleSpec("a:Planner")}),
+        spec=EpisodeSpec(
+            "case",
+            run,
+            1,
+            RoleSpec("a:Sim"),
+            {"generator": RoleSpec("a:Planner")},
+            time_step=1.0,
+        ),
         time=np.arange(ticks, dtype=float),
         signals=columns,
         decisions={"verdict": np.zeros(max(0, ticks - 1), dtype=np.int8)},
