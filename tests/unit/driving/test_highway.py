@@ -18,7 +18,8 @@ from pytest_dura.core.state import Percept
 from pytest_dura.driving.bodies import BodyList
 from pytest_dura.driving.highway import HighwaySimulator
 from pytest_dura.driving.junction import ARM_LENGTH, ARMS, route
-from pytest_dura.driving.signals import GAP_CAP, NAMES, TTC_CAP
+from pytest_dura.driving.right_of_way import NOT_A_CAR
+from pytest_dura.driving.signals import GAP_CAP, NAMES, PERCEPT_NAMES, TTC_CAP
 from pytest_dura.driving.traffic import Ego
 
 EMPTY: dict[str, Any] = {"ego": {"distance": 50.0, "speed": 8.0}}
@@ -194,8 +195,8 @@ def test_all_channels_and_signals_are_there() -> None:
         "progress", "in_conflict_zone", "collided", "struck", "cleared",
     }  # fmt: skip
     percept = simulator.percept_signals([Percept(tick.channels) for tick in ticks])
-    assert set(percept) == {"gap", "ttc", "speed"}
-    for name in ("gap", "speed"):
+    assert set(percept) == set(PERCEPT_NAMES)
+    for name in ("gap", "leader_gap", "speed"):
         assert percept[name] == pytest.approx(signals[name], abs=1e-9), "there is no fault"
     assert (percept["ttc"] >= signals["ttc"] - 1e-9).all(), "who is out of reach is not perceived"
 
@@ -340,6 +341,7 @@ def test_the_time_to_collision_knows_far_and_fast_cars() -> None:
     far = ticks[0].truth["ego"]
     meeting = {**ticks[0].truth}
     meeting["bodies"] = BodyList.of([car("X", far.x, far.y - 75.0, math.pi / 2, 6.0)])
+    meeting["routes"] = (NOT_A_CAR,)
     signals = simulator.signals([replace(ticks[0], truth=meeting)])
     assert signals["gap"][0] == GAP_CAP
     assert signals["ttc"][0] == pytest.approx(70.0 / 14.0)
