@@ -66,7 +66,7 @@ class Route:
         """Right of way, as in highway-env: 3 and 2 east-west, 1 and 0 north-south; left is less."""
         return (3 if self.origin % 2 else 1) - (self.turn == "left")
 
-    @cached_property
+    @property
     def number(self) -> int:
         """Its place in ``all_routes()``."""
         return 3 * self.origin + TURNS.index(self.turn)
