@@ -17,6 +17,7 @@ SMALLEST = {
     "loop_cost.py": ["--runs", "1", "--repeats", "1"],
     "paper_table.py": ["--runs", "2", "--jobs", "1"],
     "plugin_cost.py": ["--repeats", "1"],
+    "stl_speed.py": ["--repeats", "1", "--traces", "3"],
     "sequential_cost.py": ["--campaigns", "20", "--budget", "100"],
 }
 NOT_A_SCRIPT = {"machine.py"}
@@ -25,6 +26,7 @@ HEADERS = {
     "loop_cost.py": ["ratio without Generator", "part of the loop"],
     "paper_table.py": ["gridlock", "flagged only attacked / only free", "prevented"],
     "plugin_cost.py": ["cost of the unused plugin"],
+    "stl_speed.py": ["times faster"],
     "sequential_cost.py": [
         "mean runs, SPRT",
         "mean runs, e-process",
