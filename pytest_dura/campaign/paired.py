@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from pytest_dura.campaign.cases import NO_FAULTS, Case, expand_cases
+from pytest_dura.campaign.monitoring import monitor_qualities
 from pytest_dura.core.episode import Episode
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.requirements.campaigns import CampaignVerdict
@@ -14,11 +15,14 @@ from pytest_dura.requirements.changes import Change
 from pytest_dura.requirements.checks import Check, check_name
 from pytest_dura.requirements.episodes import EpisodeVerdict, JudgedEpisode, judge_episode
 from pytest_dura.requirements.model import FAULTS, Method, Paired, Requirement
+from pytest_dura.requirements.monitor_quality import MonitorQuality
 from pytest_dura.requirements.pair_verdicts import change_verdict, measured, pair_verdict
 from pytest_dura.requirements.pairs import Pair, PairCounts, judge_pairs
 
 if TYPE_CHECKING:
     from pytest_dura.campaign.campaigns import Campaign
+
+RECOVERY = "recovery_planner"
 
 
 class PairedCampaign:
@@ -65,6 +69,7 @@ class PairedCampaign:
             twin = self.twin(episode)
             judge.add(compared.add(episode, twin))
             campaign.judged += [episode, twin]
+        self._tell_of_monitors(campaign.judged[1::2])
         found = judge.verdict()
         table = {"without": self.without, "case": self.case.id, **compared.table()}
         doubt = self._doubt(compared)
@@ -72,10 +77,35 @@ class PairedCampaign:
             return replace(found, verdict="undecided", reason=doubt, pairs=table)
         return replace(found, pairs=table)
 
+    def monitors(self) -> list[MonitorQuality]:
+        """How good the monitors are on all planned runs without recovery, where they cannot act.
+
+        Raises:
+            ConfigurationError: If it is not the recovery that the twins lack.
+        """
+        if self.without != RECOVERY:
+            raise ConfigurationError(
+                "monitors are judged where nobody acts on their word",
+                key="without",
+                found=self.without,
+                expected=RECOVERY,
+                remedy=f'compare with campaign.paired(without="{RECOVERY}")',
+            )
+        return monitor_qualities([twin for _, twin in self], self._requirements())
+
+    def _tell_of_monitors(self, twins: list[JudgedEpisode]) -> None:
+        if self.without == RECOVERY:
+            bench = self.campaign.bench
+            bench.on_monitors(self.case, monitor_qualities(twins, self._requirements()))
+
+    def _requirements(self) -> list[Requirement]:
+        known = self.campaign.bench.library().requirements
+        return [known[name] for name in self.case.requirements]
+
     def _doubt(self, compared: _Compared) -> str | None:
         """Why the pairs cannot be trusted: runs of equal seeds differ though nothing acted."""
         counts = compared.counts
-        if self.without != "recovery_planner" or counts is None or not counts.unexplained:
+        if self.without != RECOVERY or counts is None or not counts.unexplained:
             return None
         return (
             f"infrastructure: nondeterministic: {counts.unexplained} of {counts.pairs} pairs "

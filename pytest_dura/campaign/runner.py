@@ -17,6 +17,7 @@ from pytest_dura.core.state import NOTHING
 from pytest_dura.requirements.campaigns import CampaignVerdict
 from pytest_dura.requirements.judge import RequirementJudge
 from pytest_dura.requirements.model import Requirement
+from pytest_dura.requirements.monitor_quality import MonitorQuality
 from pytest_dura.requirements.verdicts import JudgedEpisode
 
 Metrics = Mapping[str, Callable[[Episode], float]]
@@ -41,6 +42,7 @@ class Bench:
             planned of this case; 0 if the episode's seed was chosen by hand.
         on_progress: Told how many runs of a case are done and planned.
         on_verdict: Told of every verdict of :meth:`Campaign.require`, and what it decides.
+        on_monitors: Told how good the monitors of a case are, wherever that was measured.
     """
 
     library: Callable[[], Library]
@@ -52,6 +54,7 @@ class Bench:
     on_episode: Callable[[Case, JudgedEpisode, int], None] = _nobody_listens
     on_progress: Callable[[Case, int, int], None] = _nobody_listens
     on_verdict: Callable[[CampaignVerdict, Requirement], None] = _nobody_listens
+    on_monitors: Callable[[Case, list[MonitorQuality]], None] = _nobody_listens
     store: EpisodeStore = field(default_factory=EpisodeStore)
 
     def __repr__(self) -> str:

@@ -32,6 +32,7 @@ class ItemReport:
         episodes: Of :func:`episode_record`.
         verdicts: ``CampaignVerdict.to_json()``, and the ``check`` that was judged.
         outcomes: ``EpisodeVerdict.to_json()`` of tests that look at one episode, with ``case``.
+        monitors: ``MonitorQuality.to_json()``, with the ``case`` that it was measured on.
     """
 
     item: str
@@ -41,6 +42,7 @@ class ItemReport:
     episodes: list[Data] = field(default_factory=list)
     verdicts: list[Data] = field(default_factory=list)
     outcomes: list[Data] = field(default_factory=list)
+    monitors: list[Data] = field(default_factory=list)
 
     def to_json(self) -> Data:
         """Plain data."""
@@ -66,6 +68,7 @@ class EvidenceRecord:
     _episodes: dict[tuple[str, str, str], Data] = field(default_factory=dict)
     _verdicts: dict[tuple[str, ...], Data] = field(default_factory=dict)
     _outcomes: dict[tuple[str, str, str], list[Data]] = field(default_factory=dict)
+    _monitors: dict[tuple[str, ...], Data] = field(default_factory=dict)
     _expected: dict[str, Data] = field(default_factory=dict)
     _waivers: dict[str, Data] = field(default_factory=dict)
     _clashes: dict[tuple[str, str], str] = field(default_factory=dict)
@@ -88,6 +91,9 @@ class EvidenceRecord:
             self._add_episode(episode)
         for verdict in report["verdicts"]:
             self._add_verdict(item, verdict)
+        for monitor in report["monitors"]:
+            key = tuple(monitor[name] for name in ("case", "component", "target", "monitor"))
+            self._monitors[key] = monitor
         for outcome in report["outcomes"]:
             key = outcome["requirement"], outcome["case"], outcome["component"]
             told = self._outcomes.setdefault(key, [])
@@ -124,6 +130,7 @@ class EvidenceRecord:
             "cases": cases,
             "episodes": episodes,
             "verdicts": self.verdicts(),
+            "monitors": [self._monitors[key] for key in sorted(self._monitors)],
         }
 
     def verdicts(self) -> list[Data]:

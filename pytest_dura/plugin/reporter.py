@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from pytest_dura.requirements.campaigns import CampaignVerdict
     from pytest_dura.requirements.episodes import EpisodeWord
     from pytest_dura.requirements.model import Requirement
+    from pytest_dura.requirements.monitor_quality import MonitorQuality
     from pytest_dura.requirements.verdicts import JudgedEpisode
 
 ATTRIBUTE = "dura"
@@ -61,6 +62,10 @@ class Reporter:
         self._report.verdicts.append({**verdict.to_json(), "check": requirement.check})
         self._requirement_used(requirement)
         self._planned(verdict.case, verdict.component, verdict.planned)
+
+    def monitors_judged(self, case: Case, qualities: list[MonitorQuality]) -> None:
+        """It was measured how good a case's monitors are."""
+        self._report.monitors += [{"case": case.id, **one.to_json()} for one in qualities]
 
     def outcome_of(self, error: DuraError) -> BaseException:
         """What one of our own errors does to a test: fail it, with a message and no more."""

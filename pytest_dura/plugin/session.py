@@ -161,6 +161,7 @@ class DuraSession:
             on_episode=self.reporter.episode_used,
             on_progress=Progress(self).show,
             on_verdict=self.reporter.verdict_reached,
+            on_monitors=self.reporter.monitors_judged,
         )
 
     def default_role(self, role: str) -> RoleSpec:

@@ -122,25 +122,42 @@ def _pair_row(pairs: Data, switching: Data | None) -> list[str]:
 
 MONITOR_COLUMNS = ("TP", "FN", "FP", "TN", "precision", "recall", "lead s", "false/h")
 MONITOR_LEGEND = (
-    "runs without recovery, whose truth violated the requirement (TP, FN) or did not (FP, TN), and",
-    "that the monitor flagged (TP, FP) or did not; lead: median time from flag to violation;",
-    "false/h: false alarms per simulated hour",
+    "runs without recovery: violated, and flagged in the 5 s before (TP) or not (FN); not violated,",
+    "and flagged (FP) or not (TN); lead: median from flag to violation, for faults from their effect",
+    "to the alert; false/h: false alarms per simulated hour",
 )
 
 
-def monitor_table(record: Data) -> list[str]:
-    """How good each monitor was: summed over the cases, one line per monitor and requirement."""
-    names, rows = [], []
-    for one in record.get("monitors", ()):
-        names.append(f"{one['monitor']} on {one['requirement']}, {one['case']}")
-        rows.append(_monitor_row(one))
+def monitor_table(monitors: Sequence[Data]) -> list[str]:
+    """How good each monitor was, one line per case and monitor.
+
+    Requirements on which it did equally well share a line; where nothing was violated and nothing
+    flagged there is none.
+    """
+    same: dict[tuple[str, ...], list[str]] = {}
+    for one in monitors:
+        if one["true_positives"] + one["false_negatives"] + one["false_positives"]:
+            key = one["case"].partition("~")[0], one["monitor"], *_monitor_row(one)
+            same.setdefault(key, []).append(one["target"])
+    names = [f"{who}, {case}: {', '.join(on)}" for (case, who, *_), on in same.items()]
+    rows = [row for _, _, *row in same]
     return [*_aligned("monitor", MONITOR_COLUMNS, names, rows), *MONITOR_LEGEND] if rows else []
+
+
+def _monitor_row(one: Data) -> list[str]:
+    time = one["lead_time"] or one["delay"]
+    per_hour = one["false_alarms_per_hour"]
+    return [
+        str(one["true_positives"]),
+        str(one["false_negatives"]),
+        str(one["false_positives"]),
+        str(one["true_negatives"]),
+        *("-" if one[key] is None else f"{one[key]:.2f}" for key in ("precision", "recall")),
+        "-" if time is None else f"{time['median']:.1f}",
+        "-" if per_hour is None else f"{per_hour:.0f}",
+    ]
 
 
 def counted(number: int, noun: str) -> str:
     """``1 run``, ``2 runs``."""
     return f"{number} {noun}" + ("" if number == 1 else "s")
-
-
-def _monitor_row(one: Data) -> list[str]:
-    return []

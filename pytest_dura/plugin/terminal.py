@@ -70,7 +70,10 @@ def summary(session: DuraSession, terminal: Any) -> None:
     by_hand = sum(not episode["planned"] for episode in record["episodes"])
     if by_hand:
         terminal.line(f"and {counted(by_hand, 'episode')} with a seed chosen by hand")
-    for lines in (pair_table(record["verdicts"], record["cases"]), monitor_table(record)):
+    for lines in (
+        pair_table(record["verdicts"], record["cases"]),
+        monitor_table(record["monitors"]),
+    ):
         for line in lines and ["", *lines]:
             terminal.line(line)
     show_verdicts(session, terminal, record)

@@ -12,6 +12,8 @@ from pytest_dura.plugin.tables import WIDTH, Data, counted
 if TYPE_CHECKING:
     from pytest_dura.plugin.session import DuraSession
 
+TOGETHER = "\N{NO-BREAK SPACE}"
+"""Keeps a requirement and its margin on one line, and is shown as a space."""
 COLOURS = {"supported": {"green": True}, "violated": {"red": True}, "undecided": {"yellow": True}}
 
 
@@ -31,7 +33,7 @@ def show_verdicts(session: DuraSession, terminal: Any, record: Data) -> None:
         terminal.line(f"{'':<11}{counts}")
         names = ", ".join(dict.fromkeys(map(_with_margin, group)))
         for line in textwrap.wrap(names, WIDTH - 11, break_on_hyphens=False):
-            terminal.line(f"{'':<11}{line}")
+            terminal.line(f"{'':<11}{line.replace(TOGETHER, ' ')}")
     terminal.line(f"{'':<11}(behind each requirement: its least margin, in the check's unit)")
     alike: dict[tuple[str, ...], list[Data]] = {}
     for verdict in verdicts:
@@ -65,7 +67,8 @@ def _with_margin(verdict: Data) -> str:
     told = [] if verdict["margin"] is None else [f"{verdict['margin']:.3g}"]
     if verdict["vacuous"]:
         told.append(f"{verdict['vacuous']} vacuous")
-    return str(verdict["requirement"]) + (f" ({', '.join(told)})" if told else "")
+    name = str(verdict["requirement"])
+    return f"{name}{TOGETHER}({f',{TOGETHER}'.join(told)})".replace(" ", TOGETHER) if told else name
 
 
 def _show_failure(

@@ -157,8 +157,9 @@ class CampaignJudge:
         limit, confidence = self.requirement.at_most, self.requirement.confidence
         told = f"{counts}; {self.method} at {confidence:g} confidence"
         if test.decision == "violated":
-            above = f", since the rate is above p0 = {self.requirement.p0:g}"
-            why = above if self.method == "sprt" else ""
+            # What this test shows is weaker than its word: the limit itself may hold.
+            p0 = self.requirement.p0
+            why = "" if p0 is None else f", since the rate is above p0 = {p0:g}"
             return "violated", f"{told} rejects a rate of at most {limit:g}{why}"
         obstacles = self._obstacles(decided=test.decision is not None)
         if obstacles:
