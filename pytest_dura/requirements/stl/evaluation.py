@@ -177,13 +177,15 @@ def _violation(conjunct: Conjunct, values: Values) -> int:
     A prefix that decides it has none but such continuations, so that bisection finds the first.
     """
     greatest = _MODES[False, True][1]
+    last: int = values.frame.shape[-1] - 1
+    if conjunct.at_start(values, greatest)[0] >= 0:
+        return last  # no prefix decides it, but the end of the episode
+    prefix = values.prefixes()
 
     def decides(size: int) -> bool:
-        return conjunct.at_start(values.prefix(size), greatest)[0] < 0
+        return conjunct.at_start(prefix(size), greatest)[0] < 0
 
-    # If no prefix does, the end of the episode did.
-    sizes = range(1, values.frame.shape[-1])
-    return bisect_left(sizes, True, key=decides)
+    return bisect_left(range(1, last + 1), True, key=decides)
 
 
 def _detail(violated: list[_Part], undecided: list[_Part], worst: _Part, end: float) -> str:

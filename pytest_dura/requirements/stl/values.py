@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -33,15 +33,20 @@ class Values:
         found: Array = known[slot]
         return found
 
-    def prefix(self, size: int) -> Values:
-        """The values on the first ``size`` samples, with what is known of them already."""
-        frame = self.frame
-        columns = {name: column[..., :size] for name, column in frame.columns.items()}
-        shorter = replace(frame, columns=columns, shape=(*frame.shape[:-1], size))
-        causal = self._program.is_causal
-        known = {
-            slot: values[..., :size]
+    def prefixes(self) -> Callable[[int], Values]:
+        """Gives the values on the first so many samples, with what is known of them already."""
+        program, frame = self._program, self.frame
+        known = [
+            (slot, values)
             for slot, values in self._known.items()
-            if np.ndim(values) and causal(slot)
-        }
-        return Values(self._program, shorter, known)
+            if np.ndim(values) and program.is_causal(slot)
+        ]
+
+        def prefix(size: int) -> Values:
+            columns = {name: column[..., :size] for name, column in frame.columns.items()}
+            shape = (*frame.shape[:-1], size)
+            shorter = Frame(columns, shape, frame.time_step, frame.times)
+            cut = {slot: values[..., :size] for slot, values in known}
+            return Values(program, shorter, cut)
+
+        return prefix

@@ -199,9 +199,9 @@ def test_samples_that_are_not_finite_are_refused(bad: float) -> None:
     [
         ("always (1 / x > 0)", [2, 1, 0], "1 / x", INF),
         ("always (1 / (1 / x) >= 0)", [2, 1, 0], "1 / x", INF),
-        ("always (sqrt(x - 1) >= 0)", [2, 1, 0], "sqrt(x - 1)", math.nan),
+        ("always (sqrt(x) >= 0)", [2, 1, -1], "sqrt(x)", math.nan),
         ("always (exp(x) >= 0)", [2, 1, 1000], "exp(x)", INF),
-        ("always (pow(x, 0 - 1) >= 0)", [2, 1, 0], "pow(x, 0 - 1)", INF),
+        ("always (pow(x, -1) >= 0)", [2, 1, 0], "pow(x, -1)", INF),
         ("always (x * 1e307 * 10 > 0)", [1, 1, 2], "(x * 1e+307) * 10", INF),
     ],
 )
