@@ -205,7 +205,7 @@ def check_depth(text: str, tree: Any) -> None:
             limit = f"at most {MAX_DEPTH} operators one inside the other, or in one chain"
             remedy = "split the formula, or group a long chain by parentheses"
             refuse(text, place(one), "it is nested too deeply", limit, remedy)
-        below = depth + (kind(one) != "ExprParenContext")
+        below = depth + (kind(one).startswith("Expr") and kind(one) != "ExprParenContext")
         stack += [(child, below) for child in getattr(one, "children", None) or ()]
 
 

@@ -127,13 +127,8 @@ class Reader:
     def _window(self) -> None:
         if self._token.text != "[":
             return
-        operator = self.terminals[-1]
-        if operator.kind not in words.WINDOWED:
-            remedy = (
-                "windows belong to always, eventually, until, unless, historically, once, since"
-            )
-            problem = f"`{operator.text}` takes no window"
-            refuse(self.text, self._token.position, problem, _OPERAND, remedy)
+        if self.terminals[-1].kind not in words.WINDOWED:
+            self._no_window()
         opening = self._at
         window, self._at = read_window(self.text, self._tokens, opening)
         self.windows[window.position] = window
@@ -169,8 +164,15 @@ class Reader:
         self.terminals.append(Token(kind, self._token.text, self._token.position))
         self._at += 1
 
+    def _no_window(self) -> NoReturn:
+        remedy = "windows belong to always, eventually, until, unless, historically, once, since"
+        problem = f"`{self.terminals[-1].text}` takes no window"
+        refuse(self.text, self._token.position, problem, _OPERAND, remedy)
+
     def _no_operator(self) -> NoReturn:
         token, after = self._token, self._tokens[self._at + 1]
+        if token.text == "[":
+            self._no_window()
         if token.text == "not" or token.text in (*words.PREFIXES, *words.FUNCTIONS):
             self._wrong(_OPERATOR, "join two formulas with `and`, `or` or `implies`")
         if token.kind == "word" and after.text in ("(", "["):
