@@ -11,7 +11,7 @@ import pytest
 
 KEYS = {
     "schema_version", "status", "created", "tool", "command", "base_seed", "environment",
-    "component_under_test", "requirements", "cases", "episodes", "verdicts",
+    "component_under_test", "requirements", "cases", "episodes", "verdicts", "monitors",
 }  # fmt: skip
 
 

@@ -42,7 +42,15 @@ def campaign(*words):
 def report(item="a/b::R", **parts):
     empty = {
         name: []
-        for name in ("components", "cases", "requirements", "episodes", "verdicts", "outcomes")
+        for name in (
+            "components",
+            "cases",
+            "requirements",
+            "episodes",
+            "verdicts",
+            "outcomes",
+            "monitors",
+        )
     }
     return {"item": item, **empty, **parts}
 
