@@ -1,0 +1,135 @@
+"""Tool confidence: each built-in requirement is violated by the defect that it is about.
+
+Each row sets a component with one seeded defect beside a sound one in the same world, in the real
+simulator and without a recovery that could hide the defect. The whole catalogue judges both: the
+sound one violates nothing, the defective one the requirement and only what follows from it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import pytest
+from roads import spec_of_drive
+
+from pytest_dura import Episode, RoleSpec
+from pytest_dura.campaign.loading import load_library
+from pytest_dura.campaign.runner import run_episode
+from pytest_dura.requirements.episodes import judge_episode
+from pytest_dura.requirements.model import Requirement
+
+RULE_BASED = RoleSpec("pytest_dura.driving.roles.planners:RuleBased")
+
+
+def defect(name: str, **params: Any) -> RoleSpec:
+    return RoleSpec(f"defects:{name}", params)
+
+
+@dataclass(frozen=True)
+class Row:
+    """A world, a sound component and a defective one, and what else the defect must violate.
+
+    ``car`` is the defective car's simulator, where the defect is none of the component.
+    """
+
+    world: Mapping[str, Any]
+    defective: RoleSpec
+    sound: RoleSpec = RULE_BASED
+    also: frozenset[str] = frozenset()
+    faults: Sequence[Mapping[str, Any]] = ()
+    duration: float = 62.0
+    car: RoleSpec | None = None
+
+    def run(self, *, defective: bool) -> Episode:
+        generator = self.defective if defective else self.sound
+        spec = spec_of_drive(
+            self.world, generator=generator, faults=self.faults, duration=self.duration
+        )
+        if defective and self.car is not None:
+            spec = replace(spec, simulator=self.car)
+        return run_episode(spec)
+
+
+PEDESTRIAN = {
+    "ego": {"distance": 45.0, "speed": 8.0},
+    "pedestrians": [{"id": "P1", "arm": "south", "offset": 8.0, "start": 2.3}],
+}
+LEADER = {
+    "ego": {"distance": 60.0, "speed": 9.0},
+    "vehicles": [
+        {"id": "LEADER", "arm": "south", "distance": 30.0},
+        {"id": "WEST", "arm": "west", "distance": 45.0},
+        {"id": "EAST", "arm": "east", "distance": 65.0},
+    ],
+}
+PRIORITY = {"vehicles": [{"id": "WEST", "arm": "west", "distance": 60.0}]}
+VICTIM = {
+    "vehicles": [{"id": "VICTIM", "arm": "east", "distance": 55.0}],
+    "courtesy": "none",
+}
+GHOST = {"type": "ghost-obstacle", "target": "lidar", "activation": {"at": 2.0}, "duration": 4.0}
+SPOOF = {"type": "trajectory-spoof", "target": "lidar", "activation": {"at": 2.0}, "duration": 5.0}
+NEVER_CLEARS = frozenset({"PERF-1", "PERF-5", "PERF-6", "SEC-2"})
+COLLIDES = NEVER_CLEARS | {"SAF-1", "SAF-2", "SEC-1"}
+STOPS_HARD = defect("StopsHard")
+
+ROWS: dict[str, Row] = {
+    "SAF-1": Row(PEDESTRIAN, defect("BlindToPedestrians"), also=COLLIDES),
+    "SAF-2": Row(PEDESTRIAN, defect("StopsTooClose"), also=frozenset({"SEC-1"})),
+    "SAF-3": Row(LEADER, defect("BrakesLate")),
+    "SAF-4": Row(PRIORITY, defect("NeverGivesWay")),
+    "SEC-1": Row(VICTIM, defect("TrustsLidar"), also=COLLIDES, faults=[SPOOF]),
+    "SEC-2": Row({}, defect("FreezesAtGhosts"), also=NEVER_CLEARS, faults=[GHOST]),
+    "PERF-1": Row({}, defect("AtSpeed", speed=8.0, stop_before=5.0), also=NEVER_CLEARS),
+    "PERF-2": Row({}, STOPS_HARD, STOPS_HARD, car=defect("BrakesTooHard")),
+    "PERF-3": Row({}, STOPS_HARD, STOPS_HARD, car=defect("BrakesAtOnce")),
+    "PERF-4": Row(
+        {"ego": {"distance": 20.0, "speed": 3.0, "turn": "right"}},
+        defect("AtSpeed", speed=7.0),
+        defect("AtSpeed", speed=3.0),
+    ),
+    "PERF-5": Row({}, defect("AtSpeed", speed=1.2)),
+    "PERF-6": Row({}, defect("AtSpeed", speed=0.95), also=frozenset({"PERF-5"}), duration=90.0),
+}
+"""One row for each requirement of the built-in catalogue."""
+
+ELSEWHERE = ("REC-",)
+"""Prefixes of the requirements whose seeded defects have a table of their own."""
+
+
+@pytest.fixture(scope="module")
+def catalogue() -> dict[str, Requirement]:
+    return dict(load_library([]).requirements)
+
+
+def violated_by(episode: Episode, catalogue: Mapping[str, Requirement]) -> set[str]:
+    """The catalogue's requirements with a row that the episode violates; none may be undecided."""
+    assert episode.failure is None
+    words = {name: judge_episode(catalogue[name], episode).verdict for name in ROWS}
+    assert set(words.values()) <= {"satisfied", "violated"}, words
+    return {name for name, word in words.items() if word == "violated"}
+
+
+@pytest.mark.parametrize("requirement", sorted(ROWS))
+def test_the_defect_violates_the_requirement_and_the_sound_component_none(
+    requirement: str, catalogue: dict[str, Requirement]
+) -> None:
+    row = ROWS[requirement]
+    assert violated_by(row.run(defective=False), catalogue) == set()
+    assert violated_by(row.run(defective=True), catalogue) == {requirement} | row.also
+
+
+@pytest.mark.parametrize("requirement", ["SAF-3", "SAF-4"])
+def test_where_the_condition_holds_it_is_not_satisfied_in_vain(
+    requirement: str, catalogue: dict[str, Requirement]
+) -> None:
+    sound = ROWS[requirement].run(defective=False)
+    assert not judge_episode(catalogue[requirement], sound).vacuous
+    alone = run_episode(spec_of_drive({}, generator=RULE_BASED))
+    assert judge_episode(catalogue[requirement], alone).vacuous
+
+
+def test_every_requirement_has_a_seeded_defect(catalogue: dict[str, Requirement]) -> None:
+    assert {name for name in catalogue if not name.startswith(ELSEWHERE)} == set(ROWS)
