@@ -122,9 +122,9 @@ def _pair_row(pairs: Data, switching: Data | None) -> list[str]:
 
 MONITOR_COLUMNS = ("TP", "FN", "FP", "TN", "precision", "recall", "lead s", "false/h")
 MONITOR_LEGEND = (
-    "runs without recovery: violated, flagged in the 5 s before (TP) or not (FN); not violated, but",
-    "flagged (FP) or not (TN); lead: median from flag to violation, for faults from their effect to",
-    "the alert; false/h: false alarms per simulated hour",
+    "runs without recovery: violated, flagged in the 5 s before (TP) or not (FN); not violated,",
+    "flagged (FP) or not (TN); lead: median from flag to violation, for faults from their effect",
+    "to the alert; false/h: false alarms per simulated hour",
 )
 
 
