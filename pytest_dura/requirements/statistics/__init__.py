@@ -10,7 +10,11 @@ from pytest_dura.requirements.statistics.characteristics import (
 )
 from pytest_dura.requirements.statistics.comparison import (
     Comparison,
+    ComparisonWord,
     compare_counts,
+    compare_pairs,
+    comparison_word,
+    holm,
     mcnemar,
     mcnemar_one_sided,
 )
@@ -32,12 +36,16 @@ __all__ = [
     "Boundaries",
     "Characteristics",
     "Comparison",
+    "ComparisonWord",
     "Decision",
     "EProcess",
     "FixedN",
     "SequentialTest",
     "Sprt",
     "compare_counts",
+    "compare_pairs",
+    "comparison_word",
+    "holm",
     "lower_bound",
     "make_test",
     "mcnemar",

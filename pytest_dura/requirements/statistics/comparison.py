@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from math import comb
 from typing import Literal
 
-from pytest_dura.requirements.statistics.sequential import as_written, require_between
+from pytest_dura.requirements.statistics.sequential import error_level, require_between
 
 ComparisonWord = Literal["better", "worse", "no evidence of a change"]
 
@@ -96,15 +97,63 @@ def compare_counts(
     for some, of in ((violations, n), (baseline_violations, baseline_n)):
         if not 0 <= some <= of:
             raise ValueError(f"{some} violations in {of} episodes is not a count")
-    p_better = _as_few(violations, n, baseline_violations, baseline_n)
-    p_worse = _as_few(baseline_violations, baseline_n, violations, n)
-    level = 1 - as_written(confidence)
-    word: ComparisonWord = "no evidence of a change"
+    p_better = float(_as_few(violations, n, baseline_violations, baseline_n))
+    p_worse = float(_as_few(baseline_violations, baseline_n, violations, n))
+    return Comparison(comparison_word(p_better, p_worse, confidence), p_better, p_worse)
+
+
+def compare_pairs(only_new: int, only_baseline: int, confidence: float = 0.95) -> Comparison:
+    """Whether a rate of violations changed against a baseline of episodes with the same seeds.
+
+    The exact McNemar test, once in each direction (:func:`mcnemar_one_sided`). It needs no
+    independence of the two outcomes of one seed, which :func:`compare_counts` assumes.
+
+    Args:
+        only_new: Seeds of which the new episode alone violated.
+        only_baseline: Seeds of which the baseline's episode alone violated.
+        confidence: Above one half.
+
+    Raises:
+        ValueError: For a negative count.
+        ConfigurationError: For a confidence outside (0.5, 1).
+    """
+    require_between("confidence", confidence, 0.5, 1.0)
+    p_better = mcnemar_one_sided(only_baseline, only_new)
+    p_worse = mcnemar_one_sided(only_new, only_baseline)
+    return Comparison(comparison_word(p_better, p_worse, confidence), p_better, p_worse)
+
+
+def comparison_word(p_better: float, p_worse: float, confidence: float) -> ComparisonWord:
+    """What two one-sided p-values say; the two words exclude each other above one half."""
+    level = error_level(confidence)
     if p_better <= level:
-        word = "better"
-    elif p_worse <= level:
-        word = "worse"
-    return Comparison(word, float(p_better), float(p_worse))
+        return "better"
+    return "worse" if p_worse <= level else "no evidence of a change"
+
+
+def holm(p_values: Sequence[float]) -> list[float]:
+    """P-values adjusted for as many tests as there are, in the order given.
+
+    Holm's step-down procedure: the smallest p-value is multiplied by the number of tests, the
+    next by one less and so on, and none becomes smaller than one before it (Holm, "A simple
+    sequentially rejective multiple test procedure", Scandinavian Journal of Statistics 6, 1979).
+    Rejecting where the adjusted value is at most ``a`` rejects any true hypothesis at all with a
+    probability of at most ``a``, however the tests depend on each other.
+
+    Args:
+        p_values: Each between 0 and 1.
+
+    Raises:
+        ValueError: For anything else.
+    """
+    adjusted = [0.0] * len(p_values)
+    largest = 0.0
+    for done, i in enumerate(sorted(range(len(p_values)), key=p_values.__getitem__)):
+        if not 0.0 <= p_values[i] <= 1.0:
+            raise ValueError(f"{p_values[i]!r} is not a p-value")
+        largest = max(largest, min(1.0, (len(p_values) - done) * p_values[i]))
+        adjusted[i] = largest
+    return adjusted
 
 
 def _as_few(violations: int, n: int, others: int, other_n: int) -> Fraction:

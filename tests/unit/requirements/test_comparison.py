@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
+import math
+from itertools import product
+
 import pytest
 from scipy.stats import binomtest, fisher_exact
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.requirements.statistics import compare_counts, mcnemar, mcnemar_one_sided
+from pytest_dura.requirements.statistics import (
+    compare_counts,
+    compare_pairs,
+    holm,
+    mcnemar,
+    mcnemar_one_sided,
+)
 
 
 @pytest.mark.parametrize("first, second", [(11, 0), (4, 0), (3, 2), (5, 5), (40, 10), (158, 0)])
@@ -91,3 +100,50 @@ def test_counts_that_make_no_sense(counts) -> None:
         compare_counts(*counts)
     with pytest.raises(ConfigurationError, match="confidence"):
         compare_counts(1, 2, 1, 2, confidence=0.4)
+
+
+@pytest.mark.parametrize("new, old, word", [
+    (5, 0, "worse"), (0, 5, "better"), (4, 0, "no evidence of a change"),
+    (9, 1, "worse"), (8, 2, "no evidence of a change"), (0, 0, "no evidence of a change"),
+])  # fmt: skip
+def test_the_words_on_pairs(new, old, word) -> None:
+    found = compare_pairs(new, old)
+    assert found.word == word
+    greater = binomtest(new, new + old, alternative="greater").pvalue if new + old else 1.0
+    assert found.p_worse == pytest.approx(greater, rel=1e-9)
+    assert found.p_better == compare_pairs(old, new).p_worse
+
+
+def test_pairs_that_make_no_sense() -> None:
+    with pytest.raises(ValueError, match="not counts of pairs"):
+        compare_pairs(3, -1)
+    with pytest.raises(ConfigurationError, match="confidence"):
+        compare_pairs(3, 1, confidence=0.5)
+
+
+def test_holm_on_an_example_by_hand() -> None:
+    # 4 x 0.005, 3 x 0.01, 2 x 0.03, 1 x 0.04 which may not fall below the one before it.
+    assert holm([0.01, 0.04, 0.03, 0.005]) == pytest.approx([0.03, 0.06, 0.06, 0.02])
+    assert holm([0.03]) == [0.03]
+    assert holm([]) == []
+    assert holm([0.6, 0.7]) == [1.0, 1.0]
+
+
+def test_holm_rejects_as_the_procedure_does_step_by_step() -> None:
+    """Against the definition: go up the ordered p-values until one is above a / (m - i)."""
+    grid = [0.001, 0.012, 0.0126, 0.02, 0.049, 0.06, 1.0]
+    for p_values in product(grid, repeat=4):
+        order = sorted(range(4), key=lambda i, p=p_values: p[i])
+        rejected = set()
+        for i, which in enumerate(order):
+            if p_values[which] > 0.05 / (4 - i):
+                break
+            rejected.add(which)
+        adjusted = holm(p_values)
+        assert {i for i in range(4) if adjusted[i] <= 0.05} == rejected
+
+
+@pytest.mark.parametrize("wrong", [-0.1, 1.1, math.nan])
+def test_holm_refuses_what_is_no_p_value(wrong) -> None:
+    with pytest.raises(ValueError, match="is not a p-value"):
+        holm([0.2, wrong])
