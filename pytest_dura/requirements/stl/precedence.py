@@ -73,9 +73,8 @@ def check_connective(text: str, tree: Any, right: Node) -> None:
     """
     mine = tree.children[1]
     for operand in (tree.children[0], tree.children[-1]):
-        theirs = kind(operand)
-        mixed = theirs in _EDGED or (theirs in _LOGIC and kind(tree) in _EDGED[3:])
-        if mixed:
+        # `and` and `or` below these bind tighter, as usual; below `until` they cannot stand at all.
+        if kind(operand) in _EDGED:
             inner = operand.children[1]
             problem = f"`{word(inner)}` and `{word(mine)}` stand together without parentheses"
             at = max(place(inner), place(mine))

@@ -51,6 +51,7 @@ B = Comparison(">", Signal("b"), Constant(2.0))
         ("a != 1", "a != 1"),
         ("a == b", "a == b"),
         ("abs(a - 1) <= pow(b, 2)", "abs(a - (1)) <= pow(b, 2)"),
+        ("pow(pow(a, 2), (pow(b, 3))) > 1", "pow(pow(a, 2), pow(b, 3)) > 1"),
         ("sqrt(exp(a)) < -.5e1", "sqrt(exp(a)) < -5"),
         ("a/b > 1", "a / b > 1"),
         ("((a)) > (1)", "a > 1"),
@@ -91,6 +92,8 @@ def test_what_needs_no_parentheses(text: str, same: str) -> None:
     [
         ("F (F > 2)", ("F",), "eventually (F > 2)"),
         ("F F > 2", ("F",), "eventually (F > 2)"),
+        ("F U > 2", ("U",), "eventually (U > 2)"),
+        ("x > F U x < 2", ("F", "x"), "(x > F) until (x < 2)"),
         ("G F X > 2", ("X",), "always (eventually (X > 2))"),
         ("U > 1 U U < 2", ("U",), "(U > 1) until (U < 2)"),
         ("s > 2 S S > s", ("S", "s"), "(s > 2) since (S > s)"),

@@ -203,3 +203,9 @@ def test_long_and_deep_texts_are_refused_and_quickly(text: str) -> None:
     error = refused(text)
     assert "too long" in error.problem or "nested too deeply" in error.problem
     assert error.remedy
+
+
+def test_parentheses_and_prefixes_are_counted_together_before_rtamt_recurses() -> None:
+    error = refused("not (" * 120 + "a > 1" + ")" * 120)
+    assert error.expected == "at most 200 levels"
+    assert f"at column {len('not (' * 100) + 5}\n" in error.problem
