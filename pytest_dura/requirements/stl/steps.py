@@ -118,8 +118,8 @@ def running_past(_frame: Frame, values: Array, join: np.ufunc) -> Array:
 
 
 def until(frame: Frame, left: Array, right: Array, first: int, last: int | None) -> Array:
-    """See ``windows.until``."""
-    return windows.until(frame.ended(left, np.inf), frame.ended(right, -np.inf), first, last)
+    """See ``windows.until``; nothing holds behind the end, whatever the left side is there."""
+    return windows.until(left, frame.ended(right, -np.inf), first, last)
 
 
 def since(_frame: Frame, left: Array, right: Array, first: int, last: int | None) -> Array:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pytest_dura import ConfigurationError
-from pytest_dura.requirements.stl.evaluation import Evaluation, evaluate
+from pytest_dura.requirements.stl.evaluation import Evaluation, _time_step, evaluate
 from pytest_dura.requirements.stl.parsing import parse
 from pytest_dura.requirements.stl.robustness import (
     robustness,
@@ -120,6 +120,7 @@ def test_window_bounds_forgive_the_sum_of_float_steps() -> None:
         ("next (x > 0)", [1], "undecided", (-INF, INF)),
         ("s_next (x > 0)", [1], "undecided", (-INF, INF)),
         ("(x > 0) until[0:5] (x < -5)", [1, 2, 3], "undecided", (-5 - 1, 1)),
+        ("(x > 0) until[0:2] (x < -5)", [1, 2, 3], "violated", (-6, -6)),
         ("(x > 0) until (x < -5)", [1, 2, 3], "violated", (-6, -6)),
         ("prev (x > 0)", [1], "satisfied", (INF, INF)),
         ("s_prev (x > 0)", [1], "violated", (-INF, -INF)),
@@ -153,6 +154,19 @@ def test_a_response_that_fails_is_decided_when_its_window_ends() -> None:
     found = judge(text, x=[0, 9, 0, 0, 0, 0], y=[1, 1, 1, 1, -1, -1])
     assert (found.status, found.time) == ("violated", 3.0)
     assert found.worst_time == 1.0
+
+
+def test_what_the_whole_trace_shows_does_not_date_the_violation() -> None:
+    text = "always ((x > 5) implies (always[0:3] (y > 0)))"
+    found = judge(text, x=[0, 9, 0, 0, 0, 0], y=[1, 1, 1, -1, 1, 1])
+    assert (found.status, found.time, found.worst_time) == ("violated", 3.0, 1.0)
+
+
+def test_the_worst_time_is_where_the_margin_is_reached_and_not_where_it_might_be() -> None:
+    text = "always (((always[2:2] (y > 0)) or (z > 0)) and (w > 0))"
+    found = judge(text, y=[9, 9, 9], z=[1, 1, 9], w=[9, 9, 1])
+    assert (found.status, found.lower, found.upper) == ("satisfied", 1.0, 1.0)
+    assert found.worst_time == 2.0
 
 
 def test_a_conjunction_is_as_good_as_its_worst_part() -> None:
@@ -275,6 +289,10 @@ def test_uneven_sampling_is_refused(time: list[float], said: str) -> None:
         judge("always (x > 0)", time=time, x=[1, 2, 3, 4])
 
 
+def test_sums_of_float_steps_have_the_step_they_were_made_of() -> None:
+    assert _time_step(np.cumsum([0.0] + [0.1] * 200), None) == 0.1
+
+
 def test_sampling_may_jitter_by_one_percent_and_must_fit_a_declared_step() -> None:
     assert judge("always (x > 0)", time=[0, 1.005, 2, 3], x=[1, 2, 3, 4]).status == "satisfied"
     with pytest.raises(ConfigurationError, match="even distances") as caught:
@@ -303,6 +321,7 @@ def test_a_window_between_two_samples_is_refused() -> None:
         ("always[0:1] (historically[1:1] ((x > 1) implies (y > 0)))", [3, 2, 3], [1, 1, 1], False),
         ("eventually[2:2] (once[1:1] ((x > 2) implies (y > 0)))", [3, 2, 3], [1, 1, 1], True),
         ("eventually[2:2] (historically ((x > 2) implies (y > 0)))", [3, 2, 1], [1, 1, 1], False),
+        ("always[2:2] (historically[1:2] ((x > 2) implies (y > 0)))", [3, 2, 1], [1, 1, 1], False),
         ("always ((x > 5) implies (y > 0)) and always (y > 0)", [1, 2, 3], [1, 1, 1], False),
         (
             "always ((x > 5) implies (y > 0)) and always ((y < 0) implies (x > 0))",
