@@ -131,9 +131,13 @@ class Campaign:
         Raises:
             ConfigurationError: If there is no such role, or there are no faults.
         """
+        __tracebackhide__ = True
         from pytest_dura.campaign.paired import PairedCampaign
 
-        return PairedCampaign(self, without)
+        try:
+            return PairedCampaign(self, without)
+        except ConfigurationError as error:
+            raise error.with_traceback(None) from None
 
     def require(
         self,

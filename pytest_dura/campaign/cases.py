@@ -53,6 +53,14 @@ class Case:
             ConfigurationError: For an unknown role, and for the component under test.
         """
         check_role_name(role, switched_off=True)
+        if role in self.without:
+            raise ConfigurationError(
+                f"the case {self.id!r} is already without {role!r}",
+                key=role,
+                found=self.id,
+                expected="a case in which the role runs",
+                remedy=f"take the case {self.id.partition(WITHOUT)[0]!r}",
+            )
         if role == "generator":
             raise ConfigurationError(
                 "the generator cannot be switched off",

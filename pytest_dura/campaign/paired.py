@@ -16,7 +16,12 @@ from pytest_dura.requirements.checks import Check, check_name
 from pytest_dura.requirements.episodes import EpisodeVerdict, JudgedEpisode, judge_episode
 from pytest_dura.requirements.model import FAULTS, Method, Paired, Requirement
 from pytest_dura.requirements.monitor_quality import MonitorQuality
-from pytest_dura.requirements.pair_verdicts import change_verdict, measured, pair_verdict
+from pytest_dura.requirements.pair_verdicts import (
+    change_verdict,
+    check_comparison,
+    measured,
+    pair_verdict,
+)
 from pytest_dura.requirements.pairs import Pair, PairCounts, judge_pairs
 
 if TYPE_CHECKING:
@@ -62,6 +67,7 @@ class PairedCampaign:
         Raises:
             ConfigurationError: For a check or measure that cannot be used.
         """
+        check_comparison(requirement)
         campaign = self.campaign
         judge = campaign.judge_of(requirement)
         campaign.judged, compared = [], _Compared(requirement, check)
@@ -157,10 +163,14 @@ class PairedCampaign:
 
     def counts(self, check: Check) -> PairCounts:
         """How many of all planned pairs violate a check in both runs, one of them, or neither."""
+        __tracebackhide__ = True
         name = check_name(check)
         compared = _Compared(Requirement(name, check=name, paired=Paired(self.without)), check)
-        for episode, twin in self:
-            compared.add(episode, twin)
+        try:
+            for episode, twin in self:
+                compared.add(episode, twin)
+        except ConfigurationError as error:
+            raise error.with_traceback(None) from None
         assert compared.counts is not None
         return compared.counts
 
@@ -170,11 +180,12 @@ class PairedCampaign:
         Args:
             measure: A function of an episode to a number, or its import path. NaN is no value.
         """
-        name = check_name(measure)
-        return Change.between(
-            name,
-            {one.id: (_value(measure, one), _value(measure, twin)) for one, twin in self},
-        )
+        __tracebackhide__ = True
+        try:
+            values = {one.id: (_value(measure, one), _value(measure, twin)) for one, twin in self}
+        except ConfigurationError as error:
+            raise error.with_traceback(None) from None
+        return Change.between(check_name(measure), values)
 
 
 class _Compared:

@@ -17,9 +17,9 @@ def reasons(
     """Why a verdict is not "supported": what, in which run, when and by how much, line by line."""
     what = f"{verdict.verdict}: {verdict.requirement} on {verdict.case} ({verdict.component})"
     lines = [f"{what}: {verdict.reason}"]
-    failures = [episode for episode in episodes if episode.failure is not None]
-    if failures and verdict.verdict == "undecided":
-        lines.insert(0, f"{failures[0].failure} (in {failures[0].id})")
+    spoilt = verdict.spoilt if verdict.verdict == "undecided" else None
+    if spoilt is not None and spoilt.verdict == "missing":
+        lines.insert(0, f"{spoilt.detail} (in {spoilt.episode})")
     if requirement.text:
         lines.append(f"required: {requirement.text}")
     if requirement.check and requirement.check != verdict.requirement:
@@ -30,9 +30,8 @@ def reasons(
         others = [one.episode.rpartition("#")[2] for one in verdict.counterexamples[1:]]
         if others:
             lines.append(f"also in:  {_runs(others)}")
-    invalid = [one for one in episodes if one.validity == "invalid"]
-    if invalid and verdict.verdict == "undecided":
-        lines.append(f"invalid:  {invalid[0].id}: {invalid[0].invalid_reason}")
+    if spoilt is not None and spoilt.verdict == "invalid":
+        lines.append(f"invalid:  {spoilt.episode}: {spoilt.detail}")
     failed = component_failure(episodes)
     if failed:
         lines.append(f"component: {failed}")

@@ -13,7 +13,7 @@ from pytest_dura.campaign.worlds import percept_signal_names, signal_names
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.loop_signals import LOOP_SIGNALS
 from pytest_dura.requirements.checks import is_function_path
-from pytest_dura.requirements.judging import method_of
+from pytest_dura.requirements.methods import method_of
 from pytest_dura.requirements.model import FAULTS
 from pytest_dura.requirements.stl.checks import check_time_step
 from pytest_dura.requirements.stl.parsing import parse

@@ -17,6 +17,7 @@ from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.requirements.checks import is_function_path, load_function
 from pytest_dura.requirements.judging import CampaignJudge
 from pytest_dura.requirements.model import Kind, Method, Paired, Requirement
+from pytest_dura.requirements.pair_verdicts import check_comparison
 from pytest_dura.requirements.stl.parsing import parse
 
 
@@ -142,6 +143,7 @@ def _problems(located: Located) -> list[ConfigurationError]:
     errors = []
     try:
         CampaignJudge(requirement, "", planned=1)
+        check_comparison(requirement)
     except ConfigurationError as error:
         errors.append(located.error(error, error.key or "at_most"))
     try:

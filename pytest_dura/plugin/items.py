@@ -74,7 +74,7 @@ def _judging(
         try:
             verdict = campaign.judge(requirement)
         except ConfigurationError as error:
-            pytest.fail(str(error), pytrace=False)
+            raise pytest.fail.Exception(str(error), pytrace=False) from None
         session.reporter.verdict_reached(verdict, requirement)
         if verdict.verdict == "supported":
             return

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -277,7 +278,7 @@ class DuraSession:
         absolute = os.path.normpath(self.config.invocation_params.dir / path)
         relative = os.path.relpath(absolute, self.config.rootpath).replace(os.sep, "/")
         for name in (path, relative):
-            if name.partition("+")[0] in library.scenarios:
+            if re.split(r"[+~]", name, maxsplit=1)[0] in library.scenarios:
                 return self.bench.case(name).id
         return None
 

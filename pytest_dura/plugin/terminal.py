@@ -65,7 +65,10 @@ def summary(session: DuraSession, terminal: Any) -> None:
     if session.options.runs is not None:
         terminal.line(f"--dura-runs={session.options.runs} replaced the planned number of runs")
     terminal.line("")
-    for line in case_table([case for case in record["cases"] if not case["without"]]):
+    # Runs without a role that serve a comparison are told in its table.
+    twins = {one["pairs"]["case"] for one in record["verdicts"] if one["pairs"]}
+    shown = [case for case in record["cases"] if not case["without"] or case["id"] not in twins]
+    for line in case_table(shown):
         terminal.line(line)
     by_hand = sum(not episode["planned"] for episode in record["episodes"])
     if by_hand:

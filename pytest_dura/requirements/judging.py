@@ -3,23 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Literal
 
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.requirements.campaigns import (
-    EVERY_EPISODE,
     Bound,
     CampaignVerdict,
     CampaignWord,
     Counterexample,
     Margins,
+    Spoilt,
 )
 from pytest_dura.requirements.episodes import EpisodeVerdict
+from pytest_dura.requirements.methods import check_share, method_of, rate_test
 from pytest_dura.requirements.model import Requirement
 from pytest_dura.requirements.statistics import (
     METHOD,
     SequentialTest,
     lower_bound,
-    make_test,
     runs_needed,
     upper_bound,
 )
@@ -55,13 +56,14 @@ class CampaignJudge:
         until_decided: bool = False,
     ) -> None:
         self.requirement, self.case, self.planned = requirement, case, planned
+        self._noun = "episodes" if requirement.paired is None else "pairs"
         self.component, self.until_decided = component, until_decided
         self.verdicts: list[EpisodeVerdict] = []
-        _check_share("confidence", requirement.confidence, above=0.5)
+        check_share("confidence", requirement.confidence, above=0.5)
         if requirement.at_most is not None:
-            _check_share("at_most", requirement.at_most, above=0.0)
+            check_share("at_most", requirement.at_most, above=0.0)
         self.method = method_of(requirement, until_decided=until_decided)
-        self.test = _test(requirement, self.method, planned)
+        self.test = rate_test(requirement, self.method, planned)
 
     @property
     def sequential(self) -> bool:
@@ -123,6 +125,7 @@ class CampaignJudge:
             margin=min(margins) if margins else None,
             margins=Margins.of(margins),
             counterexamples=_counterexamples(judged),
+            spoilt=_first_spoilt(self.verdicts),
         )
 
     def _count(self, word: str) -> int:
@@ -141,14 +144,14 @@ class CampaignJudge:
 
     def _decide(self) -> tuple[CampaignWord, str]:
         violations, valid = self._count("violated"), self._valid
-        counts = f"{violations} of {valid} valid episodes violated it"
+        counts = f"{violations} of {valid} valid {self._noun} violated it"
         if self.test is None:
             if violations:
                 return "violated", counts
             obstacles = self._obstacles()
             if obstacles:
                 return "undecided", "; ".join(obstacles)
-            return "supported", f"all {valid} valid episodes satisfied it"
+            return "supported", f"all {valid} valid {self._noun} satisfied it"
         if self.method == "fixed":
             return self._decide_fixed(counts)
         return self._decide_sequential(self.test, counts)
@@ -193,7 +196,7 @@ class CampaignJudge:
             return "supported", reason
         reason += f", which does not support {at_most:g}"
         needed = runs_needed(at_most, confidence, violations)
-        return "undecided", f"{reason}; {needed} episodes with {violations} violations would"
+        return "undecided", f"{reason}; {needed} {self._noun} with {violations} violations would"
 
     def _obstacles(self, *, decided: bool = False) -> list[str]:
         """Everything for which this campaign cannot support a claim."""
@@ -201,62 +204,23 @@ class CampaignJudge:
         missing, invalid = self._count("missing"), self._count("invalid")
         found = []
         if run < self.planned and not decided:
-            found.append(f"only {run} of {self.planned} planned episodes were run")
+            found.append(f"only {run} of {self.planned} planned {self._noun} were run")
         if missing:
-            found.append(f"{missing} of {run} episodes are missing (infrastructure)")
+            found.append(f"{missing} of {run} {self._noun} are missing (infrastructure)")
         if run and invalid / run > MAX_INVALID_SHARE:
             share = f"more than {MAX_INVALID_SHARE:.0%}"
-            found.append(f"{invalid} of {run} episodes are invalid, {share}")
+            found.append(f"{invalid} of {run} {self._noun} are invalid, {share}")
         if not valid:
-            found.append("no episode was valid")
+            found.append(f"none of the {self._noun} was valid")
         satisfied = self._count("satisfied")
         if valid and satisfied == valid == sum(one.vacuous for one in self.verdicts):
-            found.append(f"its condition held in none of the {valid} valid episodes (vacuous)")
+            found.append(f"its condition held in none of the {valid} valid {self._noun} (vacuous)")
         asked = sum(one.proposals for one in self.verdicts)
         answered = sum(one.valid_proposals for one in self.verdicts)
         if answered < MIN_VALID_PROPOSALS * asked:
             ticks = f"{answered} of {asked} ticks"
             found.append(f"the component made a valid proposal at only {ticks}")
         return found
-
-
-def method_of(requirement: Requirement, *, until_decided: bool = False) -> str:
-    """How the requirement is decided: ``every episode``, or a method for its rate.
-
-    Raises:
-        ConfigurationError: For a method without a rate.
-    """
-    if requirement.at_most is not None:
-        return requirement.method or ("e-process" if until_decided else "fixed")
-    for key, value in (("method", requirement.method), ("p0", requirement.p0)):
-        if value is not None:
-            raise ConfigurationError(
-                "a method decides on a rate, and this requirement accepts no violation at all",
-                key=key,
-                found=value,
-                expected="`at_most` with it",
-                remedy=f"add `at_most`, or leave `{key}` out",
-            )
-    return EVERY_EPISODE
-
-
-def _check_share(key: str, value: float, *, above: float) -> None:
-    if not above < value < 1.0:
-        raise ConfigurationError(
-            f"{key} lies strictly between {above:g} and 1",
-            key=key,
-            found=value,
-            expected="a share such as 0.05" if above == 0 else "a share such as 0.95",
-            remedy=f"correct {key}",
-        )
-
-
-def _test(requirement: Requirement, method: str, planned: int) -> SequentialTest | None:
-    if requirement.at_most is None:
-        return None
-    return make_test(
-        method, requirement.at_most, requirement.confidence, requirement.p0, max(planned, 1)
-    )
 
 
 def judge_campaign(
@@ -297,6 +261,15 @@ def _last_attempts(verdicts: Sequence[EpisodeVerdict]) -> list[EpisodeVerdict]:
         if before is None or before.verdict != "violated":
             latest[one.episode] = one
     return list(latest.values())
+
+
+def _first_spoilt(verdicts: Sequence[EpisodeVerdict]) -> Spoilt | None:
+    words: tuple[Literal["missing", "invalid"], ...] = ("missing", "invalid")
+    for word in words:
+        for one in verdicts:
+            if one.verdict == word:
+                return Spoilt(one.episode, word, one.detail)
+    return None
 
 
 def _counterexamples(judged: Sequence[EpisodeVerdict]) -> tuple[Counterexample, ...]:

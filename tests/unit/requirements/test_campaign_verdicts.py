@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from pytest_dura import ConfigurationError, Requirement
+from pytest_dura.requirements.campaigns import Spoilt
 from pytest_dura.requirements.verdicts import CampaignVerdict, EpisodeVerdict, judge_campaign
 
 KEYS_OF_THE_RECORD = {
@@ -98,7 +99,7 @@ def test_further_runs_for_invalid_ones_count() -> None:
 def test_no_valid_episode_supports_nothing() -> None:
     found = judge(some(invalid=3))
     assert (found.verdict, found.bound.upper, found.margin) == ("undecided", None, None)
-    assert "no episode was valid" in found.reason
+    assert "none of the episodes was valid" in found.reason
 
 
 def test_nothing_was_run() -> None:
@@ -193,3 +194,12 @@ def test_the_record_has_the_keys_of_the_design_and_survives_json() -> None:
     assert plain["counterexamples"] == [{"episode": "case#1", "time": 2.0, "margin": -1.0}]
     assert plain["vacuous"] == 0
     assert CampaignVerdict.from_json(plain) == found
+
+
+def test_the_first_spoilt_episode_is_named_a_missing_one_before_an_invalid_one() -> None:
+    verdicts = [one(0), one(1, "invalid"), one(2, "missing"), one(3, "missing")]
+    found = judge(verdicts)
+    assert found.spoilt == Spoilt("case#2", "missing", verdicts[2].detail)
+    assert judge(verdicts[:2]).spoilt == Spoilt("case#1", "invalid", verdicts[1].detail)
+    assert judge(verdicts[:1]).spoilt is None
+    assert CampaignVerdict.from_json(found.to_json()) == found
