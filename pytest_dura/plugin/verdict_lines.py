@@ -39,10 +39,9 @@ def show_verdicts(session: DuraSession, terminal: Any, record: Data) -> None:
     for verdict in verdicts:
         if verdict["verdict"] != "supported":
             # What is undecided for one reason is told once for all requirements of a case.
-            apart = (
-                verdict["requirement"] if verdict["verdict"] == "violated" else verdict["reason"]
-            )
-            alike.setdefault((verdict["case"], verdict["component"], apart), []).append(verdict)
+            cause = verdict["reason"], (verdict["spoilt"] or {}).get("detail", "")
+            apart = (verdict["requirement"],) if verdict["verdict"] == "violated" else cause
+            alike.setdefault((verdict["case"], verdict["component"], *apart), []).append(verdict)
     for group in alike.values():
         _show_failure(session, terminal, record, group)
 
@@ -95,10 +94,13 @@ def _show_failure(
         for event in _critical(record, episode):
             terminal.line(f"  event:  at t = {event['time']:.2f} s {event['detail']}")
     else:
-        spoilt = _spoilt(record, first)
+        spoilt = first["spoilt"]
         if spoilt is not None:
-            episode = spoilt["id"]
-            terminal.line(f"  {spoilt['failure'] or 'invalid: ' + spoilt['invalid_reason']}")
+            episode = spoilt["episode"]
+            told = str(spoilt["detail"])
+            if spoilt["verdict"] == "invalid" and not told.startswith("invalid: "):
+                told = f"invalid: {told}"
+            terminal.line(f"  {told}")
     if episode is not None:
         terminal.line(f"  replay: {replay_command(session, episode)}")
     items = list(dict.fromkeys(item for one in verdicts for item in one["item"].split(", ")))
@@ -121,15 +123,3 @@ def _critical(record: Data, episode: str) -> list[Data]:
         for event in one["events"]
         if event["kind"] == "critical"
     ]
-
-
-def _spoilt(record: Data, verdict: Data) -> Data | None:
-    """The first episode of the case that says nothing; a missing one before an invalid one."""
-    found = [
-        one
-        for one in record["episodes"]
-        if (one["case"], one["component"]) == (verdict["case"], verdict["component"])
-        and one["planned"]
-        and one["validity"] != "valid"
-    ]
-    return min(found, key=lambda one: one["validity"] != "missing", default=None)

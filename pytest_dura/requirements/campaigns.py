@@ -61,6 +61,15 @@ class Counterexample:
 
 
 @dataclass(frozen=True, slots=True)
+class Spoilt:
+    """An episode that says nothing of a requirement, and why: it is ``missing`` or ``invalid``."""
+
+    episode: str
+    verdict: Literal["missing", "invalid"]
+    detail: str
+
+
+@dataclass(frozen=True, slots=True)
 class CampaignVerdict:
     """Verdict and all counts that it rests on.
 
@@ -84,6 +93,7 @@ class CampaignVerdict:
         margins: How the robustness is distributed.
         counterexamples: The violating episodes, the largest violation first.
         pairs: For a requirement on pairs, what the two runs of each pair came to.
+        spoilt: The first missing episode, or else the first invalid one.
     """
 
     requirement: str
@@ -105,6 +115,7 @@ class CampaignVerdict:
     margins: Margins | None
     counterexamples: tuple[Counterexample, ...]
     pairs: Mapping[str, Any] | None = None
+    spoilt: Spoilt | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Plain data for the evidence record."""
@@ -113,12 +124,13 @@ class CampaignVerdict:
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> CampaignVerdict:
         """The inverse of :meth:`to_json`."""
-        margins = data["margins"]
+        margins, spoilt = data["margins"], data.get("spoilt")
         return cls(
             **{
                 **data,
                 "bound": Bound(**data["bound"]),
                 "margins": None if margins is None else Margins(**margins),
                 "counterexamples": tuple(Counterexample(**one) for one in data["counterexamples"]),
+                "spoilt": None if spoilt is None else Spoilt(**spoilt),
             }
         )

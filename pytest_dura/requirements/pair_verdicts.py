@@ -13,6 +13,37 @@ from pytest_dura.requirements.episodes import EpisodeVerdict, EpisodeWord
 from pytest_dura.requirements.model import Requirement
 
 
+def check_comparison(requirement: Requirement) -> None:
+    """Refuse a requirement on pairs that does not say, or says twice, what is compared.
+
+    Raises:
+        ConfigurationError: Without a check and a measure, with both, and for a measure without a
+            bound on its change or such a bound without a measure.
+    """
+    paired = requirement.paired
+    if paired is None:
+        return
+    measure, bound = paired.measure, paired.change_at_most
+    given = {"check": requirement.check, "measure": measure}
+    named = [f"{key} {value}" for key, value in given.items() if value]
+    if len(named) != 1:
+        raise ConfigurationError(
+            "pairs are compared by a check or by a measure",
+            key="paired.measure" if named else "check",
+            found=" and ".join(named) or "neither",
+            expected="one of them",
+            remedy="leave one out" if named else "add `check`, or `measure` and `change_at_most`",
+        )
+    if bool(measure) != (bound is not None):
+        raise ConfigurationError(
+            "`measure` and `change_at_most` go together",
+            key="paired.change_at_most",
+            found=measure or bound,
+            expected="both or neither",
+            remedy="add the other one" if measure else "add `measure`, or leave the bound out",
+        )
+
+
 def pair_verdict(with_it: EpisodeVerdict, without: EpisodeVerdict) -> EpisodeVerdict:
     """Whether something made an episode violate a check: violated with it, satisfied without it.
 
@@ -27,7 +58,8 @@ def pair_verdict(with_it: EpisodeVerdict, without: EpisodeVerdict) -> EpisodeVer
     spoilt = next((one for one in ("missing", "invalid") if one in words), None)
     if spoilt is not None:
         side = with_it if with_it.verdict == spoilt else without
-        detail = f"{side.episode}: {side.detail}"
+        twin = "" if side is with_it else f", in {side.episode}"
+        detail = f"{side.detail}{twin}"
         return replace(with_it, verdict=side.verdict, margin=None, time=None, detail=detail)
     margins = with_it.margin, without.margin
     margin = None
@@ -83,10 +115,10 @@ def _compared(
     own, other = values
     if own is None or other is None:
         spoilt = [one for one in (episode, twin) if one.validity != "valid"]
-        missing = next((one for one in spoilt if one.failure is not None), None)
-        if missing is not None:
-            return "missing", None, f"{missing.id}: {missing.failure}"
-        return "invalid", None, f"{spoilt[0].id}: {spoilt[0].invalid_reason}"
+        missing = [one for one in spoilt if one.failure is not None]
+        side = [*missing, *spoilt][0]
+        detail = f"{side.failure or side.invalid_reason}, in {side.id}"
+        return ("missing" if missing else "invalid"), None, detail
     if not math.isfinite(own):
         if not math.isfinite(other):
             return "invalid", None, "the measure has no value in either run"

@@ -15,7 +15,8 @@ from thermostat import HeatMonitor, Overheater, SwitchOff
 from pytest_dura import ConfigurationError, Episode
 from pytest_dura.requirements.changes import Change
 from pytest_dura.requirements.episodes import EpisodeVerdict, judge_episode
-from pytest_dura.requirements.model import Requirement
+from pytest_dura.requirements.model import Paired, Requirement
+from pytest_dura.requirements.pair_verdicts import check_comparison, pair_verdict
 from pytest_dura.requirements.pairs import Pair, PairCounts, judge_pairs
 
 WORDS = ("satisfied", "violated", "invalid", "missing")
@@ -197,3 +198,36 @@ def test_a_change_is_plain_data_that_reads_back_equal() -> None:
     assert (data["max"], data["max_pair"], data["min"], data["min_pair"]) == (2.0, "a", -5.0, "c")
     assert (data["n"], data["mean"], data["lost"], data["p_value"]) == (2, -1.5, ["b"], 1.0)
     assert Change.from_json(data) == found
+
+
+@pytest.mark.parametrize(
+    "check, measure, bound, problem",
+    [
+        ("", "", None, "by a check or by a measure"),
+        ("always (gap > 0)", "pkg:speed", 1.0, "by a check or by a measure"),
+        ("", "pkg:speed", None, "go together"),
+        ("always (gap > 0)", "", 1.0, "go together"),
+    ],
+)
+def test_what_is_compared_is_said_once(
+    check: str, measure: str, bound: float | None, problem: str
+) -> None:
+    paired = Paired("recovery_planner", measure, bound)
+    with pytest.raises(ConfigurationError, match=problem):
+        check_comparison(Requirement("R", check=check, paired=paired))
+
+
+def test_a_check_or_a_measure_with_its_bound_can_be_compared() -> None:
+    check_comparison(Requirement("R", check="always (gap > 0)", paired=Paired("faults")))
+    check_comparison(Requirement("R", paired=Paired("faults", "pkg:speed", 0.0)))
+    check_comparison(Requirement("R"))
+
+
+def test_a_pair_is_spoilt_by_either_run_and_says_which() -> None:
+    own = verdict("satisfied", 0)
+    twin = verdict("missing", 0, case="case~role", detail="infrastructure: simulator")
+    found = pair_verdict(own, twin)
+    assert (found.verdict, found.episode) == ("missing", "case#0")
+    assert found.detail == "infrastructure: simulator, in case~role#0"
+    found = pair_verdict(verdict("invalid", 0, detail="never manifested"), own)
+    assert (found.verdict, found.detail) == ("invalid", "never manifested")
