@@ -13,7 +13,8 @@ SEPARATION_CAP = 10.0
 """m; the score saturates here."""
 
 ENTRY = 0.5
-"""Seconds within which a proposal that crosses the stop line is held to the right of way."""
+"""Seconds after which a proposal that could not stop before the stop line any more is held to the
+right of way."""
 
 
 class SeparationMonitor(SafetyMonitor):
@@ -86,8 +87,10 @@ class SeparationMonitor(SafetyMonitor):
         to_line = scene.to_stop_line
         if scene.entered or braking_distance(scene.speed, MAX_BRAKING) > to_line:
             return None
-        within = prediction.advance(scene.speed, [acceleration], [ENTRY], SPEED_LIMIT)
-        if within[0, 0] < to_line:
+        # Who could not stop before the line any more once this is under way has taken it.
+        reached = max(scene.speed + acceleration * ENTRY, 0.0)
+        driven = prediction.advance(scene.speed, [acceleration], [ENTRY], SPEED_LIMIT)
+        if driven[0, 0] + braking_distance(reached, MAX_BRAKING) < to_line:
             return None
         through = scene.exit - scene.s
         clears = time_to_cover(through, scene.speed, max(acceleration, 1.5), SPEED_LIMIT)

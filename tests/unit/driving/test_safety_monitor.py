@@ -115,6 +115,18 @@ def test_entering_in_front_of_a_car_takes_its_right_of_way() -> None:
     assert waiting.reasons == ()
 
 
+@pytest.mark.parametrize("speed", [2.0, 4.0, 6.0, 8.0, 10.0])
+def test_the_right_of_way_is_told_while_the_ego_could_still_stop(speed: float) -> None:
+    coming = car_on(1, "straight", 85.0, 8.0)
+    told = []
+    for tick in range(60):
+        s = 97.5 - (60 - tick) * 0.1 * speed
+        found = judge(channels_of(coming, s=s, speed=speed), Command(Maneuver.PROCEED, 0.0))
+        could_stop = 97.5 - s > speed**2 / 16.0
+        told.append(could_stop and any("right of way" in reason for reason in found.reasons))
+    assert 3 <= sum(told) <= 6, "from half a second before it is too late"
+
+
 @pytest.mark.parametrize(
     "other",
     [
