@@ -1,0 +1,16 @@
+"""Judging small traces by formulas given as text."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pytest_dura.requirements.stl.evaluation import Evaluation, evaluate
+from pytest_dura.requirements.stl.parsing import parse
+
+
+def judge(
+    text: str, time: Any = None, *, complete: bool = True, step: float | None = None, **signals: Any
+) -> Evaluation:
+    first = next(iter(signals.values()))
+    time = range(len(first)) if time is None else time
+    return evaluate(parse(text), list(time), signals, complete=complete, time_step=step)
