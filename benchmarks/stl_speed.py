@@ -1,6 +1,6 @@
 """Milliseconds per trace to evaluate formulas of signal temporal logic, rtamt beside ours.
 
-Run: python benchmarks/stl_speed.py [--repeats 7 --traces 1000]
+Run: python benchmarks/stl_speed.py [--repeats 15 --traces 1000]
 
 Traces have 200 samples at 0.1 s. rtamt evaluates offline in discrete time with its Python backend;
 its formula is parsed once, outside of the measured time. Ours gives the same robustness at every
@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import argparse
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from time import perf_counter
 from typing import Any
@@ -59,22 +59,20 @@ def rtamt_evaluation(text: str) -> Callable[[dict[str, list[float]]], Any]:
     return evaluation
 
 
-def milliseconds(work: Callable[[], Any], repeats: int) -> float:
-    """The best of some repetitions, each of at least 10 ms; the machine only ever adds to it."""
-    count, best = 1, float("inf")
-    while True:
+def milliseconds(works: Sequence[Callable[[], Any]], repeats: int) -> list[float]:
+    """The best of some rounds for each, which take turns; the machine only ever adds to it."""
+    counts, best = [], [float("inf")] * len(works)
+    for work in works:
         start = perf_counter()
-        for _ in range(count):
-            work()
-        if perf_counter() - start > 0.01:
-            break
-        count *= 2
+        work()
+        counts.append(1 + int(0.01 / (perf_counter() - start)))
     for _ in range(repeats):
-        start = perf_counter()
-        for _ in range(count):
-            work()
-        best = min(best, (perf_counter() - start) / count)
-    return best * 1000
+        for number, (work, count) in enumerate(zip(works, counts, strict=True)):
+            start = perf_counter()
+            for _ in range(count):
+                work()
+            best[number] = min(best[number], (perf_counter() - start) / count)
+    return [seconds * 1000 for seconds in best]
 
 
 def traces(count: int) -> list[dict[str, np.ndarray]]:
@@ -94,10 +92,14 @@ def row(name: str, text: str, batch: list[dict[str, np.ndarray]], repeats: int) 
     theirs = [margin for _, margin in reference(lists)]
     if robustness(formula, trace, STEP).tolist() != theirs:
         raise SystemExit(f"rtamt and we differ on {text}")
-    slow = milliseconds(partial(reference, lists), repeats)
-    fast = milliseconds(partial(robustness, formula, trace, STEP), repeats)
-    verdict = milliseconds(partial(evaluate, formula, time, trace), repeats)
-    many = milliseconds(partial(robustness_batch, formula, batch, STEP), repeats) / len(batch)
+    works = [
+        partial(reference, lists),
+        partial(robustness, formula, trace, STEP),
+        partial(evaluate, formula, time, trace),
+        partial(robustness_batch, formula, batch, STEP),
+    ]
+    slow, fast, verdict, many = milliseconds(works, repeats)
+    many /= len(batch)
     cells = [f"{one:.4f}" for one in (slow, fast, verdict, many)]
     ratios = [f"{slow / fast:.0f}", f"{slow / verdict:.0f}", f"{slow / many:.0f}"]
     return [name, *cells, f"**{ratios[0]}**", *ratios[1:]]
@@ -106,7 +108,7 @@ def row(name: str, text: str, batch: list[dict[str, np.ndarray]], repeats: int) 
 def main() -> None:
     """Measure and print."""
     arguments = argparse.ArgumentParser(description=__doc__)
-    arguments.add_argument("--repeats", type=int, default=7)
+    arguments.add_argument("--repeats", type=int, default=15)
     arguments.add_argument("--traces", type=int, default=1000)
     options = arguments.parse_args()
     batch = traces(options.traces)
