@@ -170,7 +170,7 @@ class HighwaySimulator(Simulator):
     def _place(self, kind: Any, body_id: str, plan: Route, s: float, speed: float) -> Any:
         x, y, heading = (float(value) for value in plan.pose(s))
         vehicle = kind(self._road, [x, y], heading=heading, speed=speed)
-        vehicle.body_id, vehicle.plan, vehicle.s = body_id, plan, s
+        vehicle.body_id, vehicle.plan, vehicle.s, vehicle.number = body_id, plan, s, plan.number
         vehicle.target_speed = self._map.speed_limit
         vehicle.plan_route_to(f"o{plan.destination}")
         if kind.__name__ == "Driver":
@@ -288,8 +288,8 @@ class HighwaySimulator(Simulator):
     def _routes(self) -> tuple[int, ...]:
         """The number of each body's route, in the order of the bodies."""
         ego, road = self._ego, self._road
-        cars = [vehicle.plan.number for vehicle in road.vehicles if vehicle is not ego]
-        return (*cars, *(NOT_A_CAR for _ in road.objects))
+        cars = [vehicle.number for vehicle in road.vehicles if vehicle is not ego]
+        return (*cars, *[NOT_A_CAR] * len(road.objects))
 
     def _tick(self, events: tuple[tuple[str, str, str], ...]) -> Tick:
         state, bodies = self._state, self._bodies()
