@@ -98,7 +98,9 @@ class CampaignJudge:
             return True  # undecided, unless it was violated before
         if self.test is None:
             return self._count("violated") > 0
-        return self.test.decision is not None or self.test.hopeless
+        # A test that can only come out against the component goes on all the same: "undecided"
+        # may be excused, "violated" may not.
+        return self.test.decision is not None
 
     def verdict(self) -> CampaignVerdict:
         """The verdict on what was added so far."""

@@ -13,6 +13,7 @@ import pytest
 REPOSITORY = Path(__file__).parents[2]
 BENCHMARKS = REPOSITORY / "benchmarks"
 SMALLEST = {
+    "early_decision.py": ["--budget", "3"],
     "against_gym.py": ["--episodes", "1"],
     "loop_cost.py": ["--runs", "1", "--repeats", "1"],
     "paper_table.py": ["--runs", "2", "--jobs", "1"],
@@ -23,6 +24,7 @@ SMALLEST = {
 NOT_A_SCRIPT = {"machine.py"}
 HEADERS = {
     "against_gym.py": ["times faster"],
+    "early_decision.py": ["saved"],
     "loop_cost.py": ["ratio without Generator", "part of the loop"],
     "paper_table.py": ["gridlock", "flagged only attacked / only free", "prevented"],
     "plugin_cost.py": ["cost of the unused plugin"],
