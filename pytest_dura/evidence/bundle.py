@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import tempfile
@@ -42,14 +43,28 @@ def read_record(directory: Path) -> dict[str, Any]:
     Raises:
         ConfigurationError: If there is none, or it cannot be read.
     """
-    file = directory / RECORD
+    return load_record(directory / RECORD)[0]
+
+
+def load_record(file: Path, key: str = "--dura-evidence") -> tuple[dict[str, Any], str]:
+    """The record in a file, and the SHA-256 of that file.
+
+    Args:
+        file: The file.
+        key: The option that named it.
+
+    Raises:
+        ConfigurationError: If there is none, or it cannot be read.
+    """
     try:
-        found = json.loads(file.read_text(encoding="utf-8"))
+        data = file.read_bytes()
+        found = json.loads(data)
         version = found["schema_version"]
     except FileNotFoundError:
-        raise _unreadable("there is no evidence here", file) from None
+        raise _unreadable("there is no evidence here", file, key) from None
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise _unreadable(f"this is no evidence record ({type(error).__name__})", file) from None
+        problem = f"this is no evidence record ({type(error).__name__})"
+        raise _unreadable(problem, file, key) from None
     if version != SCHEMA_VERSION:
         raise ConfigurationError(
             "this evidence was written by another version of pytest-dura",
@@ -59,17 +74,16 @@ def read_record(directory: Path) -> dict[str, Any]:
             expected=SCHEMA_VERSION,
             remedy="use the version that the record names under `tool`",
         )
-    record: dict[str, Any] = found
-    return record
+    return found, hashlib.sha256(data).hexdigest()
 
 
-def _unreadable(problem: str, file: Path) -> ConfigurationError:
+def _unreadable(problem: str, file: Path, key: str) -> ConfigurationError:
     return ConfigurationError(
         problem,
         file=str(file),
-        key="--dura-evidence",
-        expected=f"a directory with the {RECORD} of a session",
-        remedy="run `pytest --dura-scenarios` first, or name the directory with --dura-evidence",
+        key=key,
+        expected=f"the {RECORD} of a session",
+        remedy=f"run `pytest --dura-scenarios` first, or name its directory with {key}",
     )
 
 

@@ -15,6 +15,7 @@ from pytest_dura.plugin.reporter import ATTRIBUTE, case_record
 
 if TYPE_CHECKING:
     from pytest_dura.campaign.cases import Case
+    from pytest_dura.evidence.baseline_file import Baseline
     from pytest_dura.evidence.record import EvidenceRecord, Status
     from pytest_dura.plugin.session import DuraSession
 
@@ -38,7 +39,20 @@ class SessionEvidence:
         self.record: EvidenceRecord | None = None
         self.file: Path | None = None
         self.final: dict[str, Any] | None = None
+        self.baseline: Baseline | None = None
         self.objections: list[str] = []
+
+    def read_baseline(self) -> None:
+        """Read what this session is compared with, which its own record may replace.
+
+        Raises:
+            ConfigurationError: If it cannot be used.
+        """
+        given = self.session.options.baseline
+        if given is not None and not self.session.is_worker:
+            from pytest_dura.evidence.baseline_file import Baseline
+
+            self.baseline = Baseline.read(given, self.session.config.invocation_params.dir)
 
     def start(self) -> None:
         """Begin the record. What a killed session leaves behind says that it was running.
@@ -99,12 +113,11 @@ class SessionEvidence:
         stopped = bool(session.shouldstop or session.shouldfail)
         interrupted = stopped or session.exitstatus not in REGULAR
         self._write("interrupted" if interrupted else "complete")
+        self.objections = [*self.record.problems, *self._worse()]
         if session.exitstatus == pytest.ExitCode.OK:
-            self.objections = [*self.record.problems, *self._unsupported()]
+            self.objections += self._unsupported()
             if self.objections:
                 session.exitstatus = pytest.ExitCode.TESTS_FAILED
-        else:
-            self.objections = self.record.problems
 
     def _unsupported(self) -> list[str]:
         """Verdicts that no test failed for: of runs that ``-k`` left out, or a caught violation."""
@@ -115,6 +128,20 @@ class SessionEvidence:
             "though every test passed"
             for one in self.final["verdicts"]
             if one["verdict"] not in accepted and one["waiver"] is None
+        ]
+
+    def _worse(self) -> list[str]:
+        """What ``--dura-baseline-worse=fail`` does not let pass."""
+        assert self.final is not None
+        if not self.session.options.fail_worse:
+            return []
+        found = self.final["baseline"]["comparisons"]
+        if all(one["test"] is None for one in found):
+            return ["the gate fails: nothing in this session can be compared with the baseline"]
+        return [
+            f"the gate fails: {one['requirement']} on {one['case']} is worse than in the baseline"
+            for one in found
+            if one["word"] == "worse"
         ]
 
     def _component(self, case: Case) -> str:
@@ -141,5 +168,8 @@ class SessionEvidence:
         assert self.record is not None
         from pytest_dura.evidence.bundle import write_record
 
-        self.final = self.record.to_json(status)
+        record = self.record.to_json(status)
+        finished = None if status == "running" else record
+        baseline = None if self.baseline is None else self.baseline.to_json(finished)
+        self.final = {**record, "baseline": baseline}
         self.file = write_record(self.session.options.evidence, self.final)

@@ -69,6 +69,16 @@ def add_options(parser: pytest.Parser) -> None:
         default="fail",
         help="what an undecided verdict does to its test: fail it, or skip it (default: fail)",
     )
+    add(
+        "--dura-baseline",
+        metavar="PATH",
+        help="compare the rates of violations with this evidence: evidence.json, or its directory",
+    )
+    add(
+        "--dura-baseline-worse",
+        choices=("fail", "warn"),
+        help="what a rate that got worse than the baseline's does to the session (default: warn)",
+    )
     parser.addini(
         "dura_scenario_paths",
         "directories with scenario and requirement files (default: scenarios, if it exists)",
@@ -94,6 +104,8 @@ class Options:
     evidence: Path
     replay: str | None
     warn_undecided: bool
+    baseline: str | None
+    fail_worse: bool
     given: tuple[tuple[str, str], ...]
     any_given: bool
 
@@ -117,6 +129,14 @@ class Options:
                 found=select[0],
                 remedy="add --dura-scenarios; choose test functions with -k",
             )
+        baseline, fail_worse = get("dura_baseline"), get("dura_baseline_worse") == "fail"
+        if baseline is None and get("dura_baseline_worse") is not None:
+            raise ConfigurationError(
+                "--dura-baseline-worse is about a baseline, and there is none",
+                key="--dura-baseline-worse",
+                found=get("dura_baseline_worse"),
+                remedy="add --dura-baseline=evidence.json",
+            )
         given = [("--dura-path", path) for path in get("dura_path")]
         for name in ("generator", "runs", "seed", "evidence"):
             value = get(f"dura_{name}")
@@ -133,8 +153,10 @@ class Options:
             evidence=_evidence(config),
             replay=get("dura_replay"),
             warn_undecided=get("dura_undecided") == "warn",
+            baseline=baseline,
+            fail_worse=fail_worse,
             given=tuple(given),
-            any_given=scenarios or bool(given),
+            any_given=scenarios or bool(given) or baseline is not None,
         )
 
 

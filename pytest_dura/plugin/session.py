@@ -100,6 +100,7 @@ class DuraSession:
         with usage_errors():
             self._check_generator()
             self._make_plan()
+            self.evidence.read_baseline()
             if self.active:
                 self.evidence.start()
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from typing import TYPE_CHECKING, Any
 
+from pytest_dura.plugin.baseline_lines import baseline_header, show_baseline
 from pytest_dura.plugin.overrides import overrides_deeper_down, root_conftest_with
 from pytest_dura.plugin.tables import Data, case_table, counted, monitor_table, pair_table
 from pytest_dura.plugin.verdict_lines import show_verdicts
@@ -26,6 +27,7 @@ def header(session: DuraSession) -> list[str]:
     lines = ["dura: " + ", ".join(parts)]
     if options.runs is not None:
         lines.append(f"dura: --dura-runs={options.runs} replaces the planned number of runs")
+    lines += baseline_header(session.evidence.baseline)
     if plan:
         lines += [f"dura: warning: {one}" for one in session.library().warnings]
         lines += [
@@ -58,9 +60,21 @@ def _component(session: DuraSession) -> str:
 def summary(session: DuraSession, terminal: Any) -> None:
     """Cases, verdicts and failures, from the record alone."""
     record = session.evidence.final
-    if record is None or not record["cases"]:
+    if record is None or not (record["cases"] or record["baseline"]):
         return
     terminal.section("dura", "=")
+    if record["cases"]:
+        _show_cases(session, terminal, record)
+    show_verdicts(session, terminal, record)
+    show_baseline(terminal, record)
+    for objection in session.evidence.objections:
+        terminal.line(objection, red=True)
+    terminal.line("")
+    terminal.line(f"evidence: {_relative(session, session.evidence.file)}")
+
+
+def _show_cases(session: DuraSession, terminal: Any, record: Data) -> None:
+    """What was run, and the tables of what it came to."""
     terminal.line(f"component under test: {_names(record)}, base seed {record['base_seed']}")
     if session.options.runs is not None:
         terminal.line(f"--dura-runs={session.options.runs} replaced the planned number of runs")
@@ -79,11 +93,6 @@ def summary(session: DuraSession, terminal: Any) -> None:
     ):
         for line in lines and ["", *lines]:
             terminal.line(line)
-    show_verdicts(session, terminal, record)
-    for objection in session.evidence.objections:
-        terminal.line(objection, red=True)
-    terminal.line("")
-    terminal.line(f"evidence: {_relative(session, session.evidence.file)}")
 
 
 def _names(record: Data) -> str:

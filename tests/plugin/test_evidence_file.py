@@ -12,6 +12,7 @@ import pytest
 KEYS = {
     "schema_version", "status", "created", "tool", "command", "base_seed", "environment",
     "component_under_test", "requirements", "cases", "episodes", "verdicts", "monitors",
+    "baseline",
 }  # fmt: skip
 
 

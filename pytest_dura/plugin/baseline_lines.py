@@ -1,0 +1,106 @@
+"""What the terminal shows of a baseline."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from pytest_dura.plugin.tables import WIDTH, Data, counted
+
+if TYPE_CHECKING:
+    from pytest_dura.evidence.baseline_file import Baseline
+
+NO_EVIDENCE = "no evidence of a change"
+COLOURS: Mapping[str, dict[str, bool]] = {"worse": {"red": True}, "better": {"green": True}}
+LEGEND = (
+    "now, then: violations of valid runs; p: exact one-sided p-value in the direction of the",
+    "change; Holm: p corrected for the number of comparisons, on which the word rests (p alone, at",
+    "a confidence of 0.95, calls an unchanged rate worse in up to 5 % of all comparisons);",
+    "McNemar: on equal seeds; (worse), (better): without the correction only; -: no evidence of a",
+    "change, which is no evidence that nothing changed",
+)
+
+
+def baseline_header(baseline: Baseline | None) -> list[str]:
+    """That a baseline is compared, and which."""
+    if baseline is None:
+        return []
+    names = sorted({claim.component for claim in baseline.claims})
+    which = ", ".join([*names, baseline.created])
+    lines = [f"dura: compared with the baseline {baseline.path} ({which})"]
+    if baseline.status != "complete":
+        lines.append(f"dura: warning: the baseline's session was {baseline.status}")
+    return lines
+
+
+def show_baseline(terminal: Any, record: Data) -> None:
+    """Every comparison with its figures, what could not be compared, and what they come to."""
+    baseline = record["baseline"]
+    if baseline is None:
+        return
+    found = baseline["comparisons"]
+    terminal.line("")
+    terminal.line(f"baseline {baseline['path']}: {_summary(baseline)}")
+    rows = [one for word in (*COLOURS, NO_EVIDENCE) for one in found if one["word"] == word]
+    if rows:
+        table = [HEAD, *map(_row, rows)]
+        widths = [max(len(row[i]) for row in table) for i in range(len(HEAD))]
+        for row, one in zip(table, [None, *rows], strict=True):
+            cells = "  ".join(f"{cell:<{width}}" for cell, width in zip(row, widths, strict=True))
+            name = "requirement and case" if one is None else _name(one)
+            fits = len(cells) + 2 + len(name) <= WIDTH
+            line = f"{cells}  {name}" if fits else f"{cells}\n{'':<{widths[0] + 2}}{name}"
+            terminal.line(line, **({} if one is None else COLOURS.get(one["word"], {})))
+        for line in LEGEND:
+            terminal.line(line)
+    for line in _uncompared(found):
+        terminal.line(line)
+
+
+HEAD = ("", "now", "then", "p", "Holm", "test")
+
+
+def _row(one: Data) -> Sequence[str]:
+    direction = "worse" if one["p_worse"] <= one["p_better"] else "better"
+    word = one["word"]
+    if word == NO_EVIDENCE:
+        word = "-" if one["uncorrected"] == NO_EVIDENCE else f"({one['uncorrected']})"
+    return (
+        word,
+        f"{one['violations']}/{one['episodes']}",
+        f"{one['baseline_violations']}/{one['baseline_episodes']}",
+        f"{one[f'p_{direction}']:.2g}",
+        f"{one[f'p_{direction}_holm']:.2g}",
+        one["test"],
+    )
+
+
+def _name(one: Data) -> str:
+    return f"{one['requirement']} on {one['case']}"
+
+
+def _summary(baseline: Data) -> str:
+    words = [one["word"] for one in baseline["comparisons"]]
+    compared = sum(one["test"] is not None for one in baseline["comparisons"])
+    parts = [counted(compared, "comparison")]
+    parts += [f"{words.count(word)} {word}" for word in ("worse", "better")]
+    if baseline["tests"] != compared:
+        parts.append(f"corrected for {baseline['tests']}")
+    return ", ".join(parts)
+
+
+def _uncompared(found: Sequence[Data]) -> list[str]:
+    """What stands in one record only, and what cannot be compared, by reason."""
+    alike: dict[str, list[str]] = {}
+    for one in found:
+        if one["test"] is None:
+            reason = f"{one['word']}: {one['reason']}" if one["reason"] else one["word"]
+            alike.setdefault(reason, []).append(_name(one))
+    return [
+        line
+        for reason, names in alike.items()
+        for line in textwrap.wrap(
+            f"{reason}: {'; '.join(names)}", WIDTH, subsequent_indent="  ", break_on_hyphens=False
+        )
+    ]
