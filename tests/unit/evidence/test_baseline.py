@@ -1,0 +1,335 @@
+"""What is compared with a baseline, by which test, and what is not compared at all."""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+import json
+
+import pytest
+
+from pytest_dura import ConfigurationError
+from pytest_dura.evidence.baseline import compare_claims
+from pytest_dura.evidence.baseline_file import Baseline
+from pytest_dura.evidence.claims import claims_of
+from pytest_dura.requirements.model import Requirement
+from pytest_dura.requirements.verdicts import EpisodeVerdict, judge_campaign
+
+
+def spec(run, seed, wall=4.0, case="a/b"):
+    return {
+        "case": case, "run": run, "seed": seed, "timeouts": [], "policy": "recover",
+        "simulator": {"path": "m:S", "params": {}},
+        "roles": {"generator": {"path": "m:G", "params": {}}},
+        "scenario": {"name": case, "duration": 2.0, "world": {"wall": wall}},
+        "faults": [], "time_step": 0.1, "time_budget": 5.0,
+        "termination": {"time_limit": 2.0, "goal": True, "violation": False, "iterations": None},
+    }  # fmt: skip
+
+
+def verdict(runs, violating=(), case="a/b", component="C", requirement="R", **changes):
+    """The real verdict on so many runs; ``changes`` are put over it."""
+    found = [
+        EpisodeVerdict(
+            requirement, f"{case}#{run}", component,
+            "violated" if run in violating else "satisfied", None, None, "", 1, 1,
+        )
+        for run in range(runs)
+    ]  # fmt: skip
+    judged = judge_campaign(
+        Requirement(requirement), case, found, planned=runs, component=component
+    )
+    item = f"{case}::{requirement}"
+    return {**judged.to_json(), "check": "gap > 0", "item": item} | changes
+
+
+def record(*verdicts, seed=0, walls=None, **changes):
+    """The record of these verdicts; ``walls`` is the value of the world's wall in each run."""
+    episodes = [
+        {
+            "case": one["case"], "component": one["component"], "planned": True,
+            "spec": spec(run, 1000 * seed + run, (walls or [4.0])[run % len(walls or [4.0])],
+                         one["case"]),
+        }
+        for one in verdicts
+        for run in range(one["run"])
+    ]  # fmt: skip
+    told = {
+        "schema_version": "1", "status": "complete", "created": "2026-01-02T03:04:05+00:00",
+        "base_seed": seed, "component_under_test": {"name": "C", "digest": "d"},
+        "requirements": [{"id": "R", "check": "gap > 0", "paired": None}],
+        "episodes": episodes, "verdicts": list(verdicts),
+    }  # fmt: skip
+    return json.loads(json.dumps(told | changes))
+
+
+def compared(new, old):
+    return compare_claims(claims_of(new), claims_of(old))
+
+
+def one_compared(new, old):
+    (found,) = compared(new, old)
+    return found
+
+
+def test_equal_seeds_are_pairs():
+    found = one_compared(record(verdict(10, {0, 1, 2, 3, 4, 9})), record(verdict(10, {9})))
+    assert (found.word, found.test, found.only_now, found.only_baseline) == (
+        "worse", "McNemar", 5, 0,
+    )  # fmt: skip
+    assert (found.p_worse, found.p_better) == (1 / 32, 1.0)
+    assert (found.violations, found.episodes) == (6, 10)
+    assert (found.baseline_violations, found.baseline_episodes) == (1, 10)
+
+
+def test_the_other_way_round_is_better():
+    found = one_compared(record(verdict(10)), record(verdict(10, range(5))))
+    assert (found.word, found.p_better, found.only_baseline) == ("better", 1 / 32, 5)
+
+
+def test_other_seeds_are_independent_campaigns():
+    found = one_compared(record(verdict(3, range(3)), seed=1), record(verdict(3)))
+    assert (found.word, found.test, found.p_worse) == ("worse", "Fisher", 0.05)
+    assert found.only_now is None
+
+
+def test_other_numbers_of_runs_are_compared_by_their_counts():
+    found = one_compared(record(verdict(3, range(3))), record(verdict(40)))
+    assert (found.word, found.test) == ("worse", "Fisher")
+
+
+def test_an_invalid_run_leaves_no_pairs_since_its_number_is_unknown():
+    spoilt = verdict(10, {0}, episodes=9, invalid=1)
+    assert one_compared(record(spoilt), record(verdict(10))).test == "Fisher"
+
+
+def test_the_word_has_the_requirements_own_confidence():
+    strict = verdict(10, range(5))
+    strict["bound"] = {**strict["bound"], "confidence": 0.99}
+    found = one_compared(record(strict), record(verdict(10)))
+    assert (found.word, found.confidence) == ("no evidence of a change", 0.99)
+
+
+def test_the_component_may_differ():
+    found = one_compared(record(verdict(10, range(5))), record(verdict(10, component="Old")))
+    assert (found.component, found.baseline_component, found.word) == ("C", "Old", "worse")
+
+
+def test_new_and_gone():
+    new = record(verdict(3), verdict(3, requirement="N"))
+    old = record(verdict(3), verdict(3, case="a/c"))
+    words = {(one.requirement, one.case): one for one in compared(new, old)}
+    assert words["N", "a/b"].word == "new"
+    assert words["N", "a/b"].baseline_component is None
+    assert words["R", "a/c"].word == "gone"
+    assert words["R", "a/c"].component is None
+    assert words["R", "a/b"].word == "no evidence of a change"
+    assert [one.p_worse_holm for one in words.values()].count(None) == 2
+
+
+def pairs_without(role):
+    return {"without": role, "case": "a/b"}
+
+
+@pytest.mark.parametrize("changes, reason", [
+    ({"check": "gap > 1"}, "the check changed from 'gap > 0' to 'gap > 1'"),
+    ({"pairs": pairs_without("faults")}, "the check changed from 'gap > 0' to 'gap > 0, pairs wi"),
+    ({"check": "", "item": "t.py::f"}, "the check changed from 'gap > 0' to 'gap > 0 in t.py::f'"),
+    ({"method": "e-process"}, "n depended on the outcome (e-process)"),
+    ({"method": "sprt"}, "n depended on the outcome (sprt)"),
+])  # fmt: skip
+def test_another_question_is_no_comparison_and_no_test(changes, reason):
+    found = one_compared(record(verdict(10, range(5), **changes)), record(verdict(10)))
+    assert (found.word, found.test, found.p_worse) == ("no comparison", None, None)
+    assert found.reason.startswith(reason)
+
+
+def test_pairs_without_the_same_are_compared():
+    made = [verdict(10, some, pairs=pairs_without("faults")) for some in (range(5), ())]
+    assert one_compared(*map(record, made)).word == "worse"
+    other = verdict(10, pairs=pairs_without("recovery_planner"))
+    assert one_compared(record(made[0]), record(other)).word == "no comparison"
+
+
+def test_another_bound_on_the_change_of_a_measure_is_another_question():
+    def with_bound(value):
+        paired = {"without": "faults", "measure": "m:f", "change_at_most": value}
+        requirements = [{"id": "R", "check": "", "paired": paired}]
+        told = verdict(10, check="", pairs=pairs_without("faults"))
+        return record(told, requirements=requirements)
+
+    assert one_compared(with_bound(0.0), with_bound(0.0)).word == "no evidence of a change"
+    assert "change_at_most 0.5" in one_compared(with_bound(0.0), with_bound(0.5)).reason
+
+
+@pytest.mark.parametrize("changes, reason", [
+    ({"saved": 5, "planned": 15}, "n depended on the outcome (5 of 15 runs {}saved)"),
+    ({"planned": 12}, "only 10 of 12 planned runs {}were run"),
+    ({"episodes": 0, "violations": 0, "counterexamples": []}, "no valid episodes {}"),
+])  # fmt: skip
+def test_what_the_outcome_keeps_from_being_compared_counts_as_a_test(changes, reason):
+    spoilt, fine = verdict(10, **changes), verdict(10, range(5))
+    now = one_compared(record(spoilt), record(fine))
+    assert (now.word, now.test, now.p_worse) == ("no comparison", None, 1.0)
+    assert now.reason == reason.format("").strip()
+    before = one_compared(record(fine), record(spoilt))
+    assert before.reason == reason.format("of the baseline ").strip()
+    beside = compared(
+        record(fine, verdict(10, case="a/c", **changes)),
+        record(verdict(10), verdict(10, case="a/c")),
+    )
+    assert [one.word for one in beside] == ["no evidence of a change", "no comparison"]
+    assert (beside[0].uncorrected, beside[0].p_worse_holm) == ("worse", 2 / 32)
+
+
+def test_a_test_that_never_ran_has_not_changed_its_check():
+    never = verdict(0, planned=3, check="", item="a/b::R")
+    assert one_compared(record(never), record(verdict(3))).reason == (
+        "only 0 of 3 planned runs were run"
+    )
+
+
+def test_the_words_rest_on_holms_correction():
+    cases = ["a/1", "a/2", "a/3"]
+    violating = [range(7), range(5), ()]  # p = 1/128, 1/32, 1
+    new = record(*(verdict(10, some, case) for some, case in zip(violating, cases, strict=True)))
+    old = record(*(verdict(10, case=case) for case in cases))
+    found = compared(new, old)
+    assert [one.word for one in found] == [
+        "worse", "no evidence of a change", "no evidence of a change",
+    ]  # fmt: skip
+    assert [one.uncorrected for one in found] == ["worse", "worse", "no evidence of a change"]
+    assert [one.p_worse_holm for one in found] == [3 / 128, 2 / 32, 1.0]
+    assert [one.p_better_holm for one in compared(old, new)] == [3 / 128, 2 / 32, 1.0]
+
+
+@pytest.mark.parametrize("seed", [0, 1], ids=["equal seeds", "other seeds"])
+def test_another_scenario_under_the_same_name_is_no_comparison(seed):
+    new = record(verdict(10, range(5)), seed=seed, walls=[5.0])
+    found = one_compared(new, record(verdict(10), walls=[4.0]))
+    assert found.reason == "the scenario changed: scenario.world.wall"
+    assert found.p_worse is None
+
+
+def test_another_range_shows_where_seeds_are_equal():
+    found = one_compared(record(verdict(10), walls=[4.0, 5.0]), record(verdict(10), walls=[4.0]))
+    assert found.reason == "the scenario changed: scenario.world.wall"
+
+
+def test_what_varies_between_the_runs_may_differ_between_campaigns_of_other_seeds():
+    new = record(verdict(10), walls=[4.1, 5.2, 4.7], seed=1)
+    assert one_compared(new, record(verdict(10), walls=[4.3, 4.4])).test == "Fisher"
+
+
+@pytest.mark.parametrize("path, value, told", [
+    (("faults",), [{"id": "ghost"}], "faults, faults.0.id"),
+    (("simulator", "path"), "m:Other", "simulator.path"),
+    (("termination", "violation"), True, "termination.violation"),
+    (("roles", "fault_injector"), {"path": "m:I"}, "fault_injector, fault_injector.path"),
+])  # fmt: skip
+def test_other_conditions_are_named(path, value, told):
+    new = record(verdict(3))
+    for episode in new["episodes"]:
+        inner = episode["spec"]
+        for key in path[:-1]:
+            inner = inner[key]
+        inner[path[-1]] = value
+    found = one_compared(new, record(verdict(3)))
+    assert found.reason == f"the scenario changed: {told}"
+
+
+def test_other_roles_and_policies_are_what_is_compared():
+    new = record(verdict(3))
+    for episode in new["episodes"]:
+        episode["spec"]["roles"]["safety_monitor"] = {"path": "m:M", "params": {}}
+        episode["spec"]["policy"] = "halt"
+    assert one_compared(new, record(verdict(3))).word == "no evidence of a change"
+
+
+def test_of_several_verdicts_on_a_case_those_that_agree_most_are_compared():
+    new = record(
+        verdict(10, range(5), item="t.py::one", check="x > 0"),
+        verdict(10, item="t.py::two", check="x > 1"),
+    )
+    old = record(
+        verdict(10, range(5), item="t.py::moved", check="x > 1"),
+        verdict(10, item="t.py::one", check="x > 0"),
+    )
+    words = sorted((one.violations, one.baseline_violations) for one in compared(new, old))
+    assert words == [(0, 5), (5, 0)]
+
+
+def test_several_components_are_matched_by_name_and_never_twice():
+    new = record(verdict(3, component="A"), verdict(3, component="B"))
+    old = record(verdict(3, component="B"), verdict(3, component="D"))
+    found = {(one.component, one.baseline_component): one.word for one in compared(new, old)}
+    assert found == {
+        ("B", "B"): "no evidence of a change", ("A", "D"): "no evidence of a change",
+    }  # fmt: skip
+    alone = compared(record(verdict(3, component="E")), old)
+    assert sorted(one.word for one in alone) == ["gone", "gone", "new"]
+
+
+def written(folder, told):
+    file = folder / "evidence.json"
+    file.write_text(json.dumps(told))
+    return file
+
+
+@pytest.mark.parametrize("given", ["old", "old/evidence.json"])
+def test_a_baseline_is_a_file_or_the_directory_that_holds_it(tmp_path, given):
+    (tmp_path / "old").mkdir()
+    file = written(tmp_path / "old", record(verdict(3)))
+    baseline = Baseline.read(given, tmp_path)
+    assert (baseline.path, baseline.created) == (given, "2026-01-02T03:04:05+00:00")
+    assert baseline.sha256 == hashlib.sha256(file.read_bytes()).hexdigest()
+    told = baseline.to_json(record(verdict(3), verdict(3, requirement="N")))
+    assert (told["tests"], told["correction"]) == (1, "Holm")
+    assert told["component"] == {"name": "C", "digest": "d"}
+    assert [one["word"] for one in told["comparisons"]] == ["new", "no evidence of a change"]
+    assert json.loads(json.dumps(told)) == told
+    assert baseline.to_json()["comparisons"] == []
+
+
+def damaged(change):
+    told = copy.deepcopy(record(verdict(3, {0})))
+    change(told)
+    return told
+
+
+@pytest.mark.parametrize("change, found", [
+    (lambda told: told.pop("verdicts"), "KeyError: 'verdicts'"),
+    (lambda told: told["verdicts"][0].update(violations=4), "ValueError"),
+    (lambda told: told["verdicts"][0].update(violations=-1), "TypeError"),
+    (lambda told: told["verdicts"][0].update(episodes="3"), "TypeError"),
+    (lambda told: told["verdicts"][0].update(case=None), "TypeError"),
+    (lambda told: told["verdicts"][0]["bound"].update(confidence=95), "ValueError"),
+    (lambda told: told["verdicts"][0]["counterexamples"][0].update(episode="x"), "ValueError"),
+    (lambda told: told["episodes"][0]["spec"].pop("scenario"), "KeyError"),
+    (lambda told: told["episodes"][0]["spec"].update(seed="7"), "TypeError"),
+    (lambda told: told["episodes"].append(None), "TypeError"),
+    (lambda told: told.update(component_under_test=None), "TypeError"),
+    (lambda told: told.update(base_seed="none"), "ValueError"),
+])  # fmt: skip
+def test_a_damaged_baseline_is_refused(tmp_path, change, found):
+    file = written(tmp_path, damaged(change))
+    with pytest.raises(ConfigurationError, match="the baseline is damaged") as error:
+        Baseline.read(".", tmp_path)
+    assert error.value.file == str(file)
+    assert str(error.value.found).startswith(found)
+
+
+@pytest.mark.parametrize("status, fine", [("running", False), ("interrupted", True)])
+def test_a_session_that_was_killed_is_no_baseline(tmp_path, status, fine):
+    written(tmp_path, record(verdict(3), status=status))
+    if fine:
+        assert Baseline.read(".", tmp_path).status == status
+    else:
+        with pytest.raises(ConfigurationError, match="was killed, or is still running"):
+            Baseline.read(".", tmp_path)
+
+
+def test_a_missing_baseline_names_the_option(tmp_path):
+    with pytest.raises(ConfigurationError, match="there is no evidence here") as error:
+        Baseline.read("nowhere.json", tmp_path)
+    assert error.value.key == "--dura-baseline"
