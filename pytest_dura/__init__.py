@@ -58,6 +58,7 @@ if TYPE_CHECKING:
     from pytest_dura.requirements.checks import CheckResult
     from pytest_dura.requirements.episodes import EpisodeVerdict, JudgedEpisode
     from pytest_dura.requirements.model import Paired, Requirement
+    from pytest_dura.requirements.monitor import StlSafetyMonitor
 
 __version__ = "0.1.0"
 
@@ -108,6 +109,7 @@ __all__ = [
     "SecurityAssessor",
     "Simulator",
     "StateManager",
+    "StlSafetyMonitor",
     "Termination",
     "Tick",
     "__version__",
@@ -141,6 +143,7 @@ _HOMES = {
     "pytest_dura.requirements.checks": "CheckResult",
     "pytest_dura.requirements.episodes": "EpisodeVerdict JudgedEpisode",
     "pytest_dura.requirements.model": "Paired Requirement",
+    "pytest_dura.requirements.monitor": "StlSafetyMonitor",
 }
 _HOME_OF = {name: module for module, names in _HOMES.items() for name in names.split()}
 
