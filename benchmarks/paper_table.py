@@ -25,6 +25,7 @@ from pytest_dura.campaign.domains import DOMAINS
 from pytest_dura.campaign.loading import load_library
 from pytest_dura.core.orchestrator import Orchestrator
 from pytest_dura.core.roles import RoleSpec
+from pytest_dura.requirements.statistics import mcnemar
 
 Key = tuple[str, bool, str, int]
 """Scenario, with its own faults, policy, run."""
@@ -73,12 +74,11 @@ def run(job: tuple[Key, str, int]) -> tuple[Key, Outcome]:
     )
 
 
-def mcnemar(first: list[bool], second: list[bool]) -> tuple[int, int, float]:
+def discordant(first: list[bool], second: list[bool]) -> tuple[int, int, float]:
     """Pairs that only the first has, pairs that only the second has, exact p-value."""
     only_first = sum(a and not b for a, b in zip(first, second, strict=True))
     only_second = sum(b and not a for a, b in zip(first, second, strict=True))
-    total = only_first + only_second
-    return only_first, only_second, binomtest(only_first, total).pvalue if total else 1.0
+    return only_first, only_second, mcnemar(only_first, only_second)
 
 
 class Arms:
@@ -124,7 +124,7 @@ def effect_of_attacks(arms: Arms, attacks: list[str]) -> str:
     rows = []
     for scenario in attacks:
         attacked, free = arms.of(scenario), arms.of(scenario, attacked=False)
-        up, down, p = mcnemar([o.flagged for o in attacked], [o.flagged for o in free])
+        up, down, p = discordant([o.flagged for o in attacked], [o.flagged for o in free])
         deltas = [
             a.clearance - b.clearance
             for a, b in zip(attacked, free, strict=True)
@@ -156,7 +156,7 @@ def effect_of_recovery(arms: Arms, scenarios: list[str]) -> str:
 
 def compared(off: list[bool], on: list[bool]) -> list[str]:
     """The cells of two arms that are compared pair by pair."""
-    prevented, introduced, p = mcnemar(off, on)
+    prevented, introduced, p = discordant(off, on)
     futile = sum(a and b for a, b in zip(off, on, strict=True))
     counts = (sum(off), sum(on), prevented, introduced, futile)
     return [*map(str, counts), f"{p:.2g}"]

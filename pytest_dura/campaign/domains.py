@@ -52,6 +52,7 @@ DOMAINS: dict[str, Domain] = {
         },
         world="pytest_dura.driving.scenario:DrivingWorld",
         signals="pytest_dura.driving.signals:NAMES",
+        percept_signals="pytest_dura.driving.signals:PERCEPT_NAMES",
     )
 }
 

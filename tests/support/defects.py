@@ -7,11 +7,21 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from pytest_dura import Generator, Proposal
+from pytest_dura import (
+    Assessed,
+    Assessment,
+    Generator,
+    Proposal,
+    Recovery,
+    RecoveryPlanner,
+    RoleContext,
+    RoleView,
+)
 from pytest_dura.core.state import GeneratorView, Tick
 from pytest_dura.driving.highway import HighwaySimulator
 from pytest_dura.driving.maneuvers import MAX_BRAKING, Command, Maneuver
 from pytest_dura.driving.roles.planners import RuleBased
+from pytest_dura.driving.roles.safety import SeparationMonitor
 from pytest_dura.driving.scene import InLane, Scene
 
 
@@ -149,3 +159,25 @@ class BrakesAtOnce(HighwaySimulator):
         tick = super().reset(scenario, seed)
         self._ego.SLEW *= 2.0
         return tick
+
+
+class StandsInTheJunction(RecoveryPlanner):
+    """Drives into the junction and stays there."""
+
+    def run(self, view: RoleView) -> Recovery:
+        scene = Scene.of(view.percept)
+        inside = scene.to_stop_line < -6.0
+        return Recovery("emergency_brake" if inside else "proceed", "stand", "stands still")
+
+
+class NeverForgives(SeparationMonitor):
+    """Once it has found a proposal unsafe, it finds every later one so, too."""
+
+    def reset(self, context: RoleContext) -> None:
+        super().reset(context)
+        self._offended = False
+
+    def run(self, view: RoleView) -> Assessment:
+        found = super().run(view)
+        self._offended |= found.verdict is Assessed.UNSAFE
+        return replace(found, verdict=Assessed.UNSAFE) if self._offended else found

@@ -1,0 +1,62 @@
+"""Tool confidence: the requirements on recovery are violated by the defects that they are about."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import pytest
+
+from pytest_dura import Bench, CampaignVerdict, RoleSpec
+from pytest_dura.campaign.cases import expand_cases
+from pytest_dura.campaign.loading import load_library
+from pytest_dura.campaign.scenario import Scenario
+
+PLANNERS = {"REC-1": RoleSpec("reactive"), "REC-2": RoleSpec("rule_based")}
+"""`reactive` gives recovery much to do; it would keep it in control for long as it is."""
+SCENARIO = Scenario(
+    name="nobody-brakes",
+    simulator="driving",
+    duration=30.0,
+    runs=4,
+    world={
+        "ego": {"distance": 50.0, "speed": 8.0, "turn": "straight"},
+        "traffic": {"headway": 9.0, "arms": ["west", "east"]},
+        "courtesy": "none",
+    },
+    requirements=("REC-1", "REC-2"),
+)
+"""Nobody brakes for a car that stands in the junction."""
+NEVER_FORGIVES = RoleSpec("defects:NeverForgives")
+DEFECTS = {
+    "REC-1": {
+        "recovery_planner": RoleSpec("defects:StandsInTheJunction"),
+        "safety_monitor": NEVER_FORGIVES,
+    },
+    "REC-2": {"safety_monitor": NEVER_FORGIVES},
+}
+
+
+@cache
+def judged(requirement: str, *, defective: bool = False) -> CampaignVerdict:
+    library = load_library([])
+    roles = {"generator": PLANNERS[requirement]} | (DEFECTS[requirement] if defective else {})
+    bench = Bench(lambda: library, roles=roles)
+    return bench.campaign(expand_cases([SCENARIO])[0]).judge(library.requirements[requirement])
+
+
+@pytest.mark.parametrize("requirement", DEFECTS)
+def test_the_defect_violates_the_requirement_and_the_default_roles_do_not(requirement):
+    assert judged(requirement).verdict == "supported"
+    assert judged(requirement, defective=True).verdict == "violated"
+
+
+def test_the_pairs_tell_what_the_recovery_introduced():
+    sound, defective = judged("REC-1").pairs, judged("REC-1", defective=True).pairs
+    assert sound["only_with"] == sound["only_without"] == 0
+    assert sound["acted_neither"] > 0, "recovery must act for the comparison to say anything"
+    assert defective["only_with"] > 0 == defective["only_without"]
+
+
+def test_every_requirement_on_recovery_has_a_seeded_defect():
+    known = load_library([]).requirements.values()
+    assert {one.id for one in known if one.kind == "recovery"} == set(DEFECTS)
