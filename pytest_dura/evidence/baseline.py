@@ -206,6 +206,5 @@ MATCHED_BY: tuple[Callable[[Claim], tuple[str, ...]], ...] = (
     lambda one: (one.requirement, one.case, one.component, one.item, one.check),
     lambda one: (one.requirement, one.case, one.item, one.check),
     lambda one: (one.requirement, one.case, one.component, one.check),
-    lambda one: (one.requirement, one.case, one.check),
     lambda one: (one.requirement, one.case),
 )

@@ -103,11 +103,27 @@ def test_an_invalid_run_leaves_no_pairs_since_its_number_is_unknown():
     assert one_compared(record(spoilt), record(verdict(10))).test == "Fisher"
 
 
-def test_the_word_has_the_requirements_own_confidence():
+def test_counterexamples_that_are_not_all_there_leave_no_pairs():
+    cut = verdict(10, {0, 1})
+    cut["counterexamples"] = cut["counterexamples"][:1]
+    assert one_compared(record(cut), record(verdict(10))).test == "Fisher"
+
+
+def test_episodes_by_hand_are_not_among_the_runs():
+    new, old = record(verdict(3, {0})), record(verdict(3))
+    by_hand = {**new["episodes"][0], "planned": False, "spec": spec(0, 99, wall=1.0)}
+    new["episodes"].insert(0, by_hand)
+    assert one_compared(new, old).test == "McNemar"
+
+
+@pytest.mark.parametrize("seed", [0, 1], ids=["equal seeds", "other seeds"])
+def test_the_words_have_the_requirements_own_confidence(seed):
     strict = verdict(10, range(5))
     strict["bound"] = {**strict["bound"], "confidence": 0.99}
-    found = one_compared(record(strict), record(verdict(10)))
+    found = one_compared(record(strict, seed=seed), record(verdict(10)))
     assert (found.word, found.confidence) == ("no evidence of a change", 0.99)
+    assert found.uncorrected == "no evidence of a change"
+    assert found.p_worse <= 0.05
 
 
 def test_the_component_may_differ():
@@ -145,10 +161,10 @@ def test_another_question_is_no_comparison_and_no_test(changes, reason):
 
 
 def test_pairs_without_the_same_are_compared():
-    made = [verdict(10, some, pairs=pairs_without("faults")) for some in (range(5), ())]
-    assert one_compared(*map(record, made)).word == "worse"
+    new, old = (verdict(10, some, pairs=pairs_without("faults")) for some in (range(5), ()))
+    assert one_compared(record(new), record(old)).word == "worse"
     other = verdict(10, pairs=pairs_without("recovery_planner"))
-    assert one_compared(record(made[0]), record(other)).word == "no comparison"
+    assert one_compared(record(new), record(other)).word == "no comparison"
 
 
 def test_another_bound_on_the_change_of_a_measure_is_another_question():
@@ -160,6 +176,7 @@ def test_another_bound_on_the_change_of_a_measure_is_another_question():
 
     assert one_compared(with_bound(0.0), with_bound(0.0)).word == "no evidence of a change"
     assert "change_at_most 0.5" in one_compared(with_bound(0.0), with_bound(0.5)).reason
+    assert "change_at_most 0.0" in one_compared(with_bound(0.0), with_bound(None)).reason
 
 
 @pytest.mark.parametrize("changes, reason", [
@@ -218,7 +235,9 @@ def test_another_range_shows_where_seeds_are_equal():
 
 def test_what_varies_between_the_runs_may_differ_between_campaigns_of_other_seeds():
     new = record(verdict(10), walls=[4.1, 5.2, 4.7], seed=1)
-    assert one_compared(new, record(verdict(10), walls=[4.3, 4.4])).test == "Fisher"
+    for walls in ([4.3, 4.4], [4.3]):
+        old = record(verdict(10), walls=walls)
+        assert one_compared(new, old).test == one_compared(old, new).test == "Fisher"
 
 
 @pytest.mark.parametrize("path, value, told", [
@@ -246,7 +265,33 @@ def test_other_roles_and_policies_are_what_is_compared():
     assert one_compared(new, record(verdict(3))).word == "no evidence of a change"
 
 
-def test_of_several_verdicts_on_a_case_those_that_agree_most_are_compared():
+def made(*told):
+    """One verdict for each ``(component, item)``, all with the same check."""
+    return record(*(verdict(3, component=component, item=item) for component, item in told))
+
+
+@pytest.mark.parametrize("new, old", [
+    ("Ai Aj Bi Bj", "Bj Bi Aj Ai"),  # by component and item
+    ("Ai Aj", "Bj Bi"),  # by item
+    ("Ai Bi", "Bj Aj"),  # by component
+    ("Ai", "Bj"),  # the only ones
+])  # fmt: skip
+def test_of_several_verdicts_on_a_case_those_that_agree_most_are_compared(new, old):
+    found = compared(made(*new.split()), made(*old.split()))
+    assert {one.word for one in found} == {"no evidence of a change"}
+    assert len(found) == len(new.split())
+    names = {component for component, _ in new.split()} & {
+        component for component, _ in old.split()
+    }
+    assert all(one.component == one.baseline_component for one in found if one.component in names)
+
+
+def test_what_could_be_compared_with_several_is_compared_with_none():
+    found = compared(made("Ai"), made("Bj", "Dj"))
+    assert sorted(one.word for one in found) == ["gone", "gone", "new"]
+
+
+def test_tests_with_other_checks_are_not_mixed_up():
     new = record(
         verdict(10, range(5), item="t.py::one", check="x > 0"),
         verdict(10, item="t.py::two", check="x > 1"),
@@ -255,8 +300,8 @@ def test_of_several_verdicts_on_a_case_those_that_agree_most_are_compared():
         verdict(10, range(5), item="t.py::moved", check="x > 1"),
         verdict(10, item="t.py::one", check="x > 0"),
     )
-    words = sorted((one.violations, one.baseline_violations) for one in compared(new, old))
-    assert words == [(0, 5), (5, 0)]
+    counts = sorted((one.violations, one.baseline_violations) for one in compared(new, old))
+    assert counts == [(0, 5), (5, 0)]
 
 
 def test_several_components_are_matched_by_name_and_never_twice():
@@ -266,8 +311,6 @@ def test_several_components_are_matched_by_name_and_never_twice():
     assert found == {
         ("B", "B"): "no evidence of a change", ("A", "D"): "no evidence of a change",
     }  # fmt: skip
-    alone = compared(record(verdict(3, component="E")), old)
-    assert sorted(one.word for one in alone) == ["gone", "gone", "new"]
 
 
 def written(folder, told):

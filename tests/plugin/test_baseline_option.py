@@ -91,9 +91,10 @@ def test_a_rate_that_got_better(rates):
     result.stdout.fnmatch_lines(["baseline old: 1 comparison, 0 worse, 1 better", "better *"])
 
 
-def test_the_last_session_can_be_the_baseline_that_this_one_replaces(rates):
+@pytest.mark.parametrize("distributed", [[], ["-n", "2"]], ids=["plain", "n2"])
+def test_the_last_session_can_be_the_baseline_that_this_one_replaces(rates, distributed):
     shutil.move(rates.path / "old", rates.path / "dura-evidence")
-    result = rates.run("--dura-baseline=dura-evidence", "--dura-baseline-worse=fail", OLD)
+    result = rates.run("--dura-baseline=dura-evidence", OLD, *distributed)
     assert result.ret == 0
     (found,) = rates.evidence()["baseline"]["comparisons"]
     assert (found["word"], found["p_worse"], found["p_better"]) == (
