@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from pytest_dura.campaign.cases import Case
 from pytest_dura.campaign.reasons import reasons
+from pytest_dura.campaign.references import check_formula
 from pytest_dura.core.errors import ConfigurationError, DuraError
 from pytest_dura.requirements.campaigns import CampaignVerdict
 from pytest_dura.requirements.checks import Check, check_name
@@ -94,15 +95,21 @@ class Campaign:
         """
         if requirement.paired is not None:
             return self.paired(requirement.paired.without).judge(requirement, check)
-        judge = self.judge_of(requirement)
+        judge = self.judge_of(requirement, check)
         self.judged = []
         for episode in self.enough_for(judge):
             judge.add(judge_episode(requirement, episode, check))
             self.judged.append(episode)
         return judge.verdict()
 
-    def judge_of(self, requirement: Requirement) -> CampaignJudge:
-        """What takes in the verdicts on this campaign's episodes."""
+    def judge_of(self, requirement: Requirement, check: Check | None) -> CampaignJudge:
+        """What takes in the verdicts on this campaign's episodes.
+
+        Raises:
+            ConfigurationError: Before anything is run, for what cannot be judged.
+        """
+        if self.bench.simulator is None:  # another simulator than the scenario's tells by running
+            check_formula(self.case.scenario, requirement.check if check is None else check)
         return CampaignJudge(
             requirement,
             self.case.id,

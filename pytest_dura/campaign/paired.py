@@ -69,7 +69,7 @@ class PairedCampaign:
         """
         check_comparison(requirement)
         campaign = self.campaign
-        judge = campaign.judge_of(requirement)
+        judge = campaign.judge_of(requirement, check)
         campaign.judged, compared = [], _Compared(requirement, check)
         for episode in campaign.enough_for(judge):
             twin = self.twin(episode)

@@ -12,7 +12,7 @@ from pytest_dura.campaign.scenario import Scenario
 from pytest_dura.campaign.worlds import percept_signal_names, signal_names
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.loop_signals import LOOP_SIGNALS
-from pytest_dura.requirements.checks import is_function_path
+from pytest_dura.requirements.checks import Check, is_function_path
 from pytest_dura.requirements.methods import method_of
 from pytest_dura.requirements.model import FAULTS
 from pytest_dura.requirements.stl.checks import check_time_step
@@ -71,11 +71,10 @@ def check_reference(scenario: Scenario, index: int, requirements: Mapping[str, L
         method_of(requirement, until_decided=scenario.until_decided)
     except ConfigurationError as error:
         raise placed(error, file=file, line=line, key=key) from None
-    if requirement.check and not is_function_path(requirement.check):
-        try:
-            _check_formula(scenario, requirement.check)
-        except ConfigurationError as error:
-            raise located.error(error) from None
+    try:
+        check_formula(scenario, requirement.check)
+    except ConfigurationError as error:
+        raise located.error(error) from None
 
 
 def _check_paired(scenario: Scenario, located: Located) -> None:
@@ -94,7 +93,15 @@ def _check_paired(scenario: Scenario, located: Located) -> None:
         )
 
 
-def _check_formula(scenario: Scenario, check: str) -> None:
+def check_formula(scenario: Scenario, check: Check) -> None:
+    """Refuse a formula that could not be judged on this scenario's episodes; pass over functions.
+
+    Raises:
+        ConfigurationError: For a formula that cannot be read, a signal that the scenario's domain
+            does not have, and a window that is no multiple of the time step.
+    """
+    if not isinstance(check, str) or not check or is_function_path(check):
+        return
     formula = parse(check)
     known = _known_signals(domain_of(scenario.simulator.path), formula.percept_signals)
     if known is not None:
