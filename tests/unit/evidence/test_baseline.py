@@ -2,65 +2,11 @@
 
 from __future__ import annotations
 
-import copy
-import hashlib
-import json
-
 import pytest
+from baseline_records import record, spec, verdict
 
-from pytest_dura import ConfigurationError
 from pytest_dura.evidence.baseline import compare_claims
-from pytest_dura.evidence.baseline_file import Baseline
 from pytest_dura.evidence.claims import claims_of
-from pytest_dura.requirements.model import Requirement
-from pytest_dura.requirements.verdicts import EpisodeVerdict, judge_campaign
-
-
-def spec(run, seed, wall=4.0, case="a/b"):
-    return {
-        "case": case, "run": run, "seed": seed, "timeouts": [], "policy": "recover",
-        "simulator": {"path": "m:S", "params": {}},
-        "roles": {"generator": {"path": "m:G", "params": {}}},
-        "scenario": {"name": case, "duration": 2.0, "world": {"wall": wall}},
-        "faults": [], "time_step": 0.1, "time_budget": 5.0,
-        "termination": {"time_limit": 2.0, "goal": True, "violation": False, "iterations": None},
-    }  # fmt: skip
-
-
-def verdict(runs, violating=(), case="a/b", component="C", requirement="R", **changes):
-    """The real verdict on so many runs; ``changes`` are put over it."""
-    found = [
-        EpisodeVerdict(
-            requirement, f"{case}#{run}", component,
-            "violated" if run in violating else "satisfied", None, None, "", 1, 1,
-        )
-        for run in range(runs)
-    ]  # fmt: skip
-    judged = judge_campaign(
-        Requirement(requirement), case, found, planned=runs, component=component
-    )
-    item = f"{case}::{requirement}"
-    return {**judged.to_json(), "check": "gap > 0", "item": item} | changes
-
-
-def record(*verdicts, seed=0, walls=None, **changes):
-    """The record of these verdicts; ``walls`` is the value of the world's wall in each run."""
-    episodes = [
-        {
-            "case": one["case"], "component": one["component"], "planned": True,
-            "spec": spec(run, 1000 * seed + run, (walls or [4.0])[run % len(walls or [4.0])],
-                         one["case"]),
-        }
-        for one in verdicts
-        for run in range(one["run"])
-    ]  # fmt: skip
-    told = {
-        "schema_version": "1", "status": "complete", "created": "2026-01-02T03:04:05+00:00",
-        "base_seed": seed, "component_under_test": {"name": "C", "digest": "d"},
-        "requirements": [{"id": "R", "check": "gap > 0", "paired": None}],
-        "episodes": episodes, "verdicts": list(verdicts),
-    }  # fmt: skip
-    return json.loads(json.dumps(told | changes))
 
 
 def compared(new, old):
@@ -311,68 +257,3 @@ def test_several_components_are_matched_by_name_and_never_twice():
     assert found == {
         ("B", "B"): "no evidence of a change", ("A", "D"): "no evidence of a change",
     }  # fmt: skip
-
-
-def written(folder, told):
-    file = folder / "evidence.json"
-    file.write_text(json.dumps(told))
-    return file
-
-
-@pytest.mark.parametrize("given", ["old", "old/evidence.json"])
-def test_a_baseline_is_a_file_or_the_directory_that_holds_it(tmp_path, given):
-    (tmp_path / "old").mkdir()
-    file = written(tmp_path / "old", record(verdict(3)))
-    baseline = Baseline.read(given, tmp_path)
-    assert (baseline.path, baseline.created) == (given, "2026-01-02T03:04:05+00:00")
-    assert baseline.sha256 == hashlib.sha256(file.read_bytes()).hexdigest()
-    told = baseline.to_json(record(verdict(3), verdict(3, requirement="N")))
-    assert (told["tests"], told["correction"]) == (1, "Holm")
-    assert told["component"] == {"name": "C", "digest": "d"}
-    assert [one["word"] for one in told["comparisons"]] == ["new", "no evidence of a change"]
-    assert json.loads(json.dumps(told)) == told
-    assert baseline.to_json()["comparisons"] == []
-
-
-def damaged(change):
-    told = copy.deepcopy(record(verdict(3, {0})))
-    change(told)
-    return told
-
-
-@pytest.mark.parametrize("change, found", [
-    (lambda told: told.pop("verdicts"), "KeyError: 'verdicts'"),
-    (lambda told: told["verdicts"][0].update(violations=4), "ValueError"),
-    (lambda told: told["verdicts"][0].update(violations=-1), "TypeError"),
-    (lambda told: told["verdicts"][0].update(episodes="3"), "TypeError"),
-    (lambda told: told["verdicts"][0].update(case=None), "TypeError"),
-    (lambda told: told["verdicts"][0]["bound"].update(confidence=95), "ValueError"),
-    (lambda told: told["verdicts"][0]["counterexamples"][0].update(episode="x"), "ValueError"),
-    (lambda told: told["episodes"][0]["spec"].pop("scenario"), "KeyError"),
-    (lambda told: told["episodes"][0]["spec"].update(seed="7"), "TypeError"),
-    (lambda told: told["episodes"].append(None), "TypeError"),
-    (lambda told: told.update(component_under_test=None), "TypeError"),
-    (lambda told: told.update(base_seed="none"), "ValueError"),
-])  # fmt: skip
-def test_a_damaged_baseline_is_refused(tmp_path, change, found):
-    file = written(tmp_path, damaged(change))
-    with pytest.raises(ConfigurationError, match="the baseline is damaged") as error:
-        Baseline.read(".", tmp_path)
-    assert error.value.file == str(file)
-    assert str(error.value.found).startswith(found)
-
-
-@pytest.mark.parametrize("status, fine", [("running", False), ("interrupted", True)])
-def test_a_session_that_was_killed_is_no_baseline(tmp_path, status, fine):
-    written(tmp_path, record(verdict(3), status=status))
-    if fine:
-        assert Baseline.read(".", tmp_path).status == status
-    else:
-        with pytest.raises(ConfigurationError, match="was killed, or is still running"):
-            Baseline.read(".", tmp_path)
-
-
-def test_a_missing_baseline_names_the_option(tmp_path):
-    with pytest.raises(ConfigurationError, match="there is no evidence here") as error:
-        Baseline.read("nowhere.json", tmp_path)
-    assert error.value.key == "--dura-baseline"
