@@ -28,7 +28,7 @@ HEADERS = {
     "loop_cost.py": ["ratio without Generator", "part of the loop"],
     "paper_table.py": ["gridlock", "flagged only attacked / only free", "prevented"],
     "plugin_cost.py": ["cost of the unused plugin"],
-    "stl_speed.py": ["times faster"],
+    "stl_speed.py": ["with verdict", "us per sample"],
     "sequential_cost.py": [
         "mean runs, SPRT",
         "mean runs, e-process",
