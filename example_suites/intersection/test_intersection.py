@@ -29,6 +29,23 @@ def test_collision_rate(campaign: Campaign) -> None:
     campaign.require("always (gap > 0)", at_most=0.05, confidence=0.95)
 
 
+@pytest.mark.dura(
+    scenario="intersection/conflicting-traffic", runs={"until": "decided", "at_most": 100}
+)
+@pytest.mark.requirement("OWN-3", text="Comes near others in at most 5 %", kind="safety")
+def test_near_misses(campaign: Campaign) -> None:
+    """Runs end as soon as the rate is decided: after 74 without a near miss, or a few with many."""
+    campaign.require("always (gap >= 0.5)", at_most=0.05, confidence=0.95)
+
+
+@pytest.mark.dura(scenario="intersection/ghost-obstacle", runs=5)
+@pytest.mark.requirement("OWN-4", text="A ghost costs it at most 20 s", kind="security")
+def test_what_a_ghost_costs(campaign: Campaign) -> None:
+    """Each run beside one of the same seed without the attack; only the difference is judged."""
+    clearance = "pytest_dura.driving.measures:clearance_time"
+    campaign.paired(without="faults").require(measure=clearance, change_at_most=20.0)
+
+
 def test_by_hand(orchestrator: Bench) -> None:
     """Any seed, with everything at hand that the episode recorded."""
     episode = orchestrator.run("intersection/nominal", seed=7)

@@ -32,13 +32,15 @@ def test_the_suite_passes_where_it_was_copied_to(suite: Path) -> None:
     done = run_suite(suite)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "component under test: PatientPlanner" in done.stdout
-    assert "17 passed" in done.stdout
+    assert "19 passed" in done.stdout
     assert evidence_of(suite)["component_under_test"]["name"] == "PatientPlanner"
     assert verdicts_of(suite) == {
         ("SAF-1", "intersection/nominal"): ("supported", 5),
         ("OWN-1", "intersection/nominal"): ("supported", 5),
         ("OWN-1", "intersection/nominal+ghost-obstacle"): ("supported", 5),
         ("OWN-2", "intersection/conflicting-traffic"): ("supported", 60),
+        ("OWN-3", "intersection/conflicting-traffic"): ("supported", 74),
+        ("OWN-4", "intersection/ghost-obstacle"): ("supported", 5),
     }
 
 
