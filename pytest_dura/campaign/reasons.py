@@ -24,6 +24,11 @@ def reasons(
         lines.append(f"required: {requirement.text}")
     if requirement.check and requirement.check != verdict.requirement:
         lines.append(f"check:    {requirement.check}")
+    paired = requirement.paired
+    if paired is not None and paired.measure:
+        lines.append(f"measure:  {paired.measure}, which may grow by {paired.change_at_most:g}")
+    if paired is not None:
+        lines.append(f"pairs:    with {paired.without}, and without")
     if verdict.counterexamples:
         worst = verdict.counterexamples[0]
         lines.append(f"worst:    {describe_counterexample(asdict(worst))}")

@@ -56,6 +56,14 @@ class Project:
     def evidence(self, folder="dura-evidence"):
         return json.loads((self.path / folder / "evidence.json").read_text())
 
+    def verdict(self, requirement, case="corridor/it"):
+        (found,) = [
+            one
+            for one in self.evidence()["verdicts"]
+            if (one["requirement"], one["case"]) == (requirement, case)
+        ]
+        return found
+
     def verdicts(self):
         return {
             (one["case"], one["requirement"]): one["verdict"] for one in self.evidence()["verdicts"]

@@ -1,0 +1,130 @@
+"""Parts of the corridor that fail, lie or do harm, each in one way."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import replace
+from typing import Any, ClassVar, Literal
+
+from corridor import Careful, Corridor, Watch
+
+from pytest_dura import (
+    Assessed,
+    Assessment,
+    FaultInjector,
+    Injection,
+    Recovery,
+    RecoveryPlanner,
+    SafetyMonitor,
+)
+from pytest_dura.faults.model import Fault
+
+
+class Stumbles(Careful):
+    """Fails at its third proposal, and at no other."""
+
+    calls = 0
+
+    def reset(self, context):
+        self.calls = 0
+
+    def propose(self, view):
+        self.calls += 1
+        return self.fails() if self.calls == 3 else super().propose(view)
+
+
+class RaisesOnce(Stumbles):
+    def fails(self):
+        raise ValueError("out of ideas")
+
+
+class HangsOnce(Stumbles):
+    def fails(self):
+        time.sleep(60)
+
+
+class ReturnsNoneOnce(Stumbles):
+    def fails(self):
+        return None
+
+
+class TurnsNaN(Corridor):
+    """A simulator whose signals are no numbers from the third tick on."""
+
+    def step(self, action):
+        tick = super().step(action)
+        if self.index >= 2:
+            tick = replace(tick, truth={**tick.truth, "x": math.nan, "gap": math.nan})
+        return tick
+
+
+class BrokenSafetyMonitor(Watch):
+    def run(self, view):
+        if view.percept["gap"] < 3.9:
+            raise RuntimeError("no opinion")
+        return super().run(view)
+
+
+class NaNSafetyMonitor(Watch):
+    def run(self, view):
+        found = super().run(view)
+        return replace(found, score=math.nan) if view.percept["gap"] < 3.9 else found
+
+
+class LateNaN(Watch):
+    """Fails once the wall is touched."""
+
+    def run(self, view):
+        found = super().run(view)
+        return replace(found, score=math.nan) if view.percept["gap"] <= 0 else found
+
+
+class Early(SafetyMonitor):
+    """Calls for recovery long before there is a need."""
+
+    def run(self, view):
+        gap = view.percept["gap"]
+        return Assessment(Assessed.UNSAFE if gap < 3.5 else Assessed.SAFE, score=gap)
+
+
+class Push(RecoveryPlanner):
+    """A recovery that does harm: it runs into the wall."""
+
+    def run(self, view):
+        return Recovery(20.0, "push")
+
+
+class Nudge(FaultInjector):
+    """Adds a millimetre to the gap that is perceived, while the planned fault is due."""
+
+    def reset(self, context):
+        self.faults = context.faults
+
+    def run(self, view):
+        return Injection()
+
+    def corrupt(self, channels, time):
+        due = [fault["id"] for fault in self.faults if time >= fault["activation"]["at"]]
+        if not due:
+            return channels, {}
+        return {**channels, "gap": channels["gap"] + 0.001}, {"gap": tuple(due)}
+
+
+class Drizzle(Fault):
+    """A fault that is there by chance, and never is."""
+
+    type: Literal["drizzle"]
+    target: Literal["gap"] = "gap"
+    by_chance: bool = True
+    default_target: ClassVar[str] = "gap"
+
+    @classmethod
+    def example(cls) -> dict[str, Any]:
+        return {"activation": {"at": 0.0}}
+
+    def begin(self, channels, rng):
+        return None
+
+    def apply(self, memory, channels, elapsed):
+        return channels["gap"]

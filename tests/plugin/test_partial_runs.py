@@ -1,0 +1,82 @@
+"""Fewer episodes than planned: planned and run are both recorded, and the verdict is undecided."""
+
+from __future__ import annotations
+
+import pytest
+from corridors import expect, scenario
+
+EPISODE_TEST = """
+import os
+import pytest
+
+@pytest.mark.dura(scenario="corridor/it", runs=4)
+@pytest.mark.requirement("GAP-1")
+def test_it(episode):
+    {body}
+    assert not episode.collided
+"""
+BREAKS = "if episode.spec.run == 1: raise OSError('no disk')"
+DIES = "if episode.spec.run == 2: os._exit(3)"
+
+
+def write_test(project, body="pass"):
+    scenario(project)
+    project.write("test_it.py", EPISODE_TEST.format(body=body))
+
+
+@pytest.mark.parametrize(
+    "body, arguments, run, ret",
+    [
+        (BREAKS, ["-x"], 2, 1),
+        (BREAKS, ["--maxfail=1"], 2, 1),
+        ("pass", ["-k", "it and 2"], 1, 1),
+        ("pass", ["--deselect", "test_it.py::test_it[corridor/it#0]"], 3, 1),
+        ("pass", ["test_it.py::test_it[corridor/it#3]"], 1, 1),
+    ],
+    ids=["-x", "--maxfail", "-k", "--deselect", "one node id"],
+)
+def test_fewer_episodes_than_planned_are_undecided(project, body, arguments, run, ret):
+    write_test(project, body)
+    paths = [] if "::" in arguments[0] else ["test_it.py"]
+    result = project.run(*paths, *arguments)
+    reason = f"only {run} of 4 planned episodes were run"
+    found = expect(project, result, "undecided", reason, ret=ret, requirement="GAP-1")
+    assert (found["planned"], found["run"]) == (4, run)
+
+
+def test_last_failed_runs_fewer_episodes_than_planned(project):
+    write_test(project, BREAKS)
+    project.run("test_it.py").assert_outcomes(passed=3, failed=1)
+    write_test(project)
+    result = project.run("test_it.py", "--lf")
+    result.assert_outcomes(passed=1, deselected=3)
+    reason = "only 1 of 4 planned episodes were run"
+    found = expect(project, result, "undecided", reason, requirement="GAP-1")
+    assert (found["planned"], found["run"]) == (4, 1)
+    assert "the gate fails: GAP-1 on corridor/it is undecided, though" in result.stdout.str()
+
+
+def test_a_time_limit_leaves_the_rest_undecided(project):
+    write_test(project)
+    project.write(
+        "conftest.py",
+        "import pytest\n"
+        "@pytest.hookimpl(trylast=True)\n"
+        "def pytest_runtest_teardown(item):\n"
+        "    if '#1' in item.nodeid: item.session.shouldstop = 'the time is up'\n",
+    )
+    result = project.run("test_it.py", "corridor/it::GO-1")
+    reason = "only 2 of 4 planned episodes were run"
+    found = expect(project, result, "undecided", reason, ret=2, requirement="GAP-1")
+    assert (found["planned"], found["run"]) == (4, 2)
+    never = project.verdict("GO-1")
+    assert (never["verdict"], never["planned"], never["run"]) == ("undecided", 2, 0)
+    assert project.evidence()["status"] == "interrupted"
+
+
+def test_a_dead_worker_leaves_its_runs_undecided(project):
+    write_test(project, DIES)
+    result = project.run("test_it.py", "-n", "2")
+    reason = "only 3 of 4 planned episodes were run"
+    found = expect(project, result, "undecided", reason, requirement="GAP-1")
+    assert (found["planned"], found["run"], found["violations"]) == (4, 3, 0)

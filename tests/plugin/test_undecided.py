@@ -1,0 +1,91 @@
+"""Undecided and invalid fail the gate, or skip their test when asked; a violation always fails."""
+
+from __future__ import annotations
+
+import pytest
+from corridors import IDLE, expect, requirement, scenario
+
+KINDS = {
+    "vacuous": ("always (gap < 0 -> x > 1)", {}, {}, "(vacuous)"),
+    "invalid share": (
+        "always (gap > 0)",
+        {"faults": IDLE, "fault_injector": "Idle"},
+        {},
+        "3 of 3 episodes are invalid, more than 20%",
+    ),
+    "a window past the end": ("eventually[0:60] (x >= 9)", {}, {}, "episodes are invalid"),
+    "missing": ("always (gap > 0)", {"world": "{breaks_at: 2}"}, {}, "2 of 2 episodes are missing"),
+    "too few runs": ("always (gap > 0)", {}, {"at_most": 0.1}, "does not support 0.1"),
+    "budget used up": (
+        "always (gap > 0)",
+        {"runs": "{until: decided, at_most: 8}"},
+        {"at_most": 0.1},
+        "e-process at 0.95 confidence has not decided on at most 0.1 within 8 runs",
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_undecided_fails_the_gate_and_is_relaxed_to_a_skip(project, kind):
+    check, situation, rate, reason = KINDS[kind]
+    requirement(project, check, **rate)
+    scenario(project, requirements="[R-1]", **situation)
+    result = project.run("corridor/it")
+    result.assert_outcomes(failed=1)
+    expect(project, result, "undecided", reason)
+    assert "undecided: R-1 on corridor/it" in result.stdout.str().partition("= dura =")[0]
+
+    relaxed = project.run("corridor/it", "--dura-undecided=warn", "-rs")
+    relaxed.assert_outcomes(skipped=1)
+    expect(project, relaxed, "undecided", reason, ret=0)
+
+
+CAMPAIGN_TEST = """
+import pytest
+
+@pytest.mark.dura(scenario="corridor/it", runs=3)
+@pytest.mark.requirement("GAP-1")
+def test_it(campaign):
+    campaign.require({check}{rate})
+"""
+
+
+@pytest.mark.parametrize(
+    "check, rate, reason",
+    [
+        ("'always (gap < 0 -> x > 1)'", "", "(vacuous)"),
+        ("'always (gap > 0)'", ", at_most=0.1", "does not support 0.1"),
+    ],
+    ids=["vacuous", "too few runs"],
+)
+def test_an_undecided_campaign_test_is_relaxed_to_a_skip(project, check, rate, reason):
+    scenario(project)
+    project.write("test_it.py", CAMPAIGN_TEST.format(check=check, rate=rate))
+    result = project.run("test_it.py", "--dura-undecided=warn")
+    result.assert_outcomes(skipped=1)
+    expect(project, result, "undecided", reason, requirement="GAP-1", ret=0)
+    project.run("test_it.py").assert_outcomes(failed=1)
+
+
+def test_a_partial_run_is_relaxed_but_recorded(project):
+    scenario(project)
+    body = CAMPAIGN_TEST.replace("(campaign)", "(episode)").replace("campaign.require", "print")
+    project.write("test_it.py", body.format(check="", rate=""))
+    result = project.run("test_it.py", "-k", "it and 0", "--dura-undecided=warn")
+    result.assert_outcomes(passed=1, deselected=2)
+    reason = "only 1 of 3 planned episodes were run"
+    expect(project, result, "undecided", reason, requirement="GAP-1", ret=0)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_violation_is_never_relaxed(project, kind):
+    _, situation, rate, _ = KINDS[kind]
+    requirement(project, "always (gap > 0) and always[0:60] (gap > 0)", **rate)
+    if kind == "missing":
+        situation = {"world": "{wall: 1.0, breaks_at: 4}"}
+    situation = {"world": "{wall: 1.0}"} | situation
+    scenario(project, requirements="[R-1]", generator="Reckless", **situation)
+    result = project.run("corridor/it", "--dura-undecided=warn")
+    result.assert_outcomes(failed=1)
+    found = expect(project, result, "violated")
+    assert found["violations"] == found["run"] > 0

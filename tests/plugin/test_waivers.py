@@ -1,0 +1,145 @@
+"""What excuses a failure is recorded as a waiver, beside the verdict; every attempt is kept."""
+
+from __future__ import annotations
+
+import pytest
+from corridors import expect, scenario
+
+CAMPAIGN_TEST = """
+import pytest
+
+@pytest.mark.dura(scenario="corridor/it")
+@pytest.mark.requirement("GAP-1")
+@pytest.mark.xfail(reason="ticket 7"{strict})
+def test_it(campaign):
+    campaign.require()
+"""
+EPISODE_TEST = """
+import pytest
+
+@pytest.mark.dura(scenario="corridor/it")
+@pytest.mark.requirement("GAP-1")
+@pytest.mark.xfail(reason="ticket 7")
+def test_it(episode):
+    assert not episode.collided
+"""
+WAIVER = {"kind": "xfail", "reason": "ticket 7"}
+RECKLESS = {"generator": "Reckless", "world": "{wall: 1.0}"}
+
+
+@pytest.mark.parametrize("strict", ["", ", strict=True"], ids=["not strict", "strict"])
+@pytest.mark.parametrize(
+    "situation, word",
+    [(RECKLESS, "violated"), ({"world": "{breaks_at: 2}"}, "undecided")],
+    ids=["violated", "undecided"],
+)
+def test_an_expected_failure_is_recorded_as_a_waiver(project, situation, word, strict):
+    scenario(project, **situation)
+    project.write("test_it.py", CAMPAIGN_TEST.format(strict=strict))
+    result = project.run("test_it.py")
+    result.assert_outcomes(xfailed=1)
+    found = expect(project, result, word, requirement="GAP-1", ret=0)
+    assert found["waiver"] == WAIVER
+    assert "[xfail]" in result.stdout.str().partition("= dura =")[2]
+
+
+def test_an_expected_failure_of_tests_on_one_episode(project):
+    scenario(project, **RECKLESS)
+    project.write("test_it.py", EPISODE_TEST)
+    result = project.run("test_it.py")
+    result.assert_outcomes(xfailed=2)
+    found = expect(project, result, "violated", requirement="GAP-1", ret=0)
+    assert (found["violations"], found["waiver"]) == (2, WAIVER)
+
+
+def test_a_strict_xfail_that_passes_fails(project):
+    scenario(project)
+    project.write("test_it.py", CAMPAIGN_TEST.format(strict=", strict=True"))
+    result = project.run("test_it.py")
+    result.assert_outcomes(failed=1)
+    expect(project, result, "supported", requirement="GAP-1", ret=1)
+
+
+def test_an_xfail_that_passes_is_supported_and_its_waiver_is_kept(project):
+    scenario(project)
+    project.write("test_it.py", CAMPAIGN_TEST.format(strict=""))
+    result = project.run("test_it.py")
+    result.assert_outcomes(xpassed=1)
+    found = expect(project, result, "supported", requirement="GAP-1", ret=0)
+    assert found["waiver"] == WAIVER
+
+
+def test_a_skip_inside_a_test_on_an_episode_is_no_pass(project):
+    scenario(project)
+    body = "if episode.spec.run == 1: pytest.skip('too cold')"
+    text = EPISODE_TEST.replace("assert not episode.collided", body)
+    project.write("test_it.py", text.replace('@pytest.mark.xfail(reason="ticket 7")\n', ""))
+    result = project.run("test_it.py")
+    result.assert_outcomes(passed=1, skipped=1)
+    reason = "1 of 2 episodes are invalid"
+    found = expect(project, result, "undecided", reason, requirement="GAP-1", ret=1)
+    assert found["spoilt"] == {
+        "episode": "corridor/it#1",
+        "verdict": "invalid",
+        "detail": "too cold",
+    }
+    assert "the gate fails: GAP-1 on corridor/it is undecided, though" in result.stdout.str()
+
+
+def test_a_skip_after_a_verdict_does_not_hide_it(project):
+    scenario(project, **RECKLESS)
+    body = "try: campaign.require()\n    except Exception: pytest.skip('never mind')"
+    text = CAMPAIGN_TEST.replace("campaign.require()", body)
+    project.write("test_it.py", text.replace('@pytest.mark.xfail(reason="ticket 7"{strict})\n', ""))
+    result = project.run("test_it.py")
+    result.assert_outcomes(skipped=1)
+    expect(project, result, "violated", requirement="GAP-1", ret=1)
+
+
+RERUN = ["--reruns", "1", "-p", "no:xdist"]
+
+
+@pytest.mark.parametrize("first, second", [(5, 0), (0, 5)], ids=["then passes", "passed before"])
+def test_a_rerun_keeps_every_attempt_of_a_campaign(project, first, second):
+    scenario(project, runs=1, world="{wall: 4.0}")
+    project.write(
+        "test_it.py",
+        "import pytest\n"
+        "LIMITS = []\n"
+        "@pytest.mark.dura(scenario='corridor/it')\n"
+        "@pytest.mark.requirement('GAP-1')\n"
+        "def test_it(campaign):\n"
+        f"    LIMITS.append({first} if not LIMITS else {second})\n"
+        "    campaign.require(lambda one: one.signals['gap'].min() - LIMITS[-1])\n"
+        f"    assert len(LIMITS) == 2 or {first} == 5, 'once more'\n",
+    )
+    result = project.run("test_it.py", *RERUN)
+    rerun = {"kind": "rerun", "reason": "the item was run again"}
+    found = expect(project, result, "violated", requirement="GAP-1", ret=0 if first else 1)
+    assert found["waiver"] == rerun
+    assert {one["verdict"] for one in found["attempts"]} == {"supported", "violated"} - {
+        found["verdict"]
+    }
+    assert "1 rerun" in result.stdout.str()
+
+
+def test_a_violation_in_any_attempt_at_an_episode_counts(project):
+    scenario(project)
+    body = "FAILED.append(episode.id)\n    assert FAILED.count(episode.id) > 1, 'flaky'"
+    text = EPISODE_TEST.replace("assert not episode.collided", body)
+    text = text.replace('@pytest.mark.xfail(reason="ticket 7")\n', "")
+    project.write("test_it.py", text.replace("import pytest\n", "import pytest\nFAILED = []\n"))
+    result = project.run("test_it.py", *RERUN)
+    result.assert_outcomes(passed=2)
+    found = expect(project, result, "violated", requirement="GAP-1", ret=0)
+    assert (found["planned"], found["run"], found["violations"]) == (2, 2, 2)
+    assert found["waiver"]["kind"] == "rerun"
+    assert "[rerun]" in result.stdout.str().partition("= dura =")[2]
+
+
+def test_a_rerun_of_a_scenario_item_is_recorded(project):
+    scenario(project, **RECKLESS)
+    result = project.run("corridor/it::GAP-1", *RERUN)
+    result.assert_outcomes(failed=1)
+    found = expect(project, result, "violated", requirement="GAP-1", ret=1)
+    assert found["waiver"]["kind"] == "rerun"
