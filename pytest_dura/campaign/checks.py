@@ -18,7 +18,7 @@ from pytest_dura.campaign.problems import did_you_mean, placed
 from pytest_dura.campaign.scenario import Scenario
 from pytest_dura.campaign.worlds import checked_world, checker
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.core.roles import STANDARD_ROLES, RoleSpec
+from pytest_dura.core.roles import STANDARD_ROLES, Role, RoleSpec
 
 
 def problems_of(scenario: Scenario) -> list[ConfigurationError]:
@@ -104,6 +104,8 @@ def _check_role(scenario: Scenario, role: str, domain: Domain | None) -> None:
             expected=f"a subclass of pytest_dura.{base.__name__}",
             remedy=f"derive it from pytest_dura.{base.__name__}, or name another class",
         )
+    if inspect.isclass(factory) and issubclass(factory, Role):
+        factory.check_params(spec.params, scenario.time_step)
 
 
 def _check_parameters(spec: RoleSpec) -> None:

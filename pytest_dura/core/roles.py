@@ -120,6 +120,20 @@ class Role(ABC):
     after: ClassVar[tuple[str, ...]] = ()
     reassess: ClassVar[bool] = True
 
+    @classmethod
+    def check_params(  # noqa: B027 - most roles accept all
+        cls, params: Mapping[str, Any], time_step: float
+    ) -> None:
+        """Refuse parameters of a scenario file that could not work, before anything runs.
+
+        Args:
+            params: Keyword parameters of the class.
+            time_step: Seconds per tick.
+
+        Raises:
+            ConfigurationError: For such parameters. The default accepts all.
+        """
+
     def reset(self, context: RoleContext) -> None:  # noqa: B027 - stateless roles need none
         """Begin an episode; forget everything of the one before."""
 

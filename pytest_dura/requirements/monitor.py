@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.roles import Assessed, Assessment, RoleContext, SafetyMonitor
 from pytest_dura.core.state import RoleView
@@ -56,6 +59,11 @@ class StlSafetyMonitor(SafetyMonitor):
         self._warning = None if warning is None else _past("warning", warning)
         names = {*self._unsafe.signals, *(self._warning.signals if self._warning else ())}
         self._read = percept_reader(sorted(names), signals)
+
+    @classmethod
+    def check_params(cls, params: Mapping[str, Any], time_step: float) -> None:
+        """Refuse formulas that cannot be read, look ahead or have windows between two ticks."""
+        cls(**params).reset(RoleContext(0, time_step))
 
     def reset(self, context: RoleContext) -> None:
         """Forget the percepts seen."""

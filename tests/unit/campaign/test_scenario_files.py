@@ -312,3 +312,29 @@ def test_a_scenario_cannot_be_changed() -> None:
     scenario = Scenario.from_document(parse_yaml(HEAD, "some.yaml"))
     with pytest.raises(ValueError, match="frozen"):
         scenario.runs = 3  # type: ignore[misc]
+
+
+@pytest.mark.parametrize(
+    "formula, message",
+    [
+        ("always (headroom > 0)", "cannot know the future"),
+        ("historically[0:0.05] (headroom > 0)", "falls between two samples"),
+        ("headroom >", "cannot read the formula"),
+    ],
+)
+def test_a_monitor_with_an_impossible_formula_is_refused(tmp_path, formula, message):
+    text = f"""
+name: room
+simulator: thermostat:Thermostat
+duration: 4.0
+time_step: 0.1
+roles:
+  generator: thermostat:Controller
+  watch:
+    path: pytest_dura:StlSafetyMonitor
+    params: {{formula: "{formula}"}}
+"""
+    (tmp_path / "room.yaml").write_text(text.lstrip())
+    with pytest.raises(ConfigurationError, match=message) as caught:
+        load_scenarios([tmp_path])
+    assert (caught.value.key, caught.value.line) == ("roles.watch", 7)
