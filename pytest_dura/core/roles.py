@@ -120,10 +120,8 @@ class Role(ABC):
     after: ClassVar[tuple[str, ...]] = ()
     reassess: ClassVar[bool] = True
 
-    @classmethod
-    def check_params(  # noqa: B027 - most roles accept all
-        cls, params: Mapping[str, Any], time_step: float
-    ) -> None:
+    @classmethod  # noqa: B027 - most roles accept all
+    def check_params(cls, params: Mapping[str, Any], time_step: float) -> None:
         """Refuse parameters of a scenario file that could not work, before anything runs.
 
         Args:
