@@ -59,6 +59,15 @@ class TurnsNaN(Corridor):
         return tick
 
 
+class Fragile(Corridor):
+    """Breaks as the wall is touched, and before that can be seen."""
+
+    def step(self, action):
+        if self.x + float(action) * self.time_step >= self.wall:
+            raise RuntimeError("the wall gave way")
+        return super().step(action)
+
+
 class BrokenSafetyMonitor(Watch):
     def run(self, view):
         if view.percept["gap"] < 3.9:

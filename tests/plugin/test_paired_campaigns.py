@@ -1,0 +1,207 @@
+"""Pairs of runs with equal seeds: with something, and without it."""
+
+from __future__ import annotations
+
+import pytest
+from corridors import IDLE, expect, scenario
+
+HARM = {
+    "duration": 2.0,
+    "runs": 3,
+    "world": "{wall: 4.0}",
+    "monitor": "oddities:Early",
+    "recovery_planner": "oddities:Push",
+}
+HELP = HARM | {"duration": 0.5, "generator": "Reckless", "recovery_planner": "Brake"}
+
+
+def run(project, body, scenario_name="corridor/it", *arguments):
+    project.write(
+        "test_it.py",
+        "import pytest\n"
+        f"@pytest.mark.dura(scenario='{scenario_name}')\n"
+        "def test_it(campaign):\n" + "".join(f"    {line}\n" for line in body.splitlines()),
+    )
+    return project.run("test_it.py", *arguments)
+
+
+def test_a_role_that_makes_a_pair_worse_violates_the_requirement(project):
+    scenario(project, **HARM)
+    body = "campaign.paired(without='recovery_planner').require('always (gap > 0)')"
+    result = run(project, body)
+    result.assert_outcomes(failed=1)
+    reason = "3 of 3 valid pairs violated it"
+    found = expect(project, result, "violated", reason, requirement="always (gap > 0)")
+    pairs = found["pairs"]
+    assert pairs["without"] == "recovery_planner"
+    assert pairs["case"] == "corridor/it~recovery_planner"
+    assert (pairs["only_with"], pairs["only_without"], pairs["both"], pairs["neither"]) == (
+        3,
+        0,
+        0,
+        0,
+    )
+    text = result.stdout.str()
+    assert "E       pairs:    with recovery_planner, and without" in text
+    assert "pairs without recovery_planner: n = 3, 3 violations" in text
+    assert "pytest_dura/" not in text.partition("= dura =")[0]
+    episodes = {one["id"]: one["seed"] for one in project.evidence()["episodes"]}
+    assert len(episodes) == 6
+    for run_number in range(3):
+        own, twin = f"corridor/it#{run_number}", f"corridor/it~recovery_planner#{run_number}"
+        assert episodes[own] == episodes[twin]
+
+
+def test_a_role_that_helps_supports_it(project):
+    scenario(project, **HELP)
+    body = """pairs = campaign.paired(without='recovery_planner')
+counts = pairs.counts('always (gap > 0)')
+assert (counts.pairs, counts.only_with, counts.only_without) == (3, 0, 3), counts
+assert (counts.both, counts.neither, counts.acted_only_without) == (0, 0, 3)
+pairs.require('always (gap > 0)')"""
+    result = run(project, body)
+    found = expect(project, result, "supported", requirement="always (gap > 0)")
+    assert found["pairs"]["only_without"] == 3
+    assert found["margin"] == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize("at_most, word", [("0.7", "supported"), ("0.1", "undecided")])
+def test_a_rate_of_pairs(project, at_most, word):
+    scenario(project, **HELP)
+    body = f"""campaign.paired(without='recovery_planner').require(
+    'always (gap > 0)', at_most={at_most}, confidence=0.9)"""
+    found = expect(project, run(project, body), word, requirement="always (gap > 0)")
+    assert (found["method"], found["bound"]["confidence"]) == ("fixed", 0.9)
+
+
+def test_pairs_end_once_their_rate_is_decided(project):
+    scenario(project, **HARM | {"runs": 40})
+    body = """campaign.paired(without='recovery_planner').require(
+    'always (gap > 0)', at_most=0.3, method='sprt', p0=0.01)"""
+    result = run(project, body)
+    found = expect(project, result, "violated", requirement="always (gap > 0)")
+    assert found["run"] <= 5
+    assert found["saved"] == 40 - found["run"]
+    assert len(project.evidence()["episodes"]) == 2 * found["run"]
+
+
+@pytest.mark.parametrize(
+    "bound, word, line",
+    [
+        ("0.5", "violated", "measure:  checks:farthest, which may grow by 0.5"),
+        ("30", "supported", "pairs without recovery_planner: n = 3"),
+    ],
+)
+def test_the_change_of_a_measure(project, bound, word, line):
+    scenario(project, **HARM)
+    body = f"""pairs = campaign.paired(without='recovery_planner')
+change = pairs.change('checks:farthest')
+assert change.n == 3
+assert change.mean == pytest.approx(27.6)
+assert pairs.change(lambda one: one.signals['x'].max()).values == change.values
+pairs.require(measure='checks:farthest', change_at_most={bound})"""
+    result = run(project, body)
+    found = expect(project, result, word, requirement="checks:farthest")
+    assert found["margin"] == pytest.approx(float(bound) - 27.6)
+    assert found["pairs"]["change"]["values"] == pytest.approx([27.6] * 3)
+    assert line in result.stdout.str()
+
+
+@pytest.mark.parametrize(
+    "situation, word, detail",
+    [
+        (HARM, "supported", None),
+        (HARM | {"recovery_planner": "Brake"}, "undecided", "the measure has no value in either"),
+        (HELP, "violated", None),
+    ],
+    ids=["a value with it alone", "no value at all", "a value without it alone"],
+)
+def test_a_measure_without_a_value_is_more_than_any_number(project, situation, word, detail):
+    """When the wall was touched: NaN, if never."""
+    scenario(project, **situation)
+    body = """campaign.paired(without='recovery_planner').require(
+    measure='checks:touched_at', change_at_most=5.0)"""
+    found = expect(project, run(project, body), word, requirement="checks:touched_at")
+    assert (found["spoilt"] is None) is (detail is None)
+    if detail is not None:
+        assert detail in found["spoilt"]["detail"]
+
+
+def test_without_faults(project):
+    faults = {"faults": IDLE, "fault_injector": "oddities:Nudge"}
+    scenario(project, world="{wall: 4.0}", **faults)
+    body = """pairs = campaign.paired(without='faults')
+assert pairs.change('checks:farthest').values == (0.0, 0.0)
+pairs.require('always (gap > 0)')"""
+    result = run(project, body)
+    found = expect(project, result, "supported", requirement="always (gap > 0)")
+    assert found["pairs"]["without"] == "faults"
+    assert found["pairs"]["case"] == "corridor/it+none"
+    ids = [one["id"] for one in project.evidence()["episodes"]]
+    assert ids == ["corridor/it#0", "corridor/it#1", "corridor/it+none#0", "corridor/it+none#1"]
+
+
+def test_a_run_that_is_missing_leaves_its_pair_undecided(project):
+    roles = {"monitor": "oddities:BrokenSafetyMonitor", "recovery_planner": "Brake"}
+    scenario(project, world="{wall: 4.0}", **roles)
+    body = "campaign.paired(without='safety_monitor').require('always (gap > 0)')"
+    result = run(project, body)
+    reason = "2 of 2 pairs are missing (infrastructure)"
+    found = expect(project, result, "undecided", reason, requirement="always (gap > 0)")
+    assert found["spoilt"]["detail"].startswith("infrastructure: safety_monitor at tick 2")
+    assert "E       Failed: infrastructure: safety_monitor at tick 2" in result.stdout.str()
+
+
+def test_the_twin_that_is_missing_is_named(project):
+    scenario(project, simulator="oddities:Fragile", **HELP)
+    body = "campaign.paired(without='recovery_planner').require('always (gap > 0)')"
+    result = run(project, body)
+    found = expect(project, result, "undecided", requirement="always (gap > 0)")
+    assert found["spoilt"]["episode"] == "corridor/it#0"
+    detail = found["spoilt"]["detail"]
+    assert detail.startswith("infrastructure: simulator at tick 1 (t = 0.1 s): RuntimeError: the ")
+    assert detail.endswith(", in corridor/it~recovery_planner#0")
+
+
+@pytest.mark.parametrize(
+    "call, lines",
+    [
+        ("paired(without='security_assessor')", ["*has no role 'security_assessor' to switch off"]),
+        (
+            "paired(without='recovery_planer')",
+            ["*there is no role 'recovery_planer' to switch off", "*did you mean 'recovery_plan*"],
+        ),
+        ("paired(without='generator')", ["*the generator cannot be switched off"]),
+        ("paired(without='faults')", ["*the case 'corridor/it' has no faults to leave out"]),
+        (
+            "paired(without='recovery_planner').require()",
+            ["*pairs are compared by a check or by a measure", "*found: *'neither'"],
+        ),
+        (
+            "paired(without='recovery_planner').require(measure='checks:farthest')",
+            ["*`measure` and `change_at_most` go together"],
+        ),
+        (
+            "paired(without='recovery_planner').require('always (gap > 0)', change_at_most=1)",
+            ["*`measure` and `change_at_most` go together"],
+        ),
+        (
+            "paired('recovery_planner').require('x', measure='checks:farthest', change_at_most=1)",
+            ["*pairs are compared by a check or by a measure"],
+        ),
+        (
+            "paired(without='recovery_planner').counts('always (gapp > 0)')",
+            ["*unknown signal 'gapp' in the formula"],
+        ),
+        (
+            "paired(without='recovery_planner').change('checks:raises')",
+            ["*the measure checks:raises failed on corridor/it#0: LookupError: no such map*"],
+        ),
+    ],
+)
+def test_a_comparison_that_cannot_be_made_shows_the_users_line_alone(project, call, lines):
+    scenario(project, **HARM)
+    result = run(project, f"campaign.{call}")
+    result.assert_outcomes(failed=1)
+    result.stdout.fnmatch_lines(lines)
+    assert "pytest_dura/" not in result.stdout.str()
