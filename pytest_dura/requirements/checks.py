@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, TypeAlias
 
+import numpy as np
+
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.roles import RoleSpec
 
@@ -77,13 +79,11 @@ def check_result(value: Any) -> CheckResult:
 
     Raises:
         TypeError: For anything else.
-        ValueError: For a margin that is not a number.
+        ValueError: For a margin or a time that is not a number.
     """
     if isinstance(value, CheckResult):
-        if value.margin is not None:
-            _number(value.margin)
-        return value
-    if value is True or value is False or type(value).__name__ == "bool":  # numpy's own bool
+        return _plain(value)
+    if _is_truth_value(value):
         return CheckResult(bool(value))
     if isinstance(value, (int, float)) or hasattr(value, "__float__"):
         margin = _number(value)
@@ -93,8 +93,27 @@ def check_result(value: Any) -> CheckResult:
     )
 
 
-def _number(value: Any) -> float:
+def _plain(result: CheckResult) -> CheckResult:
+    """The same with Python's own types, since the record is JSON; what is none of them is told."""
+    for name in ("holds", "vacuous"):
+        value = getattr(result, name)
+        if not _is_truth_value(value):
+            raise TypeError(f"its `{name}` is {value!r}, not a truth value")
+    return CheckResult(
+        bool(result.holds),
+        None if result.margin is None else _number(result.margin),
+        None if result.time is None else _number(result.time, "time"),
+        str(result.detail),
+        bool(result.vacuous),
+    )
+
+
+def _is_truth_value(value: Any) -> bool:
+    return isinstance(value, (bool, np.bool_))
+
+
+def _number(value: Any, name: str = "margin") -> float:
     number = float(value)
-    if math.isnan(number):
-        raise ValueError("its margin is not a number (NaN)")
+    if math.isnan(number) or (name == "time" and math.isinf(number)):
+        raise ValueError(f"its {name} is not a number ({number})".replace("nan", "NaN"))
     return number

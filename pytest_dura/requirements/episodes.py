@@ -142,7 +142,7 @@ def _by_function(
         result = check_result(function(JudgedEpisode.of(episode)))
     except ConfigurationError:
         raise
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         detail = f"infrastructure: check {name}: {describe_error(error)}"
         return "missing", CheckResult(False, detail=detail)
     if result.margin is not None and not math.isfinite(result.margin):
@@ -214,8 +214,14 @@ class JudgedEpisode(Episode):
 
     @classmethod
     def of(cls, episode: Episode) -> JudgedEpisode:
-        """The same episode, with the judging methods."""
-        return cls(**{one.name: getattr(episode, one.name) for one in fields(Episode)})
+        """The same episode, with the judging methods.
+
+        Its signals cannot be written: what one requirement looks at, the next one looks at too.
+        """
+        given = {one.name: getattr(episode, one.name) for one in fields(Episode)}
+        for column in (episode.time, *episode.signals.values()):
+            column.flags.writeable = False
+        return cls(**{**given, "signals": dict(episode.signals)})
 
     def robustness(self, formula: str) -> float:
         """How far the episode stays clear of violating a formula; below 0 it is violated.

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from pytest_dura.requirements.stl.grammar import rtamt_modules
+
 # In-process runs forget what they imported, and numpy and its like cannot be imported twice.
 for module in (
     "hypothesis.strategies",
@@ -23,6 +25,7 @@ for module in (
     "scipy.special",
 ):
     importlib.import_module(module)
+rtamt_modules()
 
 PROJECT = Path(__file__).with_name("project")
 

@@ -12,9 +12,12 @@ from pytest_dura.plugin.tables import case_table
 
 
 def section(result):
+    """What the plugin prints below its heading, up to pytest's own short summary."""
     lines = result.outlines
     start = next(i for i, line in enumerate(lines) if re.fullmatch(r"=+ dura =+", line))
-    return lines[start + 1 :]
+    rest = lines[start + 1 :]
+    end = next(i for i, line in enumerate(rest) if re.match(r"=+ .* =+$", line))
+    return rest[:end]
 
 
 def test_the_header_says_what_is_tested(project):

@@ -13,8 +13,8 @@ from pytest_dura import ConfigurationError, EpisodeSpec, RoleSpec
 from pytest_dura.campaign.cases import expand_cases
 from pytest_dura.campaign.scenario import Scenario
 from pytest_dura.campaign.yaml_source import parse_yaml
-from pytest_dura.requirements.statistics import lower_bound, runs_needed, upper_bound
 from pytest_dura.requirements.model import Requirement
+from pytest_dura.requirements.statistics import lower_bound, runs_needed, upper_bound
 from pytest_dura.requirements.verdicts import CampaignVerdict, EpisodeVerdict, judge_campaign
 
 relaxed = settings(deadline=None, max_examples=60)

@@ -47,3 +47,20 @@ def touched_at(episode):
 
 def of_two(episode, other):
     return True
+
+
+def exits(episode):
+    raise SystemExit(3)
+
+
+def at_no_time(episode):
+    return CheckResult(False, time=math.nan)
+
+
+def holds_by_number(episode):
+    return CheckResult(-2.5)
+
+
+def writes(episode):
+    episode.signals["gap"][:] = -1.0
+    return True
