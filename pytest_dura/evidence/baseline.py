@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 from pytest_dura.evidence.claims import Claim
 from pytest_dura.evidence.conditions import changed_conditions
+from pytest_dura.requirements.judging import MAX_INVALID_SHARE
 from pytest_dura.requirements.statistics import (
     ComparisonWord,
     compare_counts,
@@ -178,6 +179,10 @@ def _outcome_in_the_way(own: Claim, other: Claim) -> str:
             return f"only {one.run} of {one.planned} planned runs {whose}were run"
         if not one.episodes:
             return f"no valid episodes {whose}".rstrip()
+        # A violation counts in an invalid episode too, a satisfaction does not: the rate of what
+        # is left would be that of a selection.
+        if one.run - one.episodes > MAX_INVALID_SHARE * one.run:
+            return f"only {one.episodes} of {one.run} runs {whose}are valid"
     return ""
 
 

@@ -129,6 +129,7 @@ def test_another_bound_on_the_change_of_a_measure_is_another_question():
     ({"saved": 5, "planned": 15}, "n depended on the outcome (5 of 15 runs {}saved)"),
     ({"planned": 12}, "only 10 of 12 planned runs {}were run"),
     ({"episodes": 0, "violations": 0, "counterexamples": []}, "no valid episodes {}"),
+    ({"episodes": 7}, "only 7 of 10 runs {}are valid"),
 ])  # fmt: skip
 def test_what_the_outcome_keeps_from_being_compared_counts_as_a_test(changes, reason):
     spoilt, fine = verdict(10, **changes), verdict(10, range(5))
