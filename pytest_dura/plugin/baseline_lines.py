@@ -35,14 +35,15 @@ def baseline_header(baseline: Baseline | None) -> list[str]:
 
 
 def show_baseline(terminal: Any, record: Data) -> None:
-    """Every comparison with its figures, what could not be compared, and what they come to."""
+    """What was violated now or then with its figures, the rest by name, and what they come to."""
     baseline = record["baseline"]
     if baseline is None:
         return
     found = baseline["comparisons"]
     terminal.line("")
     terminal.line(f"baseline {baseline['path']}: {_summary(baseline)}")
-    rows = [one for word in (*COLOURS, NO_EVIDENCE) for one in found if one["word"] == word]
+    shown = [one for one in found if one["test"] is None or _violated(one)]
+    rows = [one for word in (*COLOURS, NO_EVIDENCE) for one in shown if one["word"] == word]
     if rows:
         table = [HEAD, *map(_row, rows)]
         widths = [max(len(row[i]) for row in table) for i in range(len(HEAD))]
@@ -54,8 +55,10 @@ def show_baseline(terminal: Any, record: Data) -> None:
             terminal.line(line, **({} if one is None else COLOURS.get(one["word"], {})))
         for line in LEGEND:
             terminal.line(line)
-    for line in _uncompared(found):
-        terminal.line(line)
+    for reason, alike in _the_rest(found).items():
+        text = f"{reason}: {_names(alike)}"
+        for line in textwrap.wrap(text, WIDTH, subsequent_indent="  ", break_on_hyphens=False):
+            terminal.line(line)
 
 
 HEAD = ("", "now", "then", "p", "Holm", "test")
@@ -90,17 +93,28 @@ def _summary(baseline: Data) -> str:
     return ", ".join(parts)
 
 
-def _uncompared(found: Sequence[Data]) -> list[str]:
-    """What stands in one record only, and what cannot be compared, by reason."""
-    alike: dict[str, list[str]] = {}
+def _violated(one: Data) -> bool:
+    return bool(one["violations"] or one["baseline_violations"])
+
+
+def _the_rest(found: Sequence[Data]) -> dict[str, list[Data]]:
+    """What never was violated, stands in one record only, or cannot be compared, by reason."""
+    alike: dict[str, list[Data]] = {}
     for one in found:
         if one["test"] is None:
             reason = f"{one['word']}: {one['reason']}" if one["reason"] else one["word"]
-            alike.setdefault(reason, []).append(_name(one))
-    return [
-        line
-        for reason, names in alike.items()
-        for line in textwrap.wrap(
-            f"{reason}: {'; '.join(names)}", WIDTH, subsequent_indent="  ", break_on_hyphens=False
-        )
-    ]
+        elif not _violated(one):
+            runs = f"0/{one['episodes']} now, 0/{one['baseline_episodes']} then"
+            reason = f"{one['word']}, violated in {runs}"
+        else:
+            continue
+        alike.setdefault(reason, []).append(one)
+    return alike
+
+
+def _names(found: Sequence[Data]) -> str:
+    """The requirements, by case."""
+    cases: dict[str, list[str]] = {}
+    for one in found:
+        cases.setdefault(one["case"], []).append(one["requirement"])
+    return "; ".join(f"{', '.join(names)} on {case}" for case, names in cases.items())
