@@ -9,8 +9,8 @@ from fnmatch import fnmatchcase
 from typing import Any, TypeAlias
 
 from pytest_dura.campaign import variation
-from pytest_dura.campaign.checks import parsed_fault
 from pytest_dura.campaign.domains import check_role_name, domain_of, role_spec, simulator_spec
+from pytest_dura.campaign.planned_faults import check_chains, own_fault, parsed
 from pytest_dura.campaign.problems import did_you_mean
 from pytest_dura.campaign.scenario import Scenario
 from pytest_dura.campaign.worlds import checked_world
@@ -203,8 +203,8 @@ def expand_cases(
     chosen = scenarios.values() if isinstance(scenarios, Mapping) else scenarios
     cases: dict[str, Case] = {}
     for scenario in sorted(chosen, key=lambda one: one.name):
-        own = tuple(parsed_fault(scenario, i) for i in range(len(scenario.faults)))
-        campaigns = [own] if faults is None else [_planned(own, one) for one in faults]
+        own = tuple(own_fault(scenario, i) for i in range(len(scenario.faults)))
+        campaigns = [own] if faults is None else [_planned(scenario, own, one) for one in faults]
         for planned in campaigns:
             case = _case(scenario, own, planned)
             before = cases.setdefault(case.id, case)
@@ -232,7 +232,7 @@ def _case(
 
 
 def _planned(
-    own: tuple[dict[str, Any], ...], campaign: FaultCampaign
+    scenario: Scenario, own: tuple[dict[str, Any], ...], campaign: FaultCampaign
 ) -> tuple[dict[str, Any], ...]:
     """The faults that a campaign names; the scenario's own come before the catalogue's."""
     if campaign == NO_FAULTS:
@@ -243,7 +243,7 @@ def _planned(
         names = [campaign] if isinstance(campaign, Mapping) else campaign
     chosen: dict[str, dict[str, Any]] = {}
     for one in names:
-        fault = _fault(own, one)
+        fault = _fault(scenario, own, one)
         if chosen.setdefault(fault["id"], fault) != fault:
             raise ConfigurationError(
                 f"two faults of one campaign have the id {fault['id']!r}",
@@ -252,19 +252,20 @@ def _planned(
                 expected="an id of its own for each fault",
                 remedy="give one of them another `id`",
             )
+    check_chains(list(chosen.values()))
     return tuple(chosen.values())
 
 
-def _fault(own: tuple[dict[str, Any], ...], one: OneFault) -> dict[str, Any]:
-    from pytest_dura.faults.catalogue import FAULT_TYPES, default_fault, parse_fault
+def _fault(scenario: Scenario, own: tuple[dict[str, Any], ...], one: OneFault) -> dict[str, Any]:
+    from pytest_dura.faults.catalogue import FAULT_TYPES, fault_class
 
     if isinstance(one, Mapping):
-        return parse_fault(one)
+        return parsed(scenario, one)
     for fault in own:
         if fault["id"] == one:
             return fault
     if one in FAULT_TYPES:
-        return default_fault(one)
+        return parsed(scenario, {"type": one, **fault_class(one).example()})
     known = {*FAULT_TYPES, *(fault["id"] for fault in own)}
     raise ConfigurationError(
         f"unknown fault {one!r}",

@@ -14,6 +14,7 @@ from pytest_dura.campaign.domains import (
     role_spec,
     simulator_spec,
 )
+from pytest_dura.campaign.planned_faults import check_chains, own_fault, parsed
 from pytest_dura.campaign.problems import did_you_mean, placed
 from pytest_dura.campaign.scenario import Scenario
 from pytest_dura.campaign.worlds import checked_world, checker
@@ -41,36 +42,31 @@ def problems_of(scenario: Scenario) -> list[ConfigurationError]:
         attempt(f"roles.{role}", _check_role, scenario, role, domain)
     faults: dict[str, dict[str, Any]] = {}
     for index, entry in enumerate(scenario.faults):
-        fault = attempt(f"faults.{index}", parsed_fault, scenario, index)
+        fault = attempt(f"faults.{index}", own_fault, scenario, index)
         if fault is not None:
             faults[entry.name] = fault
-    if world is not None and len(faults) == len(scenario.faults):
+    complete = len(faults) == len(scenario.faults)
+    if complete:
+        attempt("faults", _check_chains, faults)
+    if world is not None and complete:
         for path in scenario.variation:
             key = f"variation.{path}"
             attempt(key, _check_variation, scenario, simulator, world, faults, path)
     return found
 
 
-def parsed_fault(scenario: Scenario, index: int) -> dict[str, Any]:
-    """One of the scenario's own faults, as plain data with defaults filled in.
-
-    Raises:
-        ConfigurationError: If the catalogue refuses it, at its place in the file.
-    """
-    from pytest_dura.faults.catalogue import parse_fault
-
-    data = scenario.faults[index].model_dump(mode="json", exclude_unset=True)
-    data = {key: value for key, value in data.items() if value is not None or key == "duration"}
+def _check_chains(faults: dict[str, dict[str, Any]]) -> None:
     try:
-        return parse_fault(data)
+        check_chains(list(faults.values()))
     except ConfigurationError as error:
-        key = f"faults.{index}.{error.key}" if error.key else f"faults.{index}"
-        raise placed(error, file=scenario.file, line=scenario.line_of(key), key=key) from None
+        raise placed(error, file="", line=None, key=f"faults.{error.key}") from None
 
 
 def _place(scenario: Scenario, error: ConfigurationError, key: str) -> ConfigurationError:
     if error.file:
         return error
+    if error.key and error.key.startswith(f"{key}."):
+        key = error.key
     return placed(error, file=scenario.file, line=scenario.line_of(key), key=key)
 
 
@@ -144,7 +140,7 @@ def _check_variation(
                 remedy=did_you_mean(fault, faults),
             )
         for value in values:
-            _try_fault(variation.replaced(faults[fault], inner, value), path, value)
+            _try_fault(scenario, variation.replaced(faults[fault], inner, value), path, value)
         return
     create = checker(simulator) is not None
     for value in values:
@@ -155,11 +151,9 @@ def _check_variation(
             raise _impossible(path, value, error) from None
 
 
-def _try_fault(fault: dict[str, Any], path: str, value: Any) -> None:
-    from pytest_dura.faults.catalogue import parse_fault
-
+def _try_fault(scenario: Scenario, fault: dict[str, Any], path: str, value: Any) -> None:
     try:
-        parse_fault(fault)
+        parsed(scenario, fault)
     except ConfigurationError as error:
         raise _impossible(path, value, error) from None
 

@@ -21,6 +21,8 @@ class Domain:
         world: Of the pydantic model of ``world``, for editors and for messages.
         signals: Of the names of the ground-truth signals.
         percept_signals: Of the names of the percept signals, without the prefix ``percept.``.
+        channels: Of what the channels hold, by name; see ``pytest_dura.faults.channels``.
+        fault_targets: Of where a fault acts that names no target, by what its type can act on.
     """
 
     simulator: str
@@ -29,6 +31,8 @@ class Domain:
     world: str | None = None
     signals: str | None = None
     percept_signals: str | None = None
+    channels: str | None = None
+    fault_targets: str | None = None
 
 
 _PLANNERS = "pytest_dura.driving.roles.planners"
@@ -53,6 +57,8 @@ DOMAINS: dict[str, Domain] = {
         world="pytest_dura.driving.scenario:DrivingWorld",
         signals="pytest_dura.driving.signals:NAMES",
         percept_signals="pytest_dura.driving.signals:PERCEPT_NAMES",
+        channels="pytest_dura.driving.sensors:CHANNELS",
+        fault_targets="pytest_dura.driving.sensors:FAULT_TARGETS",
     )
 }
 

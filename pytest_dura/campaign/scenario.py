@@ -129,8 +129,9 @@ class FaultEntry(Entry):
     """Sensor channel, field of a channel, or `command`. Default: per fault type."""
     activation: dict[str, JsonValue] = Field(default_factory=dict)
     """When it begins, in simulated seconds, and which role begins it."""
-    duration: float | None = Field(default=None, gt=0)
-    """Simulated seconds that it stays active; null for the rest of the episode."""
+    duration: JsonValue = None
+    """Simulated seconds that it stays active; `once`, `{min, max}`, `{until, at_most}`,
+    `{on, off, lasting}`; null for the rest of the episode."""
     parameters: dict[str, JsonValue] = Field(default_factory=dict)
     """Parameters of the fault type, in the units that the catalogue states."""
 

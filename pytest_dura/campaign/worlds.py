@@ -14,6 +14,7 @@ from pytest_dura.campaign.scenario import Scenario
 from pytest_dura.campaign.validation import translate
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.roles import RoleSpec
+from pytest_dura.faults.channels import Channel
 
 
 def checked_world(
@@ -63,6 +64,16 @@ def percept_signal_names(domain: Domain) -> tuple[str, ...] | None:
     """The names of a domain's percept signals, without their prefix, imported now."""
     path = domain.percept_signals
     return None if path is None else tuple(_attribute(path))
+
+
+def channel_kinds(domain: Domain | None) -> Mapping[str, Channel] | None:
+    """What a domain's channels hold; ``None`` where that is not known before an episode runs."""
+    return _attribute(domain.channels) if domain is not None and domain.channels else None
+
+
+def fault_targets(domain: Domain | None) -> Mapping[str, str]:
+    """Where a domain's faults act that name no target, by what their type can act on."""
+    return _attribute(domain.fault_targets) if domain is not None and domain.fault_targets else {}
 
 
 def _attribute(path: str) -> Any:

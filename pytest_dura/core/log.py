@@ -127,8 +127,13 @@ class EpisodeLog:
 
     def manifested(
         self, tick: Tick, state: StateManager, command: tuple[str, ...], verdict: Assessed
-    ) -> None:
-        """Which active faults reached the Generator or the plant, and which were detected."""
+    ) -> tuple[str, ...]:
+        """Note which active faults reached the Generator or the plant, and which were detected.
+
+        Returns:
+            Ids of those that did so for the first time.
+        """
+        first_time = []
         reached = set(command)
         for channel, faults in state.percept.tampered.items():
             if channel in state.generator_reads:
@@ -139,6 +144,7 @@ class EpisodeLog:
             record.flagged_ticks += verdict is Assessed.UNSAFE
             if record.manifested_at is None:
                 record.manifested_at = tick.time
+                first_time.append(fault)
                 self.event(tick, "fault_manifested", fault)
         if self._alerts:
             first = next(iter(self._alerts))
@@ -146,6 +152,7 @@ class EpisodeLog:
                 if _detectable(record, tick.time):
                     record.detected_at, record.detected_by = tick.time, first.pattern
             self._alerts.clear()
+        return tuple(first_time)
 
     def recovered(self, tick: Tick, recovery: Recovery, nanoseconds: int) -> None:
         """The RecoveryPlanner has replaced the proposal."""

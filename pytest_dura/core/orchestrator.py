@@ -220,7 +220,7 @@ class Orchestrator:
                 verdict, reasons = self._assess(first=False)
         decision = self._decide(verdict, reasons, attempts)
         if decision is None:
-            self.log.manifested(tick, self.state, (), verdict)
+            self._manifested(tick, (), verdict)
             self.log.event(tick, "halt", "orchestrator", "; ".join(reasons))
             return _HALT
         action = self._command(decision, tick)
@@ -321,11 +321,17 @@ class Orchestrator:
         tampered: tuple[str, ...] = ()
         action = decision.action
         if self.injector is not None:
+            action = self._guard("simulator", self.simulator.actuation, action)
             action, tampered = self._guard(
                 "fault_injector", _corrupted_command, self.injector, action, tick.time
             )
-        self.log.manifested(tick, self.state, tampered, decision.verdict)
+        self._manifested(tick, tampered, decision.verdict)
         return action
+
+    def _manifested(self, tick: Tick, command: tuple[str, ...], verdict: Assessed) -> None:
+        first = self.log.manifested(tick, self.state, command, verdict)
+        if first and self.injector is not None:
+            self._guard("fault_injector", self.injector.manifested, first, tick.time)
 
     def _guard(self, role: str, call: Callable[..., Any], *args: Any) -> Any:
         """Call into anything but the component; a failure there says nothing about the component.

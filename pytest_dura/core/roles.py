@@ -210,6 +210,9 @@ class FaultInjector(Role):
         """The command after active command faults, and the ids of the faults that changed it."""
         return action, ()
 
+    def manifested(self, faults: tuple[str, ...], time: float) -> None:
+        """Told at the tick at which faults first reached the component or the plant."""
+
 
 class PerformanceOracle(Role):
     """Measures how well and how quickly the task is done."""

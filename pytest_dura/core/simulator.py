@@ -79,6 +79,14 @@ class Simulator(ABC):
     def fallback_action(self) -> Any:
         """What the plant does when nobody commands it."""
 
+    def actuation(self, action: Any) -> Any:
+        """A checked action as the actuators get it, which is what command faults change.
+
+        The base gives the action itself. A simulator whose actions leave something to it, such as
+        the acceleration of a maneuver, fills that in here; ``step`` does the same with either.
+        """
+        return action
+
     def describe_action(self, action: Any) -> str:
         """A short, stable text for decisions and reports."""
         return str(action)

@@ -111,12 +111,19 @@ class HighwaySimulator(Simulator):
     def step(self, action: Any) -> Tick:
         """Carry out a command for one time step."""
         before: EgoState = self._state
-        self.drive(acceleration_for(action, before.speed, ARM_LENGTH - before.front))
+        self.drive(self._acceleration(action))
         events = self._collisions(before)
         self._clear()
         self._admit()
         self._state = self._observe_ego((self._ego.speed - before.speed) / self._dt, before.heading)
         return self._tick(events)
+
+    def actuation(self, action: Command) -> Command:
+        """The command with the acceleration that carries its maneuver out."""
+        return Command(action.maneuver, self._acceleration(action))
+
+    def _acceleration(self, action: Command) -> float:
+        return acceleration_for(action, self._state.speed, ARM_LENGTH - self._state.front)
 
     def drive(self, acceleration: float) -> None:
         """Only the road: the ego at an acceleration in m/s2, everybody else as they decide.

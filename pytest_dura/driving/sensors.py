@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pytest_dura.core.state import Lazy
 from pytest_dura.driving.bodies import CAR_LENGTH, BodyList
 from pytest_dura.driving.junction import ARM_LENGTH, SPEED_LIMIT, Route
+from pytest_dura.faults.channels import Channel
 
 RANGE = 80.0
 """m; reach of lidar and radar, all around, without occlusion."""
@@ -57,6 +58,32 @@ class Sign(NamedTuple):
 
     kind: str
     at: float
+
+
+CHANNELS: Mapping[str, Channel] = {
+    "lidar": Channel("objects"),
+    "radar": Channel("array"),
+    "camera_front": Channel("image"),
+    "camera_third_person": Channel("image"),
+    "imu": Channel("numbers", Imu._fields),
+    "odometry": Channel("numbers", Odometry._fields),
+    "localisation": Channel("pose", Pose._fields),
+    "map": Channel("other"),
+    "controls": Channel("signs"),
+    "command": Channel("numbers", ("acceleration",)),
+}
+"""What the channels hold, for the faults that act on them."""
+
+FAULT_TARGETS: Mapping[str, str] = {
+    "number": "odometry.speed",
+    "any": "lidar",
+    "command": "command.acceleration",
+    "objects": "lidar",
+    "image": "camera_front",
+    "pose": "localisation",
+    "signs": "controls",
+}
+"""Where a fault acts that names no target, by what its type can act on."""
 
 
 class EgoState(NamedTuple):

@@ -3,58 +3,79 @@
 from __future__ import annotations
 
 import difflib
-import importlib
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, get_args
 
 from pydantic import ValidationError
 
 from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.roles import RoleSpec
+from pytest_dura.core.state import NOTHING
 from pytest_dura.faults.model import Fault
 
+_ATTACKS = "pytest_dura.driving.faults.attacks"
+
 FAULT_TYPES: dict[str, str] = {
-    "ghost-obstacle": "pytest_dura.driving.faults:GhostObstacle",
-    "trajectory-spoof": "pytest_dura.driving.faults:TrajectorySpoof",
+    "ghost-obstacle": f"{_ATTACKS}:GhostObstacle",
+    "trajectory-spoof": f"{_ATTACKS}:TrajectorySpoof",
 }
 """Type name to import path; a domain's faults are imported when one is used."""
 
+BY_CHANCE = "by_chance"
+"""Key of a fault's plain data that says whether its effect is drawn; derived, never given."""
+
 
 def fault_class(name: str) -> type[Fault]:
-    """The class of a fault type.
+    """The class of a fault type: a name of the catalogue, or ``package.module:Class``.
 
     Raises:
-        ConfigurationError: For an unknown type.
+        ConfigurationError: For an unknown type, and for a class that is no fault.
     """
-    if name not in FAULT_TYPES:
+    path = FAULT_TYPES.get(name, name if isinstance(name, str) and ":" in name else "")
+    if not path:
         near = difflib.get_close_matches(str(name), FAULT_TYPES, n=1)
         raise ConfigurationError(
             f"unknown fault {name!r}",
             key="type",
             found=name,
-            expected="one of " + ", ".join(sorted(FAULT_TYPES)),
+            expected="package.module:Class, or one of " + ", ".join(sorted(FAULT_TYPES)),
             remedy=f"did you mean {near[0]!r}?" if near else "choose a type of the catalogue",
         )
-    module, _, attribute = FAULT_TYPES[name].partition(":")
-    found: type[Fault] = getattr(importlib.import_module(module), attribute)
+    found = RoleSpec(path).factory()
+    if not (isinstance(found, type) and issubclass(found, Fault)):
+        raise ConfigurationError(
+            f"{path} is not a fault",
+            key="type",
+            found=name,
+            expected="a subclass of pytest_dura.faults.model.Fault",
+        )
     return found
 
 
-def load_fault(data: Mapping[str, Any]) -> Fault:
+def load_fault(data: Mapping[str, Any], targets: Mapping[str, str] = NOTHING) -> Fault:
     """A fault from plain data, with defaults for ``id`` (the type) and ``target``.
+
+    Args:
+        data: As in a scenario file; or what :func:`parse_fault` returned.
+        targets: Where a fault acts that names no target, by what its type can act on.
 
     Raises:
         ConfigurationError: For an unknown type or key, or a value out of range; ``key`` is the
             dotted path within the fault.
     """
     kind = fault_class(data.get("type", ""))
-    filled = {"id": data["type"], "target": kind.default_target, **data}
+    filled = {"id": data["type"], **data}
+    filled.pop(BY_CHANCE, None)
+    target = targets.get(kind.acts_on, kind.default_target)
+    if target is not None:
+        filled.setdefault("target", target)
     try:
         return kind.model_validate(filled)
     except ValidationError as error:
         # A misspelt key is also a missing one; the misspelling is what helps.
         found = error.errors()
         first = next((one for one in found if one["type"] == "extra_forbidden"), found[0])
-        place = ".".join(str(part) for part in first["loc"])
+        place = ".".join(part for part in map(str, first["loc"]) if not part.startswith("<"))
         expected, remedy = first["msg"], None
         if first["type"] == "extra_forbidden":
             known = _keys_at(kind, first["loc"][:-1])
@@ -70,18 +91,25 @@ def load_fault(data: Mapping[str, Any]) -> Fault:
         ) from None
 
 
-def parse_fault(data: Mapping[str, Any]) -> dict[str, Any]:
+def parse_fault(data: Mapping[str, Any], targets: Mapping[str, str] = NOTHING) -> dict[str, Any]:
     """Plain data with every default filled in; see :func:`load_fault`."""
-    return load_fault(data).model_dump(mode="json")
+    fault = load_fault(data, targets)
+    return {**fault.model_dump(mode="json"), BY_CHANCE: fault.by_chance}
 
 
-def default_fault(name: str) -> dict[str, Any]:
+def default_fault(name: str, targets: Mapping[str, str] = NOTHING) -> dict[str, Any]:
     """A fault of the catalogue with its default activation and parameters, by its type's name."""
-    return parse_fault({"type": name, **fault_class(name).example()})
+    return parse_fault({"type": name, **fault_class(name).example()}, targets)
 
 
 def _keys_at(kind: Any, path: tuple[int | str, ...]) -> list[str]:
-    fields = kind.model_fields
+    """The keys that a part of a fault has; none where it is no model of its own."""
+    model = kind
     for part in path:
-        fields = fields[str(part)].annotation.model_fields
-    return sorted(fields)
+        if not str(part).startswith("<"):  # a tag that pydantic puts into a place
+            model = model.model_fields[str(part)].annotation
+        found = [one for one in (model, *get_args(model)) if hasattr(one, "model_fields")]
+        if not found:
+            return []
+        model = found[0]
+    return sorted(model.model_fields)

@@ -2,98 +2,133 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
-
 from pytest_dura.core.roles import FaultInjector, Injection, RoleContext
-from pytest_dura.core.seeding import stream
 from pytest_dura.core.state import NOTHING, RoleView
+from pytest_dura.faults.activation import TOLERANCE
 from pytest_dura.faults.catalogue import load_fault
-from pytest_dura.faults.model import Fault
-
-
-class _Active:
-    """A fault while it lasts."""
-
-    def __init__(self, since: float) -> None:
-        self.since = since
-        self.memory: Any = None
-        self.began: float | None = None
+from pytest_dura.faults.life import Life
 
 
 class CampaignInjector(FaultInjector):
-    """Applies the faults of the episode in declared order, each with a random stream of its own.
+    """Applies the faults of the episode in declared order, each with random streams of its own.
 
-    An activation decided at one tick takes effect at the next update. The faults that the
-    SecurityAssessor directs wait for its directive.
+    What is due at time t is in the percept at t, and in the command at t. What the
+    SecurityAssessor directs takes effect at the next percept, or in the command at once.
     """
 
     def reset(self, context: RoleContext) -> None:
         """Load the faults of the episode."""
-        self._faults: dict[str, Fault] = {f["id"]: load_fault(f) for f in context.faults}
-        self._random: dict[str, np.random.Generator] = {
-            name: stream(context.seed, f"fault:{name}") for name in self._faults
+        self._lives = {
+            one["id"]: Life(load_fault(one), context.seed, context.dt) for one in context.faults
         }
-        self._last = 0.0
-        # A fault that is planned for the beginning is in the first percept.
-        self._active: dict[str, _Active] = {
-            name: _Active(0.0)
-            for name, fault in self._faults.items()
-            if fault.activation.by == self.name and fault.activation.due(0.0, -1.0)
-        }
-        self._unreported = tuple(self._active)
+        sensors, commands = [], []
+        self._followers: dict[tuple[str, str], list[Life]] = {}
+        for life in self._lives.values():
+            (commands if life.target.is_command else sensors).append(life)
+            after = life.fault.activation.after
+            if after is not None:
+                self._followers.setdefault((after.fault, after.event), []).append(life)
+        self._sensors: Sequence[Life] = sensors
+        self._commands: Sequence[Life] = commands
+        self._directed: set[str] = set()
+        self._started: list[str] = []
+        self._ended: list[str] = []
+        self._channels: Mapping[str, Any] = NOTHING
+        self._wake = self._next()
 
     def run(self, view: RoleView) -> Injection:
-        """Activate and end faults. One that is due at time t is in the percept at t."""
-        if not self._faults:
+        """Take the SecurityAssessor's directives; say what has begun and ended at this tick."""
+        if not self._lives:
             return _IDLE
-        ahead = view.time + view.dt
-        ended = [
-            name
-            for name, active in self._active.items()
-            if (limit := self._faults[name].duration) is not None
-            and ahead >= active.since + limit - 1e-9
-        ]
-        for name in ended:
-            del self._active[name]
-        started = list(self._unreported)
-        self._unreported = ()
         directed = getattr(view.outputs.get("security_assessor"), "directives", ())
-        for name, fault in self._faults.items():
-            by_plan = fault.activation.by == self.name
-            due = fault.activation.due(ahead, self._last) if by_plan else name in directed
-            if due and name not in self._active:
-                self._active[name] = _Active(ahead)
-                started.append(name)
-        self._last = ahead
-        ended = [name for name in ended if name not in self._active]  # it begins anew at once
-        return Injection(tuple(started), tuple(ended)) if started or ended else _IDLE
+        for name in directed:
+            life = self._lives.get(name)
+            if life is None:
+                known = ", ".join(self._lives)
+                raise ValueError(
+                    f"the security_assessor directs {name!r}, which is no fault of this episode;"
+                    f" there are: {known}"
+                )
+            if life.target.is_command:
+                if life.activate(view.time):
+                    self._tell("activated", name, view.time)
+            else:
+                self._directed.add(name)
+        if directed:
+            self._wake = self._next()
+        if not self._started and not self._ended:
+            return _IDLE
+        told = Injection(tuple(self._started), tuple(self._ended))
+        self._started.clear()
+        self._ended.clear()
+        return told
 
     def corrupt(
         self, channels: Mapping[str, Any], time: float
     ) -> tuple[Mapping[str, Any], Mapping[str, tuple[str, ...]]]:
-        """Apply the active sensor faults, in declared order."""
-        if not self._active:
+        """Begin and end what is due, then apply the active sensor faults, in declared order."""
+        if time < self._wake - TOLERANCE:
+            self._channels = channels
             return channels, NOTHING
+        for name, life in self._lives.items():
+            ended = life.ends(time, channels)
+            begins = life.begins(time, channels)
+            if begins or (name in self._directed and life.activate(time)):
+                self._tell("activated", name, time)  # at its end anew: that is no end
+            elif ended:
+                self._tell("deactivated", name, time)
+        self._directed.clear()
+        self._wake = self._next()
         changed: dict[str, Any] = dict(channels)
         tampered: dict[str, tuple[str, ...]] = {}
-        for name, fault in self._faults.items():
-            active = self._active.get(name)
-            if active is None:
+        for life in self._sensors:
+            if not life.acts_now:
                 continue
-            if active.memory is None:
-                active.memory = fault.begin(changed, self._random[name])
-                active.began = time
-            if active.memory is None or active.began is None:
-                continue
-            before = changed[fault.target]
-            after = fault.apply(active.memory, changed, time - active.began)
+            channel = life.target.channel
+            before = life.target.read(changed)
+            after = life.act(before, time, changed)
             if after is not before:
-                changed[fault.target] = after
-                tampered[fault.target] = (*tampered.get(fault.target, ()), name)
+                changed[channel] = life.target.written(changed[channel], after)
+                tampered[channel] = (*tampered.get(channel, ()), life.fault.id)
+        self._channels = changed
         return changed, tampered
+
+    def corrupt_command(self, action: Any, time: float) -> tuple[Any, tuple[str, ...]]:
+        """Apply the active command faults, in declared order."""
+        tampered: tuple[str, ...] = ()
+        for life in self._commands:
+            if not life.acts_now:
+                continue
+            field = life.target.field
+            before = life.target.read({life.target.channel: action}) if field else action
+            after = life.act(before, time, self._channels)
+            if after is not before:
+                action = life.target.written(action, after)
+                tampered = (*tampered, life.fault.id)
+        return action, tampered
+
+    def manifested(self, faults: Sequence[str], time: float) -> None:
+        """Faults that the orchestrator saw reach the component or the plant."""
+        for name in faults:
+            self._chain("manifested", name, time)
+
+    def _tell(self, event: str, name: str, time: float) -> None:
+        (self._started if event == "activated" else self._ended).append(name)
+        self._chain(event, name, time)
+
+    def _chain(self, event: str, name: str, time: float) -> None:
+        for follower in self._followers.get((name, event), ()):
+            follower.follow(time)
+            self._wake = -1.0
+
+    def _next(self) -> float:
+        """The time before which there is nothing to do, in s."""
+        if self._directed or any(life.active for life in self._lives.values()):
+            return -1.0
+        return min((life.next_by_plan() for life in self._lives.values()), default=float("inf"))
 
 
 _IDLE = Injection()

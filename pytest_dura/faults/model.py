@@ -3,64 +3,110 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar, Literal
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+from pytest_dura.faults.activation import Activation
+from pytest_dura.faults.duration import Duration
+from pytest_dura.faults.parts import FaultPart
+from pytest_dura.faults.targets import Target
+
+Kind = Literal["number", "any", "command", "objects", "image", "pose", "signs"]
+"""What a type of fault can act on: a number in a channel or command, any value at all, a command,
+a list of objects, a picture, a pose, or the texts of signs."""
 
 
-class FaultPart(BaseModel):
-    """Base of the parts of a fault: unknown keys are errors, values do not change."""
+@dataclass(frozen=True)
+class Moment:
+    """What a fault may look at when it acts.
 
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+    Args:
+        time: Simulated seconds.
+        dt: Seconds per tick.
+        elapsed: Seconds since this activation.
+        channels: All channels, after the faults that were declared earlier. For a command fault,
+            as the component saw them.
+        history: What stood at the target at earlier ticks, as ``(time, value)``, the present tick
+            last; as far back as :attr:`Fault.memory` says.
+        random: Makes the fault's random numbers of this tick. Each tick has a stream of its own,
+            so that what is drawn at one shifts no other.
+    """
 
+    time: float
+    dt: float
+    elapsed: float
+    channels: Mapping[str, Any]
+    history: Sequence[tuple[float, Any]]
+    random: Callable[[], np.random.Generator]
 
-class Activation(FaultPart):
-    """When a fault becomes active, and who says so."""
-
-    at: NotNegative = Field(description="Simulated time of the first activation, in s.")
-    every: Positive | None = Field(None, description="Repeat with this period, in s.")
-    by: Literal["fault_injector", "security_assessor"] = Field(
-        "fault_injector",
-        description="Planned in the injector, or an attack that the SecurityAssessor directs.",
-    )
-
-    def due(self, time: float, since: float) -> bool:
-        """Whether an activation falls into ``(since, time]``."""
-        tolerance = 1e-9
-        if self.every is None or time < self.at:
-            return since + tolerance < self.at <= time + tolerance
-        count = int((time - self.at + tolerance) / self.every)
-        return self.at + count * self.every > since + tolerance
+    @cached_property
+    def rng(self) -> np.random.Generator:
+        """The random numbers of this fault at this tick."""
+        return self.random()
 
 
 class Fault(FaultPart, ABC):
-    """One entry of the catalogue. Subclasses add ``parameters`` and say what they do to a value."""
+    """One entry of the catalogue. Subclasses add ``parameters`` and say what they do to a value.
+
+    ``acts_on`` is what the type can act on, ``default_target`` where it does so unless told
+    otherwise (``None``: the domain says), and ``reference`` the entry of a threat or failure
+    catalogue that it corresponds to, where that was read.
+    """
 
     type: str
     id: str
-    target: str = Field(description="The sensor channel.")
+    target: str = Field(description="A channel, a field such as `odometry.speed`, or `command`.")
     activation: Activation
-    duration: Positive | None = Field(None, description="In s; null for permanent.")
+    duration: Duration | None = Field(
+        None,
+        description="In s; `once` (one tick); {min, max} (drawn); {until, at_most};"
+        " {on, off, lasting} (intermittent); null for permanent.",
+    )
 
-    default_target: ClassVar[str]
+    acts_on: ClassVar[Kind]
+    default_target: ClassVar[str | None] = None
+    reference: ClassVar[str] = ""
 
     @classmethod
     @abstractmethod
     def example(cls) -> dict[str, Any]:
         """Activation and duration of the fault where only its name is given."""
 
-    @abstractmethod
-    def begin(self, channels: Mapping[str, Any], rng: np.random.Generator) -> Any:
-        """What the fault remembers from its activation on: ``None`` if it has no effect yet."""
+    @property
+    def by_chance(self) -> bool:
+        """Whether it is drawn whether the fault has any effect."""
+        return self.activation.by_chance or self.hits_by_chance
+
+    @property
+    def hits_by_chance(self) -> bool:
+        """Whether an active fault may leave every value as it is, because its hits are drawn."""
+        return False
+
+    @property
+    def memory(self) -> float:
+        """Seconds before the present of which it needs the target's values; 0 for none."""
+        return 0.0
+
+    @property
+    def place(self) -> Target:
+        """The target, read."""
+        return Target.parse(self.target)
+
+    def begin(self, value: Any, moment: Moment) -> Any:  # noqa: ARG002 - for those who override it
+        """What the fault remembers from its activation on: ``None`` if it cannot act yet.
+
+        It is asked again at each tick until it can.
+        """
+        return True
 
     @abstractmethod
-    def apply(self, memory: Any, channels: Mapping[str, Any], elapsed: float) -> Any:
-        """The target channel's new value, ``elapsed`` seconds after activation.
+    def apply(self, memory: Any, value: Any, moment: Moment) -> Any:
+        """The target's new value. The very object that was there means that nothing was changed.
 
-        The very object that was there means that nothing was changed.
+        Values are not to be written into; ``memory`` may be.
         """

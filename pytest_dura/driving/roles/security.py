@@ -20,7 +20,7 @@ from pytest_dura.driving.radar import agree, compare
 from pytest_dura.driving.reaction import ReactionWatch
 from pytest_dura.driving.sensors import RANGE
 from pytest_dura.driving.tracking import Tracker
-from pytest_dura.faults.model import Activation
+from pytest_dura.faults.activation import Activation
 
 _ROAD_END = 85.0
 """m from the centre; farther out, bodies come and go at the ends of the arms."""

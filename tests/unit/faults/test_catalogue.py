@@ -14,7 +14,8 @@ from pytest_dura.faults.catalogue import (
     load_fault,
     parse_fault,
 )
-from pytest_dura.faults.model import Activation, Fault
+from pytest_dura.faults.activation import Activation
+from pytest_dura.faults.model import Fault
 
 GHOST: dict[str, Any] = {"type": "ghost-obstacle", "activation": {"at": 2.0}, "duration": 4.0}
 

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
-import numpy as np
 from pydantic import Field
 
 from pytest_dura.driving.bodies import CAR_LENGTH, CAR_WIDTH, Body, BodyList
-from pytest_dura.faults.model import Fault, FaultPart, Positive
+from pytest_dura.faults.model import Fault, Kind, Moment
+from pytest_dura.faults.parts import FaultPart, Positive, Share
 
 
 class GhostParameters(FaultPart):
@@ -26,8 +25,8 @@ class GhostParameters(FaultPart):
 class ObjectFault(Fault):
     """Base of the faults that tamper with a list of objects, which only lidar reports."""
 
-    target: Literal["lidar"] = Field(description="The sensor channel.")
-    default_target: ClassVar[str] = "lidar"
+    acts_on: ClassVar[Kind] = "objects"
+    default_target: ClassVar[str | None] = "lidar"
 
 
 class GhostObstacle(ObjectFault):
@@ -41,8 +40,9 @@ class GhostObstacle(ObjectFault):
         """Two seconds into the episode, for four seconds."""
         return {"activation": {"at": 2.0}, "duration": 4.0}
 
-    def begin(self, channels: Mapping[str, Any], rng: np.random.Generator) -> Body:
+    def begin(self, value: BodyList, moment: Moment) -> Body:
         """The ghost, fixed to the ground from now on."""
+        channels, rng = moment.channels, moment.rng
         pose, route = channels["localisation"], channels["map"].route
         s, _ = route.project(pose.x, pose.y)
         distance = CAR_LENGTH / 2 + self.parameters.ahead + self.parameters.length / 2
@@ -51,16 +51,15 @@ class GhostObstacle(ObjectFault):
         size = (self.parameters.length, self.parameters.width)
         return Body(name, x, y, heading, 0.0, 0.0, *size)
 
-    def apply(self, memory: Body, channels: Mapping[str, Any], elapsed: float) -> BodyList:
+    def apply(self, memory: Body, value: BodyList, moment: Moment) -> BodyList:
         """The objects with the ghost among them."""
-        bodies: BodyList = channels[self.target].with_body(memory)
-        return bodies
+        return value.with_body(memory)
 
 
 class SpoofParameters(FaultPart):
     """How the spoofed vehicle seems to move."""
 
-    magnitude: Annotated[float, Field(ge=0, le=1)] = Field(
+    magnitude: Share = Field(
         1.0, description="0 leaves the vehicle where it is, 1 puts it wholly on the false path."
     )
     lead: Positive = Field(
@@ -83,11 +82,11 @@ class TrajectorySpoof(ObjectFault):
         """Two seconds into the episode, for five seconds."""
         return {"activation": {"at": 2.0}, "duration": 5.0}
 
-    def begin(self, channels: Mapping[str, Any], rng: np.random.Generator) -> Any:
+    def begin(self, value: BodyList, moment: Moment) -> Any:
         """The victim, the nearest car within sight, and its false path; ``None`` without a car."""
-        pose, odometry = channels["localisation"], channels["odometry"]
-        route = channels["map"].route
-        cars = [body for body in channels[self.target] if not body.is_pedestrian]
+        pose, odometry = moment.channels["localisation"], moment.channels["odometry"]
+        route = moment.channels["map"].route
+        cars = [body for body in value if not body.is_pedestrian]
         if not cars:
             return None
         victim = min(cars, key=lambda b: (math.hypot(b.x - pose.x, b.y - pose.y), b.id))
@@ -98,14 +97,13 @@ class TrajectorySpoof(ObjectFault):
         vy = (y - victim.y) / self.parameters.duration
         return victim, vx, vy
 
-    def apply(self, memory: Any, channels: Mapping[str, Any], elapsed: float) -> BodyList:
+    def apply(self, memory: Any, value: BodyList, moment: Moment) -> BodyList:
         """The objects with the victim on its false path, where it stops at the end."""
-        bodies: BodyList = channels[self.target]
         start, vx, vy = memory
-        real = bodies.get(start.id)
+        elapsed, real = moment.elapsed, value.get(start.id)
         share = self.parameters.magnitude
         if real is None or share == 0.0:
-            return bodies
+            return value
         time = min(elapsed, self.parameters.duration)
         moving = 1.0 if elapsed < self.parameters.duration else 0.0
         # The shorter way round: halfway between 179 and -179 degrees lies 180.
@@ -113,4 +111,4 @@ class TrajectorySpoof(ObjectFault):
         x, y = start.x + vx * time, start.y + vy * time
         false = (x, y, real.heading + turn, vx * moving, vy * moving)
         x, y, heading, vx, vy = (r + share * (f - r) for r, f in zip(real[1:6], false, strict=True))
-        return bodies.with_body(Body(real.id, x, y, heading, vx, vy, real.length, real.width))
+        return value.with_body(Body(real.id, x, y, heading, vx, vy, real.length, real.width))

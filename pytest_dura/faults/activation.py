@@ -1,0 +1,124 @@
+"""Activation: when a fault becomes active, and who says so."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, field_validator, model_validator
+
+from pytest_dura.faults.conditions import parse_condition
+from pytest_dura.faults.parts import FaultPart, NotNegative, Positive, Share
+
+TOLERANCE = 1e-9
+"""s; two simulated times nearer than this are the same."""
+
+
+class After(FaultPart):
+    """Another fault of the same campaign whose event activates this one."""
+
+    fault: str = Field(min_length=1, description="Id of the other fault.")
+    event: Literal["activated", "manifested", "deactivated"] = Field(
+        "activated",
+        description="`manifested`: a value that the component read, or the command, was changed.",
+    )
+    delay: NotNegative = Field(
+        0.0, description="Seconds from that event; at 0 it is the tick that follows."
+    )
+
+
+class Activation(FaultPart):
+    """When a fault becomes active, and who says so.
+
+    One of ``at``, ``when``, ``probability``, ``rate`` and ``after`` says when. All of them are
+    decided on the channels as they are without any fault, so that faults do not shift each other.
+    """
+
+    at: NotNegative | None = Field(None, description="Simulated time of the activation, in s.")
+    every: Positive | None = Field(None, description="With `at`: again after this period, in s.")
+    when: str | None = Field(
+        None, description="A condition on the channels, such as `odometry.speed > 5`."
+    )
+    probability: Share | None = Field(
+        None, description="Of an activation at each tick at which it is inactive."
+    )
+    rate: Positive | None = Field(
+        None, description="Activations per second while inactive (a Poisson process), in 1/s."
+    )
+    after: After | None = Field(None, description="An event of another fault.")
+    not_before: NotNegative = Field(
+        0.0, description="Earliest time of `when`, `probability` and `rate`, in s."
+    )
+    not_after: Positive | None = Field(
+        None, description="Latest time of `when`, `probability` and `rate`, in s."
+    )
+    times: Annotated[int, Field(ge=1)] | None = Field(
+        None,
+        description="At most so often. Default: once for `at`, `when` and `after`, else no limit.",
+    )
+    by: Literal["fault_injector", "security_assessor"] = Field(
+        "fault_injector",
+        description="Planned in the injector, or an attack that the SecurityAssessor directs.",
+    )
+
+    @field_validator("when")
+    @classmethod
+    def _condition(cls, text: str | None) -> str | None:
+        if text is not None:
+            parse_condition(text)
+        return text
+
+    @model_validator(mode="after")
+    def _one_of_them(self) -> Activation:
+        given = [name for name in TRIGGERS if getattr(self, name) is not None]
+        names = ", ".join(TRIGGERS)
+        if len(given) > 1:
+            raise ValueError(f"{' and '.join(given)} contradict; give one of {names}")
+        if self.by == "security_assessor":
+            if given not in ([], ["at"]):
+                raise ValueError(
+                    f"the security_assessor directs by `at` or by itself, not by {given[0]!r}"
+                )
+        elif not given:
+            raise ValueError(f"nothing activates it; give one of {names}")
+        if self.every is not None and self.at is None:
+            raise ValueError("`every` repeats `at`, which is not given")
+        if self.not_after is not None and self.not_after < self.not_before:
+            raise ValueError(
+                f"the window is empty: not_after {self.not_after:g} s is before not_before"
+                f" {self.not_before:g} s"
+            )
+        windowed = given and given[0] in ("when", "probability", "rate")
+        if not windowed and (self.not_after is not None or self.not_before):
+            raise ValueError("not_before and not_after bound `when`, `probability` and `rate` only")
+        return self
+
+    @property
+    def by_chance(self) -> bool:
+        """Whether it is drawn whether the fault becomes active at all."""
+        drawn = self.probability is not None and self.probability < 1.0
+        return drawn or self.rate is not None
+
+    @property
+    def limit(self) -> int | None:
+        """The greatest number of activations; ``None`` for no limit."""
+        if self.times is not None:
+            return self.times
+        repeated = self.every is not None or self.probability is not None or self.rate is not None
+        return None if repeated or self.by == "security_assessor" else 1
+
+    def due(self, time: float, since: float) -> bool:
+        """Whether an activation by ``at`` and ``every`` falls into ``(since, time]``."""
+        if self.at is None:
+            return False
+        if self.every is None or time < self.at:
+            return since + TOLERANCE < self.at <= time + TOLERANCE
+        count = int((time - self.at + TOLERANCE) / self.every)
+        return self.at + count * self.every > since + TOLERANCE
+
+
+TRIGGERS = ("at", "when", "probability", "rate", "after")
+
+
+def planned_at(activation: Any) -> float | None:
+    """The planned time of an activation in plain data, if it has one."""
+    return (activation or {}).get("at")

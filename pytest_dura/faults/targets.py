@@ -1,0 +1,139 @@
+"""What a fault acts on: a channel, a field of a channel, or the command."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, is_dataclass, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.state import Lazy
+
+COMMAND = "command"
+"""The command channel: what is on its way to the actuators."""
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """A channel and, for ``odometry.speed``, a field in it; ``radar.0.1`` indexes an array."""
+
+    channel: str
+    field: str = ""
+
+    @staticmethod
+    @lru_cache(maxsize=1024)
+    def parse(text: str) -> Target:
+        """From ``channel``, ``channel.field`` or ``command``."""
+        channel, _, field = text.partition(".")
+        return Target(channel, field)
+
+    def __str__(self) -> str:
+        return f"{self.channel}.{self.field}" if self.field else self.channel
+
+    @property
+    def is_command(self) -> bool:
+        """Whether it is the command, or a part of it."""
+        return self.channel == COMMAND
+
+    def channel_of(self, channels: Mapping[str, Any]) -> Any:
+        """The whole channel's value.
+
+        Raises:
+            ConfigurationError: If there is no such channel.
+        """
+        try:
+            return channels[self.channel]
+        except KeyError:
+            raise ConfigurationError(
+                f"there is no channel {self.channel!r}",
+                key="target",
+                found=str(self),
+                expected="one of " + ", ".join([*sorted(channels), COMMAND]),
+            ) from None
+
+    def read(self, channels: Mapping[str, Any]) -> Any:
+        """The value that it names; see :func:`part_of`."""
+        value = self.channel_of(channels)
+        return part_of(value, self.field) if self.field else value
+
+    def written(self, channel: Any, value: Any) -> Any:
+        """The channel's value with the part that it names replaced."""
+        return with_part(channel, self.field, value) if self.field else value
+
+
+def part_of(value: Any, path: str) -> Any:
+    """The part of a value at a dotted path: a field, a mapping's key or an index.
+
+    Raises:
+        ConfigurationError: If there is no such part.
+    """
+    head, _, rest = path.partition(".")
+    if type(value) is Lazy:
+        value = value.get()
+    found: Any
+    if isinstance(value, Mapping):
+        if head not in value:
+            raise _no_part(value, head)
+        found = value[head]
+    elif head in _field_names(value):
+        found = getattr(value, head)
+    elif isinstance(value, (np.ndarray, list, tuple)) and head.isdecimal():
+        if int(head) >= len(value):
+            raise _no_part(value, head)
+        found = value[int(head)]
+    else:
+        raise _no_part(value, head)
+    return part_of(found, rest) if rest else found
+
+
+def with_part(value: Any, path: str, part: Any) -> Any:
+    """A copy of a value with the part at a dotted path replaced; the value stays as it is.
+
+    Raises:
+        ConfigurationError: If there is no such part.
+    """
+    head, _, rest = path.partition(".")
+    if type(value) is Lazy:
+        value = value.get()
+    new = with_part(part_of(value, head), rest, part) if rest else part
+    if isinstance(value, Mapping):
+        return {**value, head: new}
+    if head in _field_names(value):
+        if is_dataclass(value) and not isinstance(value, type):
+            return replace(value, **{head: new})
+        return value._replace(**{head: new})
+    part_of(value, head)  # tells what is wrong
+    if isinstance(value, np.ndarray):
+        copy = value.copy()
+        copy[int(head)] = new
+        copy.flags.writeable = False
+        return copy
+    items = list(value)
+    items[int(head)] = new
+    return type(value)(items)
+
+
+def resolved(value: Any) -> Any:
+    """The value itself, made now if it is lazy: a picture read later would be one of then."""
+    return value.get() if type(value) is Lazy else value
+
+
+def _field_names(value: Any) -> tuple[str, ...]:
+    if is_dataclass(value) and not isinstance(value, type):
+        return tuple(one.name for one in fields(value))
+    return getattr(value, "_fields", ())
+
+
+def _no_part(value: Any, name: str) -> ConfigurationError:
+    known = sorted(map(str, value)) if isinstance(value, Mapping) else list(_field_names(value))
+    if not known and isinstance(value, (np.ndarray, list, tuple)):
+        known = [f"0 to {len(value) - 1}"] if len(value) else []
+    return ConfigurationError(
+        f"there is no {name!r} in a value of type {type(value).__name__}",
+        key="target",
+        found=name,
+        expected="one of " + ", ".join(known) if known else "the channel as a whole",
+    )
