@@ -76,7 +76,7 @@ Duration: TypeAlias = Annotated[
     | Annotated[Intermittent, Tag("<intermittent>")],
     Discriminator(_kind),
 ]
-"""Seconds; ``once`` for one tick; ``{min, max}``; ``{until, at_most}``; or ``{on, off, lasting}``."""
+"""Seconds; ``once`` (one tick); ``{min, max}``; ``{until, at_most}``; or ``{on, off, lasting}``."""
 
 
 class Lifetime:

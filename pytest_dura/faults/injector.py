@@ -24,15 +24,14 @@ class CampaignInjector(FaultInjector):
         self._lives = {
             one["id"]: Life(load_fault(one), context.seed, context.dt) for one in context.faults
         }
-        sensors, commands = [], []
+        self._sensors: list[Life] = []
+        self._commands: list[Life] = []
         self._followers: dict[tuple[str, str], list[Life]] = {}
         for life in self._lives.values():
-            (commands if life.target.is_command else sensors).append(life)
+            (self._commands if life.target.is_command else self._sensors).append(life)
             after = life.fault.activation.after
             if after is not None:
                 self._followers.setdefault((after.fault, after.event), []).append(life)
-        self._sensors: Sequence[Life] = sensors
-        self._commands: Sequence[Life] = commands
         self._directed: set[str] = set()
         self._started: list[str] = []
         self._ended: list[str] = []
