@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 import copy
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
-from typing import Any, TypeAlias
+from typing import Any
 
 from pytest_dura.campaign import variation
 from pytest_dura.campaign.domains import check_role_name, domain_of, role_spec, simulator_spec
-from pytest_dura.campaign.planned_faults import check_chains, own_fault, parsed
+from pytest_dura.campaign.fault_campaigns import (
+    NO_FAULTS,
+    FaultCampaign,
+    Faults,
+    alternatives,
+)
+from pytest_dura.campaign.planned_faults import own_fault
 from pytest_dura.campaign.problems import did_you_mean
 from pytest_dura.campaign.scenario import Scenario
 from pytest_dura.campaign.worlds import checked_world
@@ -19,11 +26,6 @@ from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.roles import STANDARD_ROLES, RoleSpec
 from pytest_dura.core.seeding import derive_seed
 
-OneFault: TypeAlias = str | Mapping[str, Any]
-FaultCampaign: TypeAlias = OneFault | Sequence[OneFault]
-"""A fault by name or as data, several of them together, or ``none``."""
-
-NO_FAULTS = "none"
 WITHOUT = "~"
 """Stands before a role that a case switches off."""
 
@@ -194,18 +196,21 @@ def expand_cases(
 
     Args:
         scenarios: The scenarios.
-        faults: Fault campaigns that replace the scenarios' own faults; ``None`` keeps those.
+        faults: Fault campaigns that replace the scenarios' own; ``None`` keeps those. See
+            ``pytest_dura.campaign.fault_campaigns`` for what an entry may be.
         select: Globs of case ids or scenario names; a case that matches any of them stays.
 
     Raises:
         ConfigurationError: For an unknown fault, and for a glob that matches nothing.
     """
-    chosen = scenarios.values() if isinstance(scenarios, Mapping) else scenarios
+    chosen = list(scenarios.values() if isinstance(scenarios, Mapping) else scenarios)
+    if faults is not None and select:
+        # Faults that are given need to fit the scenarios that are chosen, not all of them.
+        chosen = [one for one in chosen if _may_match(one.name, select)] or chosen
     cases: dict[str, Case] = {}
     for scenario in sorted(chosen, key=lambda one: one.name):
         own = tuple(own_fault(scenario, i) for i in range(len(scenario.faults)))
-        campaigns = [own] if faults is None else [_planned(scenario, own, one) for one in faults]
-        for planned in campaigns:
+        for planned in _planned(scenario, own, faults):
             case = _case(scenario, own, planned)
             before = cases.setdefault(case.id, case)
             if before.faults != case.faults:
@@ -219,9 +224,35 @@ def expand_cases(
     return _selected(list(cases.values()), select)
 
 
-def _case(
-    scenario: Scenario, own: tuple[dict[str, Any], ...], planned: tuple[dict[str, Any], ...]
-) -> Case:
+def one_case(scenario: Scenario, faults: FaultCampaign) -> Case:
+    """The case of a scenario with these faults.
+
+    Raises:
+        ConfigurationError: For an unknown fault, and for a campaign of several cases.
+    """
+    found = expand_cases([scenario], [faults])
+    if len(found) > 1:
+        raise ConfigurationError(
+            f"these faults make {len(found)} cases, and one is asked for",
+            key="faults",
+            found=faults,
+            expected="the faults of one case, such as ghost-obstacle",
+            remedy=f"for example {found[0].id!r}",
+        )
+    return found[0]
+
+
+def _planned(
+    scenario: Scenario, own: Faults, campaigns: Sequence[FaultCampaign] | None
+) -> list[Faults]:
+    """What is given, or the scenario's own campaigns, or its own faults together."""
+    chosen = campaigns if campaigns is not None else scenario.campaigns
+    if campaigns is None and not chosen:
+        return [own]
+    return [faults for one in chosen for faults in alternatives(scenario, own, one)]
+
+
+def _case(scenario: Scenario, own: Faults, planned: Faults) -> Case:
     ids = [fault["id"] for fault in planned]
     by_id = {fault["id"]: fault for fault in planned}
     if by_id == {fault["id"]: fault for fault in own}:
@@ -231,49 +262,9 @@ def _case(
     return Case(name, scenario, planned, scenario.requirements)
 
 
-def _planned(
-    scenario: Scenario, own: tuple[dict[str, Any], ...], campaign: FaultCampaign
-) -> tuple[dict[str, Any], ...]:
-    """The faults that a campaign names; the scenario's own come before the catalogue's."""
-    if campaign == NO_FAULTS:
-        return ()
-    if isinstance(campaign, str):
-        names: Sequence[OneFault] = campaign.split("+")
-    else:
-        names = [campaign] if isinstance(campaign, Mapping) else campaign
-    chosen: dict[str, dict[str, Any]] = {}
-    for one in names:
-        fault = _fault(scenario, own, one)
-        if chosen.setdefault(fault["id"], fault) != fault:
-            raise ConfigurationError(
-                f"two faults of one campaign have the id {fault['id']!r}",
-                key="faults",
-                found=fault["id"],
-                expected="an id of its own for each fault",
-                remedy="give one of them another `id`",
-            )
-    check_chains(list(chosen.values()))
-    return tuple(chosen.values())
-
-
-def _fault(scenario: Scenario, own: tuple[dict[str, Any], ...], one: OneFault) -> dict[str, Any]:
-    from pytest_dura.faults.catalogue import FAULT_TYPES, fault_class
-
-    if isinstance(one, Mapping):
-        return parsed(scenario, one)
-    for fault in own:
-        if fault["id"] == one:
-            return fault
-    if one in FAULT_TYPES:
-        return parsed(scenario, {"type": one, **fault_class(one).example()})
-    known = {*FAULT_TYPES, *(fault["id"] for fault in own)}
-    raise ConfigurationError(
-        f"unknown fault {one!r}",
-        key="faults",
-        found=one,
-        expected="none, or one of " + ", ".join(sorted(known)),
-        remedy=did_you_mean(one, {*known, NO_FAULTS}),
-    )
+def _may_match(scenario: str, globs: Sequence[str]) -> bool:
+    """Whether a glob may match a case of the scenario."""
+    return any(fnmatchcase(scenario, re.split(r"[+~]", glob, maxsplit=1)[0]) for glob in globs)
 
 
 def _selected(cases: list[Case], globs: Sequence[str]) -> list[Case]:

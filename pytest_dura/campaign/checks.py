@@ -14,6 +14,7 @@ from pytest_dura.campaign.domains import (
     role_spec,
     simulator_spec,
 )
+from pytest_dura.campaign.fault_campaigns import alternatives
 from pytest_dura.campaign.planned_faults import check_chains, own_fault, parsed
 from pytest_dura.campaign.problems import did_you_mean, placed
 from pytest_dura.campaign.scenario import Scenario
@@ -40,18 +41,27 @@ def problems_of(scenario: Scenario) -> list[ConfigurationError]:
     domain = domain_of(scenario.simulator.path)
     for role in scenario.roles:
         attempt(f"roles.{role}", _check_role, scenario, role, domain)
-    faults: dict[str, dict[str, Any]] = {}
-    for index, entry in enumerate(scenario.faults):
-        fault = attempt(f"faults.{index}", own_fault, scenario, index)
-        if fault is not None:
-            faults[entry.name] = fault
-    complete = len(faults) == len(scenario.faults)
-    if complete:
-        attempt("faults", _check_chains, faults)
-    if world is not None and complete:
+    faults = _faults(scenario, attempt)
+    if world is not None and faults is not None:
         for path in scenario.variation:
             key = f"variation.{path}"
             attempt(key, _check_variation, scenario, simulator, world, faults, path)
+    return found
+
+
+def _faults(scenario: Scenario, attempt: Callable[..., Any]) -> dict[str, dict[str, Any]] | None:
+    """The scenario's faults by id; ``None`` if one of them cannot be used."""
+    found = {
+        entry.name: attempt(f"faults.{index}", own_fault, scenario, index)
+        for index, entry in enumerate(scenario.faults)
+    }
+    if None in found.values():
+        return None
+    # With campaigns, the faults act in those combinations only.
+    if not scenario.campaigns:
+        attempt("faults", _check_chains, found)
+    for index, campaign in enumerate(scenario.campaigns):
+        attempt(f"campaigns.{index}", alternatives, scenario, tuple(found.values()), campaign)
     return found
 
 

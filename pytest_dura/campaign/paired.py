@@ -6,7 +6,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from pytest_dura.campaign.cases import NO_FAULTS, Case, expand_cases
+from pytest_dura.campaign.cases import Case, expand_cases
+from pytest_dura.campaign.fault_campaigns import NO_FAULTS
 from pytest_dura.campaign.monitoring import monitor_qualities
 from pytest_dura.core.episode import Episode
 from pytest_dura.core.errors import ConfigurationError

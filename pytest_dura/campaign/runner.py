@@ -6,8 +6,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from pytest_dura.campaign.campaigns import Campaign
-from pytest_dura.campaign.cases import WITHOUT, Case, FaultCampaign, expand_cases, no_match
+from pytest_dura.campaign.cases import WITHOUT, Case, expand_cases, no_match, one_case
+from pytest_dura.campaign.fault_campaigns import NO_FAULTS, FaultCampaign
 from pytest_dura.campaign.loading import Library
+from pytest_dura.campaign.scenario import Scenario
 from pytest_dura.campaign.store import EpisodeStore
 from pytest_dura.core.episode import Episode, EpisodeSpec
 from pytest_dura.core.errors import ConfigurationError
@@ -37,6 +39,7 @@ class Bench:
         roles: Roles that replace those of the scenarios and domains; ``None`` switches one off.
         simulator: Replaces the scenarios' simulators.
         runs: Replaces the planned runs of every campaign.
+        faults: Fault campaigns that replace those of the scenarios, if given.
         metrics: User-defined metrics by name.
         on_episode: Told of every use of an episode: the case, the episode, and how many were
             planned of this case; 0 if the episode's seed was chosen by hand.
@@ -50,6 +53,7 @@ class Bench:
     roles: Mapping[str, RoleSpec | None] = field(default_factory=dict)
     simulator: RoleSpec | None = None
     runs: int | None = None
+    faults: tuple[FaultCampaign, ...] | None = None
     metrics: Metrics = NOTHING
     on_episode: Callable[[Case, JudgedEpisode, int], None] = _nobody_listens
     on_progress: Callable[[Case, int, int], None] = _nobody_listens
@@ -91,16 +95,25 @@ class Bench:
             ConfigurationError: For an unknown scenario or fault.
         """
         name, *off = name.split(WITHOUT)
+        known = self.library().scenarios
         scenario, plus, of_id = name.partition("+")
-        scenarios = self.library().scenarios
-        if scenario not in scenarios:
-            raise no_match(scenario, list(scenarios), "scenario")
-        if faults is None and plus:
-            faults = of_id
-        case = expand_cases([scenarios[scenario]], None if faults is None else [faults])[0]
+        if scenario not in known:
+            raise no_match(scenario, list(known), "scenario")
+        case = self._planned(known[scenario], name) if faults is None else None
+        if case is None:
+            own = [fault.name for fault in known[scenario].faults] or NO_FAULTS
+            if faults is None:
+                faults = of_id if plus else own
+            case = one_case(known[scenario], faults)
         for role in off:
             case = case.switched_off(role)
         return case
+
+    def _planned(self, scenario: Scenario, name: str) -> Case | None:
+        """The case of this id among those that are planned, which may hold faults of a grid."""
+        given = [] if self.faults is None else expand_cases([scenario], self.faults)
+        planned = [*given, *expand_cases([scenario])]
+        return next((case for case in planned if case.id == name), None)
 
     def episode(
         self, case: Case, run: int = 0, seed: int | None = None, planned: int = 1

@@ -184,7 +184,10 @@ class Scenario(Entry):
     roles: dict[str, OptionalRoleField] = Field(default_factory=dict)
     """Roles that differ from the domain's defaults; null switches a role off."""
     faults: Annotated[tuple[FaultEntry, ...], Field(strict=False)] = ()
-    """The planned faults."""
+    """The planned faults, all together; with `campaigns`, what those may name."""
+    campaigns: Annotated[tuple[JsonValue, ...], Field(strict=False)] = ()
+    """Fault campaigns, each with cases of its own: `none`, a fault's name or data, `a+b`, a list,
+    `catalogue`, a glob of types, `{fault, grid}`, or `{fault, sample, count, seed}`."""
     requirements: Annotated[
         tuple[Annotated[str, Field(min_length=1)], ...],
         Field(strict=False),

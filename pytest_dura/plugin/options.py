@@ -47,6 +47,14 @@ def add_options(parser: pytest.Parser) -> None:
         metavar="NAME",
         help="the component under test: a short name such as rule_based, or package.module:Name",
     )
+    add(
+        "--dura-faults",
+        action="append",
+        default=[],
+        metavar="FAULTS",
+        help="fault campaigns instead of the scenarios' own, separated by commas: none, a fault, "
+        "fault+fault, catalogue, a glob of fault types, or a YAML file with a list (repeatable)",
+    )
     add("--dura-runs", metavar="N", help="episodes per case, instead of what is planned")
     add(
         "--dura-seed",
@@ -99,6 +107,7 @@ class Options:
     select: tuple[str, ...]
     list_only: bool
     generator: str | None
+    faults: tuple[Any, ...] | None
     runs: int | None
     seed: int
     evidence: Path
@@ -121,6 +130,16 @@ class Options:
         seed = _whole_number("--dura-seed", get("dura_seed"), at_least=0)
         select, scenarios = tuple(get("dura_select")), bool(get("dura_scenarios"))
         list_only = bool(get("dura_list"))
+        faults = tuple(get("dura_faults"))
+        arguments = config.args_source is config.ArgsSource.ARGS
+        if faults and not (scenarios or list_only or arguments):
+            raise ConfigurationError(
+                "--dura-faults is about scenario cases, and there are none without "
+                "--dura-scenarios",
+                key="--dura-faults",
+                found=faults[0],
+                remedy="add --dura-scenarios; a test function names its faults in the marker dura",
+            )
         if select and not (scenarios or list_only):
             raise ConfigurationError(
                 "--dura-select chooses among scenario cases, and there are none without "
@@ -138,6 +157,7 @@ class Options:
                 remedy="add --dura-baseline=evidence.json",
             )
         given = [("--dura-path", path) for path in get("dura_path")]
+        given += [("--dura-faults", text) for text in faults]
         for name in ("generator", "runs", "seed", "evidence"):
             value = get(f"dura_{name}")
             if value is not None:
@@ -148,6 +168,7 @@ class Options:
             select=select,
             list_only=list_only,
             generator=get("dura_generator"),
+            faults=_fault_campaigns(faults, config.invocation_params.dir),
             runs=runs,
             seed=DEFAULT_SEED if seed is None else seed,
             evidence=_evidence(config),
@@ -158,6 +179,28 @@ class Options:
             given=tuple(given),
             any_given=scenarios or bool(given) or baseline is not None,
         )
+
+
+def _fault_campaigns(given: tuple[str, ...], here: Path) -> tuple[Any, ...] | None:
+    """The campaigns of all ``--dura-faults``, in their order; ``None`` without any."""
+    if not given:
+        return None
+    found: list[Any] = []
+    for text in given:
+        if text.endswith((".yaml", ".yml")):
+            from pytest_dura.campaign.fault_campaigns import read_campaigns
+
+            found += read_campaigns(here / text)
+        else:
+            found += [one.strip() for one in text.split(",")]
+    if not all(found):
+        raise ConfigurationError(
+            "a fault campaign of --dura-faults has no name",
+            key="--dura-faults",
+            found=", ".join(given),
+            expected="for example --dura-faults=none,ghost-obstacle",
+        )
+    return tuple(found)
 
 
 def _whole_number(option: str, text: Any, *, at_least: int) -> int | None:

@@ -160,6 +160,7 @@ class DuraSession:
             self.options.seed,
             roles=self.chosen_roles(),
             runs=self.options.runs,
+            faults=self.options.faults,
             on_episode=self.reporter.episode_used,
             on_progress=Progress(self).show,
             on_verdict=self.reporter.verdict_reached,
@@ -224,12 +225,15 @@ class DuraSession:
         from pytest_dura.campaign.cases import expand_cases
 
         library = self.library()
-        cases = {case.id: case for case in expand_cases(library.scenarios)}
+        scenarios, faults, select = library.scenarios, self.options.faults, self.options.select
+        cases = {
+            case.id: case for case in expand_cases(scenarios, faults, select if faults else ())
+        }
         # A case of our own arguments may have other faults than its scenario.
         wanted = dict.fromkeys(name for name, _ in chosen.values())
         cases |= {name: self.bench.case(name) for name in wanted if name not in cases}
-        if self.options.select:
-            kept = {case.id for case in expand_cases(library.scenarios, select=self.options.select)}
+        if select:
+            kept = {case.id for case in expand_cases(scenarios, faults, select)}
             cases = {name: case for name, case in cases.items() if name in kept}
         for name in sorted(cases):
             case = cases[name]

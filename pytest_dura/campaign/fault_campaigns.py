@@ -1,0 +1,290 @@
+"""Fault campaigns: lists, grids and random samples of faults, and the catalogue, made into faults.
+
+An entry of a campaign is one of these; each alternative becomes a case:
+
+``none``
+    No faults.
+``ghost-obstacle``, ``ghost-obstacle+gnss-jump``
+    A fault of the scenario by its id, or of the catalogue by its type; several act together.
+``{type: ..., ...}``, ``[..., ...]``
+    A fault as data; several of them together.
+``catalogue``, ``gnss-*``
+    Each type of the catalogue that fits, as it is by default, by itself.
+``{fault: {...}, grid: {parameters.offset: [1, 2]}}``
+    Every combination of the values.
+``{fault: {...}, sample: {parameters.offset: {min: 1, max: 2}}, count: 10, seed: 0}``
+    Faults whose values are drawn, each from a stream of its own.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Annotated, Any, TypeAlias
+
+from pydantic import AfterValidator, Field, JsonValue, ValidationError
+
+from pytest_dura.campaign import variation
+from pytest_dura.campaign.planned_faults import check_chains, parsed
+from pytest_dura.campaign.problems import did_you_mean, placed
+from pytest_dura.campaign.scenario import Entry, Scenario, Variation, not_empty
+from pytest_dura.campaign.validation import translate
+from pytest_dura.campaign.yaml_source import Document, read_yaml
+from pytest_dura.core.errors import ConfigurationError
+
+OneFault: TypeAlias = str | Mapping[str, Any]
+FaultCampaign: TypeAlias = OneFault | Sequence[OneFault]
+"""What stands in a list of fault campaigns; see the module."""
+Faults: TypeAlias = tuple[dict[str, Any], ...]
+
+Values = Annotated[tuple[JsonValue, ...], Field(strict=False), AfterValidator(not_empty)]
+
+NO_FAULTS = "none"
+CATALOGUE = "catalogue"
+
+
+class FaultGrid(Entry):
+    """Every combination of values."""
+
+    fault: dict[str, JsonValue]
+    """The fault, without what the grid varies."""
+    grid: dict[str, Values]
+    """Keys of the fault, such as `parameters.offset`, to their values."""
+
+
+class FaultSample(Entry):
+    """Faults with random values."""
+
+    fault: dict[str, JsonValue]
+    """The fault, without what is drawn."""
+    sample: dict[str, Variation]
+    """Keys of the fault, such as `parameters.offset`, to a range or a choice."""
+    count: int = Field(ge=1, le=10_000)
+    """How many faults."""
+    seed: int = Field(default=0, ge=0)
+    """From which all draws follow."""
+
+
+@dataclass(frozen=True)
+class FileEntry:
+    """An entry of a file of fault campaigns, with its place for messages."""
+
+    campaign: Any
+    document: Document
+    index: int
+
+    def __str__(self) -> str:
+        return str(self.campaign)
+
+    def error(self, error: ConfigurationError) -> ConfigurationError:
+        """The same error at its place in the file."""
+        key = f"campaigns.{self.index}"
+        place = f"{key}.{error.key}" if error.key else key
+        line = self.document.line_of(place)
+        return placed(error, file=self.document.file, line=line, key=place)
+
+
+def read_campaigns(path: Path) -> list[FileEntry]:
+    """The fault campaigns of a YAML file: a mapping with the key ``campaigns``.
+
+    Raises:
+        ConfigurationError: If the file cannot be read, or has another form.
+    """
+    document = read_yaml(path)
+    found = document.data.get("campaigns")
+    if set(document.data) != {"campaigns"} or not isinstance(found, list) or not found:
+        raise ConfigurationError(
+            "this is no file of fault campaigns",
+            file=document.file,
+            line=1,
+            key="campaigns",
+            found=", ".join(map(str, document.data)),
+            expected="the key `campaigns` alone, with a list",
+            remedy="for example campaigns: [none, ghost-obstacle]",
+        )
+    return [FileEntry(one, document, index) for index, one in enumerate(found)]
+
+
+def alternatives(scenario: Scenario, own: Faults, campaign: object) -> list[Faults]:
+    """The faults of each case that an entry stands for, as plain data with defaults filled in.
+
+    Args:
+        scenario: To whose domain the faults belong.
+        own: The scenario's own faults, which come before the catalogue's of the same name.
+        campaign: The entry.
+
+    Raises:
+        ConfigurationError: For an unknown fault, and for one that cannot be used.
+    """
+    if isinstance(campaign, FileEntry):
+        try:
+            return alternatives(scenario, own, campaign.campaign)
+        except ConfigurationError as error:
+            raise campaign.error(error) from None
+    if isinstance(campaign, str):
+        return _by_name(scenario, own, campaign)
+    if isinstance(campaign, Mapping):
+        if "grid" in campaign:
+            return [(fault,) for fault in _grid(scenario, _model(FaultGrid, campaign))]
+        if "sample" in campaign:
+            return [(fault,) for fault in _sample(scenario, _model(FaultSample, campaign))]
+        campaign = [campaign]
+    if not isinstance(campaign, Sequence) or not _are_faults(campaign):
+        raise ConfigurationError(
+            "this is no fault campaign",
+            key="faults",
+            found=campaign,
+            expected="a fault's name or data, a list of them, a grid or a sample",
+            remedy=f"for example {NO_FAULTS}, or ghost-obstacle",
+        )
+    return [_together(scenario, own, campaign)]
+
+
+def _are_faults(campaign: Sequence[Any]) -> bool:
+    return all(isinstance(one, (str, Mapping)) for one in campaign)
+
+
+def _by_name(scenario: Scenario, own: Faults, text: str) -> list[Faults]:
+    if text == NO_FAULTS:
+        return [()]
+    matched = _matching(scenario, text)
+    if matched is not None:
+        return [(_named(scenario, own, name),) for name in matched]
+    return [_together(scenario, own, text.split("+"))]
+
+
+def catalogue_for(scenario: Scenario) -> list[str]:
+    """The types of the catalogue that can act in the scenario's domain as they are by default."""
+    from pytest_dura.faults.catalogue import FAULT_TYPES
+
+    return [name for name in sorted(FAULT_TYPES) if _usable(scenario, name)]
+
+
+def _usable(scenario: Scenario, name: str) -> bool:
+    from pytest_dura.campaign.domains import domain_of
+    from pytest_dura.campaign.worlds import channel_kinds, fault_targets
+    from pytest_dura.faults.catalogue import fault_class
+    from pytest_dura.faults.channels import possible_targets
+
+    domain, kind = domain_of(scenario.simulator.path), fault_class(name)
+    channels = channel_kinds(domain)
+    if channels is None or kind.acts_on not in fault_targets(domain):
+        return False
+    return bool(possible_targets(kind.acts_on, channels))
+
+
+def _matching(scenario: Scenario, text: str) -> list[str] | None:
+    """The types that ``catalogue`` or a glob stands for; ``None`` for anything else."""
+    if text != CATALOGUE and not set(text) & set("*?["):
+        return None
+    usable = catalogue_for(scenario)
+    if not usable:
+        raise ConfigurationError(
+            f"the catalogue has no faults that fit {scenario.name!r} by themselves",
+            key="faults",
+            found=text,
+            expected="faults with a `target`, since the domain of its simulator is not known",
+            remedy="name each fault as data: {type: ..., target: ..., activation: {at: ...}}",
+        )
+    found = usable if text == CATALOGUE else [one for one in usable if fnmatchcase(one, text)]
+    if not found:
+        raise ConfigurationError(
+            f"no fault of the catalogue matches {text!r}",
+            key="faults",
+            found=text,
+            expected="a glob of: " + ", ".join(usable),
+            remedy=did_you_mean(text, usable),
+        )
+    return found
+
+
+def _together(scenario: Scenario, own: Faults, names: Sequence[OneFault]) -> Faults:
+    chosen: dict[str, dict[str, Any]] = {}
+    for one in names:
+        fault = parsed(scenario, one) if isinstance(one, Mapping) else _named(scenario, own, one)
+        if chosen.setdefault(fault["id"], fault) != fault:
+            raise ConfigurationError(
+                f"two faults of one campaign have the id {fault['id']!r}",
+                key="faults",
+                found=fault["id"],
+                expected="an id of its own for each fault",
+                remedy="give one of them another `id`",
+            )
+    check_chains(list(chosen.values()))
+    return tuple(chosen.values())
+
+
+def _named(scenario: Scenario, own: Faults, name: str) -> dict[str, Any]:
+    from pytest_dura.faults.catalogue import FAULT_TYPES, fault_class
+
+    for fault in own:
+        if fault["id"] == name:
+            return fault
+    if name in FAULT_TYPES:
+        return parsed(scenario, {"type": name, **fault_class(name).example()})
+    known = {*FAULT_TYPES, *(fault["id"] for fault in own)}
+    raise ConfigurationError(
+        f"unknown fault {name!r}",
+        key="faults",
+        found=name,
+        expected=f"{NO_FAULTS}, {CATALOGUE}, or one of " + ", ".join(sorted(known)),
+        remedy=did_you_mean(name, {*known, NO_FAULTS, CATALOGUE}),
+    )
+
+
+def _grid(scenario: Scenario, given: FaultGrid) -> Iterator[dict[str, Any]]:
+    names = _short_names(list(given.grid))
+    for values in itertools.product(*given.grid.values()):
+        suffix = "".join(
+            f"-{name}={_told(value)}" for name, value in zip(names, values, strict=True)
+        )
+        yield _varied(scenario, given.fault, dict(zip(given.grid, values, strict=True)), suffix)
+
+
+def _sample(scenario: Scenario, given: FaultSample) -> Iterator[dict[str, Any]]:
+    for number in range(given.count):
+        values = {
+            path: variation.draw(f"{number}:{path}", spread, given.seed)
+            for path, spread in given.sample.items()
+        }
+        yield _varied(scenario, given.fault, values, f"-sample{given.seed}.{number}")
+
+
+def _varied(
+    scenario: Scenario, base: Mapping[str, Any], values: Mapping[str, Any], suffix: str
+) -> dict[str, Any]:
+    data: Any = {"id": base.get("id", base.get("type", "")), **base}
+    for path, value in values.items():
+        data = _with(data, path.split("."), value)
+    return parsed(scenario, {**data, "id": f"{data['id']}{suffix}"})
+
+
+def _with(data: Any, path: Sequence[str], value: Any) -> Any:
+    """A copy with the value at a path; mappings on the way are made."""
+    if not path:
+        return value
+    inner = data if isinstance(data, Mapping) else {}
+    return {**inner, path[0]: _with(inner.get(path[0]), path[1:], value)}
+
+
+def _short_names(paths: Sequence[str]) -> list[str]:
+    """The last part of each path; the whole of it where two end alike."""
+    last = [path.rpartition(".")[2] for path in paths]
+    return [path if last.count(name) > 1 else name for path, name in zip(paths, last, strict=True)]
+
+
+def _told(value: Any) -> str:
+    if isinstance(value, float):
+        return f"{value:g}"
+    text = str(value).lower() if isinstance(value, bool) else str(value)
+    return "".join(one if one.isalnum() or one in "_.-" else "_" for one in text)
+
+
+def _model(model: type[Any], data: Mapping[str, Any]) -> Any:
+    try:
+        return model.model_validate(data)
+    except ValidationError as error:
+        raise translate(error, model, Document()) from None

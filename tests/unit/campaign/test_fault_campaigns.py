@@ -1,0 +1,153 @@
+"""Lists, grids, samples and the catalogue: which cases they make, and under which ids."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pytest_dura import ConfigurationError
+from pytest_dura.campaign.cases import Case, expand_cases, one_case
+from pytest_dura.campaign.checks import problems_of
+from pytest_dura.campaign.fault_campaigns import catalogue_for, read_campaigns
+from pytest_dura.campaign.scenario import Scenario
+from pytest_dura.campaign.yaml_source import parse_yaml
+from pytest_dura.faults.catalogue import FAULT_TYPES
+
+GHOST = {"type": "ghost-obstacle", "activation": {"at": 1.0}, "duration": 2.0}
+
+
+def scenario(extra: str = "", name: str = "road/free") -> Scenario:
+    text = f"name: {name}\nsimulator: driving\nduration: 10.0\n{extra}"
+    return Scenario.from_document(parse_yaml(text, "road.yaml"))
+
+
+def cases(*campaigns: Any, of: Scenario | None = None) -> dict[str, Case]:
+    return {case.id: case for case in expand_cases([of or scenario()], campaigns or None)}
+
+
+def grid(**values: Any) -> dict[str, Any]:
+    return {"fault": GHOST, "grid": {key.replace("__", "."): one for key, one in values.items()}}
+
+
+def test_a_grid_is_every_combination_in_declared_order() -> None:
+    found = cases(grid(parameters__ahead=[10.0, 14.5], activation__at=[1, 2]))
+    assert list(found) == [
+        "road/free+ghost-obstacle-ahead=10-at=1",
+        "road/free+ghost-obstacle-ahead=10-at=2",
+        "road/free+ghost-obstacle-ahead=14.5-at=1",
+        "road/free+ghost-obstacle-ahead=14.5-at=2",
+    ]
+    (fault,) = found["road/free+ghost-obstacle-ahead=14.5-at=2"].faults
+    assert (fault["parameters"]["ahead"], fault["activation"]["at"]) == (14.5, 2)
+    assert fault["duration"] == 2.0
+
+
+def test_keys_that_end_alike_are_told_in_full() -> None:
+    (name,) = cases(grid(parameters__width=[1.0], parameters__length=[2.0]))
+    assert name.endswith("-width=1-length=2")
+    data = {"fault": GHOST, "grid": {"duration.min": [1.0], "parameters.min": [2.0]}}
+    with pytest.raises(ConfigurationError) as caught:
+        cases(data)
+    assert "ghost-obstacle-duration.min=1-parameters.min=2" in str(caught.value)
+
+
+def test_a_sample_is_the_same_every_time_and_each_key_has_its_own_draws() -> None:
+    spread = {"min": 10.0, "max": 20.0}
+    one = {"fault": GHOST, "sample": {"parameters.ahead": spread}, "count": 3, "seed": 4}
+    both = {**one, "sample": {"activation.at": {"min": 0, "max": 3}, "parameters.ahead": spread}}
+    found, again, wider = cases(one), cases(one), cases(both)
+    assert list(found) == [f"road/free+ghost-obstacle-sample4.{i}" for i in range(3)]
+    assert found == again
+
+    def drawn(some: dict[str, Case]) -> list[float]:
+        return [case.faults[0]["parameters"]["ahead"] for case in some.values()]
+
+    assert drawn(found) == drawn(wider)
+    assert len(set(drawn(found))) == 3
+    assert all(10.0 <= value <= 20.0 for value in drawn(found))
+    assert drawn(cases({**one, "count": 5}))[:3] == drawn(found)
+    assert drawn(cases({**one, "seed": 5})) != drawn(found)
+
+
+def test_the_whole_catalogue_is_one_word() -> None:
+    found = cases("none", "catalogue")
+    assert list(found) == ["road/free", *(f"road/free+{name}" for name in sorted(FAULT_TYPES))]
+    assert all(len(case.faults) == 1 for case in list(found.values())[1:])
+
+
+def test_a_glob_chooses_among_the_catalogue() -> None:
+    assert list(cases("*-obstacle")) == [
+        f"road/free+{name}" for name in sorted(FAULT_TYPES) if name.endswith("-obstacle")
+    ]
+
+
+def test_a_scenario_of_another_domain_has_no_faults_by_themselves() -> None:
+    other = scenario().model_copy(update={"simulator": scenario().simulator.model_copy(
+        update={"path": "thermostat:Thermostat"})})  # fmt: skip
+    assert catalogue_for(other) == []
+    with pytest.raises(ConfigurationError) as caught:
+        cases("catalogue", of=other)
+    assert "target" in str(caught.value.remedy)
+
+
+def test_campaigns_of_a_scenario_are_its_cases_and_may_name_its_faults() -> None:
+    own = scenario(
+        "faults:\n  - {type: ghost-obstacle, id: near, activation: {at: 1}, duration: 2}\n"
+        "campaigns: [none, near, near+trajectory-spoof]\n"
+    )
+    assert list(cases(of=own)) == ["road/free+none", "road/free", "road/free+near+trajectory-spoof"]
+    assert problems_of(own) == []
+
+
+@pytest.mark.parametrize(
+    "entry, told",
+    [
+        ("ghost-obstacl", "did you mean 'ghost-obstacle'?"),
+        ("x-*", "matches 'x-*'"),
+        ("{fault: {type: ghost-obstacle, activation: {}}, grid: {}}", "nothing activates it"),
+        ("{fault: {type: ghost-obstacle}, grid: {parameters.ahead: []}}", "the list is empty"),
+        (
+            ("{fault: {type: ghost-obstacle, activation: {at: 1}}, "
+            "grid: {parameters.ahed: [1]}}"),
+            "did you mean 'ahead'?",
+        ),
+        (
+            ("{fault: {type: ghost-obstacle, activation: {at: 1}}, "
+            "sample: {parameters.ahead: {min: 2, max: 1}}, count: 2}"),
+            "min is above max",
+        ),
+        ("{fault: {type: ghost-obstacle}, sample: {}}", "the key 'count' is missing"),
+        ("3", "this is no fault campaign"),
+    ],
+)  # fmt: skip
+def test_an_entry_that_cannot_be_used_is_told_with_its_line(entry: str, told: str) -> None:
+    (problem,) = problems_of(scenario(f"campaigns:\n  - none\n  - {entry}\n"))
+    assert told in str(problem)
+    assert (problem.file, problem.line) == ("road.yaml", 6)
+    assert (problem.key or "").startswith("campaigns.1")
+
+
+def test_a_file_holds_campaigns_and_its_errors_name_the_line(tmp_path: Path) -> None:
+    file = tmp_path / "campaigns.yaml"
+    file.write_text("campaigns:\n  - none\n  - ghost-obstacle\n")
+    assert list(cases(*read_campaigns(file))) == ["road/free", "road/free+ghost-obstacle"]
+    file.write_text("campaigns:\n  - none\n  - type: ghost-obstacle\n    activation: {at: -1}\n")
+    with pytest.raises(ConfigurationError) as caught:
+        cases(*read_campaigns(file))
+    assert (caught.value.file, caught.value.line) == (str(file), 4)
+
+
+@pytest.mark.parametrize("text", ["campaigns: []\n", "faults: [none]\n", "campaigns: none\n"])
+def test_a_file_of_another_form_is_refused(tmp_path: Path, text: str) -> None:
+    file = tmp_path / "campaigns.yaml"
+    file.write_text(text)
+    with pytest.raises(ConfigurationError, match="no file of fault campaigns"):
+        read_campaigns(file)
+
+
+def test_one_case_is_one_case() -> None:
+    assert one_case(scenario(), "ghost-obstacle").id == "road/free+ghost-obstacle"
+    with pytest.raises(ConfigurationError, match="make 2 cases"):
+        one_case(scenario(), grid(parameters__ahead=[1.0, 2.0]))
