@@ -81,6 +81,12 @@ class BodyList(Sequence[Body]):
         """The body with this id, if it is there."""
         return self[self.ids.index(body_id)] if body_id in self.ids else None
 
+    def rows(self, chosen: Sequence[int]) -> BodyList:
+        """The bodies of some rows, in that order; the very list if these are all of them."""
+        if list(chosen) == list(range(len(self.ids))):
+            return self
+        return BodyList(tuple(self.ids[row] for row in chosen), self.data[list(chosen), :])
+
     def with_body(self, body: Body) -> BodyList:
         """The list with this body added, or put in the place of the one with its id."""
         row = np.array(body[1:], float)

@@ -54,10 +54,14 @@ class RouteMap(NamedTuple):
 
 
 class Sign(NamedTuple):
-    """A sign or signal that concerns the ego, and where it stands along the route in metres."""
+    """A sign or signal that concerns the ego, and where it stands along the route in metres.
+
+    ``text`` is what can be read on it, as far as that is more than its kind says.
+    """
 
     kind: str
     at: float
+    text: str = ""
 
 
 CHANNELS: Mapping[str, Channel] = {

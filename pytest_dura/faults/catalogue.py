@@ -14,10 +14,22 @@ from pytest_dura.core.state import NOTHING
 from pytest_dura.faults.model import Fault
 
 _ATTACKS = "pytest_dura.driving.faults.attacks"
+_OBJECTS = "pytest_dura.driving.faults.objects"
+_GNSS = "pytest_dura.driving.faults.gnss"
 
 FAULT_TYPES: dict[str, str] = {
     "ghost-obstacle": f"{_ATTACKS}:GhostObstacle",
     "trajectory-spoof": f"{_ATTACKS}:TrajectorySpoof",
+    "object-miss": f"{_OBJECTS}:ObjectMiss",
+    "position-noise": f"{_OBJECTS}:PositionNoise",
+    "range-cut": f"{_OBJECTS}:RangeCut",
+    "class-change": f"{_OBJECTS}:ClassChange",
+    "id-switch": f"{_OBJECTS}:IdSwitch",
+    "moved-obstacle": f"{_OBJECTS}:MovedObstacle",
+    "gnss-jump": f"{_GNSS}:GnssJump",
+    "gnss-drag-off": f"{_GNSS}:GnssDragOff",
+    "gnss-jam": f"{_GNSS}:GnssJam",
+    "prompt-text": "pytest_dura.driving.faults.signs:PromptText",
 }
 """Type name to import path; a domain's faults are imported when one is used."""
 

@@ -3,34 +3,33 @@
 from __future__ import annotations
 
 import math
-from typing import Any, ClassVar, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
 from pytest_dura.driving.bodies import CAR_LENGTH, CAR_WIDTH, Body, BodyList
-from pytest_dura.faults.model import Fault, Kind, Moment
-from pytest_dura.faults.parts import FaultPart, Positive, Share
+from pytest_dura.driving.faults.base import ObjectFault, distance
+from pytest_dura.faults.model import Moment
+from pytest_dura.faults.parts import FaultPart, Finite, NotNegative, Positive, Share
 
 
 class GhostParameters(FaultPart):
-    """Where the ghost stands and how large it is."""
+    """Where the ghost appears, how large it is, and how it moves."""
 
     ahead: Positive = Field(
         14.0, description="Metres ahead of the ego's front on its route, when it appears."
     )
+    lateral: Finite = Field(
+        0.0, description="Metres beside that place on the route; positive is to the right."
+    )
+    heading: Finite = Field(0.0, description="Radians to the right of the route's heading there.")
+    speed: NotNegative = Field(0.0, description="Along its own heading, straight on, in m/s.")
     length: Positive = Field(CAR_LENGTH, description="In m.")
     width: Positive = Field(CAR_WIDTH, description="In m.")
 
 
-class ObjectFault(Fault):
-    """Base of the faults that tamper with a list of objects, which only lidar reports."""
-
-    acts_on: ClassVar[Kind] = "objects"
-    default_target: ClassVar[str | None] = "lidar"
-
-
 class GhostObstacle(ObjectFault):
-    """An object that is not there: lidar reports a standing car on the ego's route."""
+    """An object that is not there: lidar reports a car on the ego's route, standing by default."""
 
     type: Literal["ghost-obstacle"]
     parameters: GhostParameters = GhostParameters()
@@ -41,19 +40,24 @@ class GhostObstacle(ObjectFault):
         return {"activation": {"at": 2.0}, "duration": 4.0}
 
     def begin(self, value: BodyList, moment: Moment) -> Body:
-        """The ghost, fixed to the ground from now on."""
-        channels, rng = moment.channels, moment.rng
+        """The ghost as it appears."""
+        given, channels, rng = self.parameters, moment.channels, moment.rng
         pose, route = channels["localisation"], channels["map"].route
         s, _ = route.project(pose.x, pose.y)
-        distance = CAR_LENGTH / 2 + self.parameters.ahead + self.parameters.length / 2
-        x, y, heading = (float(value) for value in route.pose(s + distance))
+        between = CAR_LENGTH / 2 + given.ahead + given.length / 2
+        x, y, heading = (float(value) for value in route.pose(s + between))
+        # y points south, so that right of the heading (c, s) is (-s, c).
+        x, y = x - given.lateral * math.sin(heading), y + given.lateral * math.cos(heading)
+        heading += given.heading
+        # Adding 0 makes -0 of a standing ghost 0.
+        velocity = given.speed * math.cos(heading) + 0.0, given.speed * math.sin(heading) + 0.0
         name = f"V{900 + int(rng.integers(100))}"  # looks like any other id
-        size = (self.parameters.length, self.parameters.width)
-        return Body(name, x, y, heading, 0.0, 0.0, *size)
+        return Body(name, x, y, heading, *velocity, given.length, given.width)
 
     def apply(self, memory: Body, value: BodyList, moment: Moment) -> BodyList:
         """The objects with the ghost among them."""
-        return value.with_body(memory)
+        x, y = memory.x + memory.vx * moment.elapsed, memory.y + memory.vy * moment.elapsed
+        return value.with_body(memory._replace(x=x, y=y))
 
 
 class SpoofParameters(FaultPart):
@@ -62,40 +66,47 @@ class SpoofParameters(FaultPart):
     magnitude: Share = Field(
         1.0, description="0 leaves the vehicle where it is, 1 puts it wholly on the false path."
     )
+    spoofs: Literal["path", "velocity"] = Field(
+        "path",
+        description="`path`: position, heading and velocity; `velocity`: the velocity alone.",
+    )
+    velocity: Annotated[tuple[Finite, Finite], Field(strict=False)] | None = Field(
+        None,
+        description="The false velocity in m/s, along the ego's route beside the vehicle and to"
+        " the right of it; null: the one that leads it to where `lead` says.",
+    )
     lead: Positive = Field(
         2.0, description="The false path meets the ego's route this many seconds ahead of the ego."
     )
-    duration: Positive = Field(4.0, description="Seconds until the false path meets the route.")
+    duration: Positive = Field(4.0, description="Seconds until the false path ends.")
 
 
 class TrajectorySpoof(ObjectFault):
-    """A real vehicle's position and velocity are replaced by a course that cuts the ego off.
+    """A real vehicle's course is replaced by one that cuts the ego off, or by a given one.
 
-    Radar still sees the vehicle where it is.
+    Either position and velocity are false or, with ``spoofs: velocity``, the velocity alone. Radar
+    still sees the vehicle where it is.
     """
 
     type: Literal["trajectory-spoof"]
     parameters: SpoofParameters = SpoofParameters()
 
-    @classmethod
-    def example(cls) -> dict[str, Any]:
-        """Two seconds into the episode, for five seconds."""
-        return {"activation": {"at": 2.0}, "duration": 5.0}
-
     def begin(self, value: BodyList, moment: Moment) -> Any:
         """The victim, the nearest car within sight, and its false path; ``None`` without a car."""
-        pose, odometry = moment.channels["localisation"], moment.channels["odometry"]
+        given, pose = self.parameters, moment.channels["localisation"]
         route = moment.channels["map"].route
         cars = [body for body in value if not body.is_pedestrian]
         if not cars:
             return None
-        victim = min(cars, key=lambda b: (math.hypot(b.x - pose.x, b.y - pose.y), b.id))
+        victim = min(cars, key=lambda body: distance(body, pose))
+        if given.velocity is not None:
+            heading = route.heading_at(route.project(victim.x, victim.y)[0])
+            (along, right), c, s = given.velocity, math.cos(heading), math.sin(heading)
+            return victim, along * c - right * s, along * s + right * c
         s, _ = route.project(pose.x, pose.y)
-        meet = s + CAR_LENGTH + max(odometry.speed, 3.0) * self.parameters.lead
+        meet = s + CAR_LENGTH + max(moment.channels["odometry"].speed, 3.0) * given.lead
         x, y, _ = (float(value) for value in route.pose(meet))
-        vx = (x - victim.x) / self.parameters.duration
-        vy = (y - victim.y) / self.parameters.duration
-        return victim, vx, vy
+        return victim, (x - victim.x) / given.duration, (y - victim.y) / given.duration
 
     def apply(self, memory: Any, value: BodyList, moment: Moment) -> BodyList:
         """The objects with the victim on its false path, where it stops at the end."""
@@ -108,7 +119,9 @@ class TrajectorySpoof(ObjectFault):
         moving = 1.0 if elapsed < self.parameters.duration else 0.0
         # The shorter way round: halfway between 179 and -179 degrees lies 180.
         turn = math.remainder(math.atan2(vy, vx) - real.heading, 2 * math.pi)
-        x, y = start.x + vx * time, start.y + vy * time
-        false = (x, y, real.heading + turn, vx * moving, vy * moving)
+        place = start.x + vx * time, start.y + vy * time, real.heading + turn
+        if self.parameters.spoofs == "velocity":
+            place = real.x, real.y, real.heading
+        false = (*place, vx * moving, vy * moving)
         x, y, heading, vx, vy = (r + share * (f - r) for r, f in zip(real[1:6], false, strict=True))
         return value.with_body(Body(real.id, x, y, heading, vx, vy, real.length, real.width))

@@ -1,0 +1,126 @@
+"""Failures of and attacks on the GNSS pose. The heading is reported as it is, unless jammed."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Literal
+
+from pydantic import Field
+
+from pytest_dura.driving.faults.base import PoseFault
+from pytest_dura.driving.sensors import Pose
+from pytest_dura.faults.model import Moment
+from pytest_dura.faults.parts import FaultPart, Finite, NotNegative, Positive
+
+
+class JumpParameters(FaultPart):
+    """How far the position leaps. The parts add up; along and across mean the ego's heading."""
+
+    east: Finite = Field(0.0, description="Metres to the east; negative is west.")
+    north: Finite = Field(0.0, description="Metres to the north; negative is south.")
+    along: Finite = Field(
+        0.0, description="Metres along the heading when it begins; negative is backward."
+    )
+    across: Finite = Field(
+        0.0, description="Metres across the heading when it begins; positive is to the right."
+    )
+
+
+class GnssJump(PoseFault):
+    """The position is off by a fixed vector at once, as after a spoofer has taken the receiver."""
+
+    type: Literal["gnss-jump"]
+    parameters: JumpParameters = JumpParameters()
+
+    @classmethod
+    def example(cls) -> dict[str, Any]:
+        """Five metres backward, so that the stop line seems farther away than it is."""
+        return {**super().example(), "parameters": {"along": -5.0}}
+
+    def begin(self, value: Pose, moment: Moment) -> tuple[float, float]:
+        """The offset in x and y, in m, fixed to the ground from now on."""
+        given, c, s = self.parameters, math.cos(value.heading), math.sin(value.heading)
+        # y points south, so that right of the heading (c, s) is (-s, c).
+        dx = given.east + given.along * c - given.across * s
+        return dx, -given.north + given.along * s + given.across * c
+
+    def apply(self, memory: tuple[float, float], value: Pose, moment: Moment) -> Pose:
+        """The pose with its offset."""
+        return shifted(value, *memory)
+
+
+class DragOffParameters(FaultPart):
+    """How quickly, whereto and how far the position is dragged."""
+
+    rate: NotNegative = Field(0.5, description="Growth of the offset, in m/s.")
+    direction: Literal["ahead", "behind", "left", "right", "north", "east", "south", "west"] = (
+        Field(
+            "right",
+            description="`ahead`, `behind`, `left` and `right` mean the ego's heading when it"
+            " begins.",
+        )
+    )
+    at_most: Positive | None = Field(
+        None,
+        description="The offset stays at so many metres once it has grown to that; null: no limit.",
+    )
+
+
+class GnssDragOff(PoseFault):
+    """The position is dragged off slowly, which no check for leaps sees.
+
+    The offset is the rate times the seconds since it began, and so nothing at its first tick.
+    """
+
+    type: Literal["gnss-drag-off"]
+    parameters: DragOffParameters = DragOffParameters()
+
+    def begin(self, value: Pose, moment: Moment) -> tuple[float, float]:
+        """The direction in x and y, of length 1, fixed to the ground from now on."""
+        compass = {"east": (1.0, 0.0), "south": (0.0, 1.0), "west": (-1.0, 0.0)}
+        compass["north"] = (0.0, -1.0)
+        c, s = math.cos(value.heading), math.sin(value.heading)
+        own = {"ahead": (c, s), "right": (-s, c), "behind": (-c, -s), "left": (s, -c)}
+        return {**compass, **own}[self.parameters.direction]
+
+    def apply(self, memory: tuple[float, float], value: Pose, moment: Moment) -> Pose:
+        """The pose, off by as much as has grown by now."""
+        off = self.parameters.rate * moment.elapsed
+        if self.parameters.at_most is not None:
+            off = min(off, self.parameters.at_most)
+        return shifted(value, off * memory[0], off * memory[1])
+
+
+class JamParameters(FaultPart):
+    """A jammer has none: there is no fix while it sends."""
+
+
+class GnssJam(PoseFault):
+    """No fix: the last pose from before stays, position and heading.
+
+    Jammed from the very beginning, a receiver shows its first fix.
+    """
+
+    type: Literal["gnss-jam"]
+    parameters: JamParameters = JamParameters()
+
+    @property
+    def memory(self) -> float:
+        """The tick before is enough, however long a tick is."""
+        return 1e-6
+
+    def begin(self, value: Pose, moment: Moment) -> Pose:
+        """The last pose that was received."""
+        last: Pose = moment.history[-2][1] if len(moment.history) > 1 else value
+        return last
+
+    def apply(self, memory: Pose, value: Pose, moment: Moment) -> Pose:
+        """That pose."""
+        return memory
+
+
+def shifted(pose: Pose, dx: float, dy: float) -> Pose:
+    """A pose so many metres further in x and y; the very pose if that is nowhere else."""
+    if dx == dy == 0.0:
+        return pose
+    return pose._replace(x=pose.x + dx, y=pose.y + dy)
