@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -100,7 +100,14 @@ class Campaign:
         for episode in self.enough_for(judge):
             judge.add(judge_episode(requirement, episode, check))
             self.judged.append(episode)
+        self.tell_of_faults(self.judged)
         return judge.verdict()
+
+    def tell_of_faults(self, episodes: Sequence[JudgedEpisode]) -> None:
+        """Tell what came of each fault of these episodes."""
+        for episode in episodes:
+            if episode.faults:
+                self.bench.on_chains(self.case, episode, self.bench.chains(self.case, episode))
 
     def judge_of(self, requirement: Requirement, check: Check | None) -> CampaignJudge:
         """What takes in the verdicts on this campaign's episodes.

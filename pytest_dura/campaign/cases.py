@@ -72,6 +72,13 @@ class Case:
             )
         return replace(self, id=f"{self.id}{WITHOUT}{role}", without=(*self.without, role))
 
+    def without_faults(self) -> Case:
+        """The same case without any fault, such as ``intersection/ghost-obstacle+none``."""
+        bare = one_case(self.scenario, NO_FAULTS)
+        for role in self.without:
+            bare = bare.switched_off(role)
+        return bare
+
     def seed(self, run: int, base_seed: int) -> int:
         """The seed of a run. Cases of one scenario share it, which makes their runs pairs."""
         return derive_seed(base_seed, self.scenario.name, run)

@@ -6,8 +6,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from pytest_dura.campaign.cases import Case, expand_cases
-from pytest_dura.campaign.fault_campaigns import NO_FAULTS
+from pytest_dura.campaign.cases import Case
 from pytest_dura.campaign.monitoring import monitor_qualities
 from pytest_dura.core.episode import Episode
 from pytest_dura.core.errors import ConfigurationError
@@ -76,6 +75,7 @@ class PairedCampaign:
             twin = self.twin(episode)
             judge.add(compared.add(episode, twin))
             campaign.judged += [episode, twin]
+        campaign.tell_of_faults(campaign.judged[::2])
         self._tell_of_monitors(campaign.judged[1::2])
         found = judge.verdict()
         table = {"without": self.without, "case": self.case.id, **compared.table()}
@@ -243,7 +243,4 @@ def twin_case(case: Case, without: str) -> Case:
             expected="a case with faults",
             remedy="compare only cases with faults with their runs without faults",
         )
-    bare = expand_cases([case.scenario], [NO_FAULTS])[0]
-    for role in case.without:
-        bare = bare.switched_off(role)
-    return bare
+    return case.without_faults()

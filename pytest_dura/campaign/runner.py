@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from pytest_dura.campaign.campaigns import Campaign
 from pytest_dura.campaign.cases import WITHOUT, Case, expand_cases, no_match, one_case
+from pytest_dura.campaign.chains import CausalChain, causal_chains
 from pytest_dura.campaign.fault_campaigns import NO_FAULTS, FaultCampaign
 from pytest_dura.campaign.loading import Library
 from pytest_dura.campaign.scenario import Scenario
@@ -14,6 +15,7 @@ from pytest_dura.campaign.store import EpisodeStore
 from pytest_dura.core.episode import Episode, EpisodeSpec
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.orchestrator import Orchestrator
+from pytest_dura.core.propagation import Divergence
 from pytest_dura.core.roles import RoleSpec
 from pytest_dura.core.state import NOTHING
 from pytest_dura.requirements.campaigns import CampaignVerdict
@@ -46,6 +48,8 @@ class Bench:
         on_progress: Told how many runs of a case are done and planned.
         on_verdict: Told of every verdict of :meth:`Campaign.require`, and what it decides.
         on_monitors: Told how good the monitors of a case are, wherever that was measured.
+        on_chains: Told what came of each fault of an episode that a verdict rests on.
+        twins: Whether fault-free twins are run, to see which faults reached the proposals.
     """
 
     library: Callable[[], Library]
@@ -59,7 +63,10 @@ class Bench:
     on_progress: Callable[[Case, int, int], None] = _nobody_listens
     on_verdict: Callable[[CampaignVerdict, Requirement], None] = _nobody_listens
     on_monitors: Callable[[Case, list[MonitorQuality]], None] = _nobody_listens
+    on_chains: Callable[[Case, JudgedEpisode, list[CausalChain]], None] = _nobody_listens
+    twins: bool = True
     store: EpisodeStore = field(default_factory=EpisodeStore)
+    _chains: dict[int, list[CausalChain]] = field(default_factory=dict, init=False)
 
     def __repr__(self) -> str:
         return f"Bench(base_seed={self.base_seed})"
@@ -137,6 +144,41 @@ class Bench:
             raise error.with_traceback(None) from None
         self.on_episode(case, episode, planned if seed is None else 0)
         return episode
+
+    def chains(self, case: Case, episode: JudgedEpisode) -> list[CausalChain]:
+        """Each fault of an episode from plan to outcome, with the help of fault-free twins.
+
+        Args:
+            case: The case that it belongs to.
+            episode: One of its runs.
+        """
+        key = id(episode)  # the store keeps its episodes, so that their identity is theirs alone
+        if key not in self._chains:
+            requirements = [self.library().requirements[name] for name in case.requirements]
+            self._chains[key] = self._linked(case, episode, requirements)
+        return self._chains[key]
+
+    def _linked(
+        self, case: Case, episode: JudgedEpisode, requirements: Sequence[Requirement]
+    ) -> list[CausalChain]:
+        reached = any(fault.manifested_at is not None for fault in episode.faults)
+        if not (self.twins and reached):
+            return causal_chains(episode, requirements)
+        spec = case.without_faults().spec(
+            episode.spec.run,
+            self.base_seed,
+            self.roles,
+            simulator=self.simulator,
+            seed=episode.spec.seed,
+        )
+
+        def simulated() -> JudgedEpisode:
+            return self._simulate(case, spec)
+
+        twin = self.store.get(spec, lambda _: simulated())
+        # An instance that outlives its episodes may remember the first twin.
+        again = None if any(role.opaque for role in spec.roles.values()) else simulated
+        return causal_chains(episode, requirements, twin, Divergence.of(episode, twin, again))
 
     def campaign(
         self,

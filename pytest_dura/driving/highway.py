@@ -155,8 +155,10 @@ class HighwaySimulator(Simulator):
         return Command(Maneuver.PROCEED, 0.0)
 
     def describe_action(self, action: Command) -> str:
-        """The maneuver's name."""
-        return action.maneuver.value
+        """The maneuver's name, and the acceleration where it is asked for."""
+        if action.acceleration is None:
+            return action.maneuver.value
+        return f"{action.maneuver.value} at {action.acceleration:.6g} m/s2"
 
     def render(self) -> NDArray[np.uint8]:
         """The third-person view."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from pytest_dura.evidence.episodes import case_metrics
+from pytest_dura.evidence.faults import fault_metrics, with_chains
 from pytest_dura.requirements.episodes import EpisodeVerdict
 from pytest_dura.requirements.judging import judge_campaign
 from pytest_dura.requirements.model import Requirement
@@ -33,6 +34,7 @@ class ItemReport:
         verdicts: ``CampaignVerdict.to_json()``, and the ``check`` that was judged.
         outcomes: ``EpisodeVerdict.to_json()`` of tests that look at one episode, with ``case``.
         monitors: ``MonitorQuality.to_json()``, with the ``case`` that it was measured on.
+        chains: What came of each fault, with the ``episode`` and its ``case``.
     """
 
     item: str
@@ -43,6 +45,7 @@ class ItemReport:
     verdicts: list[Data] = field(default_factory=list)
     outcomes: list[Data] = field(default_factory=list)
     monitors: list[Data] = field(default_factory=list)
+    chains: list[Data] = field(default_factory=list)
 
     def to_json(self) -> Data:
         """Plain data."""
@@ -69,6 +72,7 @@ class EvidenceRecord:
     _verdicts: dict[tuple[str, ...], Data] = field(default_factory=dict)
     _outcomes: dict[tuple[str, str, str], list[Data]] = field(default_factory=dict)
     _monitors: dict[tuple[str, ...], Data] = field(default_factory=dict)
+    _chains: dict[tuple[str, str], dict[str, Data]] = field(default_factory=dict)
     _expected: dict[str, Data] = field(default_factory=dict)
     _waivers: dict[str, Data] = field(default_factory=dict)
     _clashes: dict[tuple[str, str], str] = field(default_factory=dict)
@@ -94,6 +98,9 @@ class EvidenceRecord:
         for monitor in report["monitors"]:
             key = tuple(monitor[name] for name in ("case", "component", "target", "monitor"))
             self._monitors[key] = monitor
+        for chain in report["chains"]:
+            key = chain["component"], chain["episode"]
+            self._chains.setdefault(key, {})[chain["id"]] = chain
         for outcome in report["outcomes"]:
             key = outcome["requirement"], outcome["case"], outcome["component"]
             told = self._outcomes.setdefault(key, [])
@@ -113,7 +120,7 @@ class EvidenceRecord:
         """The record as plain data, with the keys of the design."""
         self._add_unheard_cases()
         episodes = sorted(
-            self._episodes.values(),
+            map(self._followed, self._episodes.values()),
             key=lambda one: (one["case"], one["component"], one["spec"]["run"], one["seed"]),
         )
         cases = [self._case(key, episodes) for key in sorted(self._cases)]
@@ -233,7 +240,15 @@ class EvidenceRecord:
         if clash is not None and verdict["verdict"] == "supported":
             verdict["verdict"], verdict["reason"] = "undecided", clash
 
+    def _followed(self, episode: Data) -> Data:
+        """An episode with what came of each of its faults."""
+        if not (episode["faults"] and episode["planned"]):
+            return with_chains(episode, {})
+        chains = self._chains.get((episode["component"], episode["id"]), {})
+        return with_chains(episode, chains)
+
     def _case(self, key: tuple[str, str], episodes: Iterable[Data]) -> Data:
         case = dict(self._cases[key])
         own = [one for one in episodes if (one["case"], one["component"]) == key and one["planned"]]
-        return {**case, "metrics": case_metrics(own, case["planned"])}
+        metrics = {**case_metrics(own, case["planned"]), "faults": fault_metrics(own)}
+        return {**case, "metrics": metrics}

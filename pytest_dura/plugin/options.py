@@ -78,6 +78,12 @@ def add_options(parser: pytest.Parser) -> None:
         help="what an undecided verdict does to its test: fail it, or skip it (default: fail)",
     )
     add(
+        "--dura-no-twins",
+        action="store_true",
+        help="run no fault-free twins of episodes with faults, and so do not say which faults "
+        "reached the component's proposals",
+    )
+    add(
         "--dura-baseline",
         metavar="PATH",
         help="compare the rates of violations with this evidence: evidence.json, or its directory",
@@ -113,6 +119,7 @@ class Options:
     evidence: Path
     replay: str | None
     warn_undecided: bool
+    twins: bool
     baseline: str | None
     fail_worse: bool
     given: tuple[tuple[str, str], ...]
@@ -173,6 +180,7 @@ class Options:
             seed=DEFAULT_SEED if seed is None else seed,
             evidence=_evidence(config),
             replay=get("dura_replay"),
+            twins=not get("dura_no_twins"),
             warn_undecided=get("dura_undecided") == "warn",
             baseline=baseline,
             fail_worse=fail_worse,

@@ -13,6 +13,7 @@ from pytest_dura.plugin.commands import replay_command
 
 if TYPE_CHECKING:
     from pytest_dura.campaign.cases import Case
+    from pytest_dura.campaign.chains import CausalChain
     from pytest_dura.core.roles import RoleSpec
     from pytest_dura.evidence.record import ItemReport
     from pytest_dura.plugin.parametrize import Target
@@ -66,6 +67,16 @@ class Reporter:
     def monitors_judged(self, case: Case, qualities: list[MonitorQuality]) -> None:
         """It was measured how good a case's monitors are."""
         self._report.monitors += [{"case": case.id, **one.to_json()} for one in qualities]
+
+    def faults_followed(
+        self, case: Case, episode: JudgedEpisode, chains: list[CausalChain]
+    ) -> None:
+        """It was found what came of each fault of an episode."""
+        told = {"case": case.id, "component": episode.spec.component, "episode": episode.id}
+        key = id(chains), False
+        if key not in self._told:
+            self._told.add(key)
+            self._report.chains += [{**told, **one.to_json()} for one in chains]
 
     def outcome_of(self, error: DuraError) -> BaseException:
         """What one of our own errors does to a test: fail it, with a message and no more."""

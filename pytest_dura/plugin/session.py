@@ -165,6 +165,8 @@ class DuraSession:
             on_progress=Progress(self).show,
             on_verdict=self.reporter.verdict_reached,
             on_monitors=self.reporter.monitors_judged,
+            on_chains=self.reporter.faults_followed,
+            twins=self.options.twins,
         )
 
     def default_role(self, role: str) -> RoleSpec:

@@ -16,10 +16,10 @@ def case_table(cases: Sequence[Data]) -> list[str]:
     users = sorted({name for case in cases for name in case["metrics"]["user"]})
     names = [f"{case['id']} ({case['component']})" if several else case["id"] for case in cases]
     rows = [_row(case["metrics"], users) for case in cases]
-    return [*_aligned("case", (*COLUMNS, *users), names, rows), *LEGEND]
+    return [*aligned("case", (*COLUMNS, *users), names, rows), *LEGEND]
 
 
-def _aligned(
+def aligned(
     title: str, columns: Sequence[str], names: Sequence[str], rows: Sequence[Sequence[str]]
 ) -> list[str]:
     """Lines of a table; a name that is too long stands on a line of its own."""
@@ -99,7 +99,7 @@ def pair_table(verdicts: Sequence[Data], cases: Sequence[Data]) -> list[str]:
         names.append(f"{verdict['requirement']} on {verdict['case']}")
         key = verdict["case"], verdict["component"]
         rows.append(_pair_row(pairs, metrics[key]["switching"]))
-    return [*_aligned("recovery", PAIR_COLUMNS, names, rows), *PAIR_LEGEND] if rows else []
+    return [*aligned("recovery", PAIR_COLUMNS, names, rows), *PAIR_LEGEND] if rows else []
 
 
 def _pair_row(pairs: Data, switching: Data | None) -> list[str]:
@@ -141,7 +141,7 @@ def monitor_table(monitors: Sequence[Data]) -> list[str]:
             same.setdefault(key, []).append(one["target"])
     names = [f"{who}, {case}: {', '.join(on)}" for (case, who, *_), on in same.items()]
     rows = [row for _, _, *row in same]
-    return [*_aligned("monitor", MONITOR_COLUMNS, names, rows), *MONITOR_LEGEND] if rows else []
+    return [*aligned("monitor", MONITOR_COLUMNS, names, rows), *MONITOR_LEGEND] if rows else []
 
 
 def _monitor_row(one: Data) -> list[str]:

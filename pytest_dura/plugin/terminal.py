@@ -6,6 +6,7 @@ import os
 from typing import TYPE_CHECKING, Any
 
 from pytest_dura.plugin.baseline_lines import baseline_header, show_baseline
+from pytest_dura.plugin.fault_lines import fault_table
 from pytest_dura.plugin.overrides import overrides_deeper_down, root_conftest_with
 from pytest_dura.plugin.tables import Data, case_table, counted, monitor_table, pair_table
 from pytest_dura.plugin.verdict_lines import show_verdicts
@@ -88,6 +89,7 @@ def _show_cases(session: DuraSession, terminal: Any, record: Data) -> None:
     if by_hand:
         terminal.line(f"and {counted(by_hand, 'episode')} with a seed chosen by hand")
     for lines in (
+        fault_table(shown),
         pair_table(record["verdicts"], record["cases"]),
         monitor_table(record["monitors"]),
     ):

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from pytest_dura.plugin.commands import replay_command, rerun_command
+from pytest_dura.plugin.fault_lines import chain_line
 from pytest_dura.plugin.tables import WIDTH, Data, counted
 
 if TYPE_CHECKING:
@@ -101,6 +102,9 @@ def _show_failure(
             if spoilt["verdict"] == "invalid" and not told.startswith("invalid: "):
                 told = f"invalid: {told}"
             terminal.line(f"  {told}")
+    for fault in _faults(record, episode):
+        for line in textwrap.wrap(chain_line(fault), WIDTH - 10, break_on_hyphens=False):
+            terminal.line(f"  fault:  {line}")
     if episode is not None:
         terminal.line(f"  replay: {replay_command(session, episode)}")
     items = list(dict.fromkeys(item for one in verdicts for item in one["item"].split(", ")))
@@ -112,6 +116,12 @@ def _show_failure(
 
 def _check_of(record: Data, requirement: str) -> str:
     return next((one["check"] for one in record["requirements"] if one["id"] == requirement), "")
+
+
+def _faults(record: Data, episode: str | None) -> list[Data]:
+    """What came of each fault of an episode."""
+    found = [one["faults"] for one in record["episodes"] if one["id"] == episode]
+    return list(found[0]) if found else []
 
 
 def _critical(record: Data, episode: str) -> list[Data]:

@@ -1,0 +1,124 @@
+"""Causal chains: each fault of an episode from its plan to what came of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+from pytest_dura.core.episode import Episode
+from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.metrics import FaultRecord
+from pytest_dura.core.propagation import Divergence, PropagationWord
+from pytest_dura.requirements.episodes import judge_episode
+from pytest_dura.requirements.model import Requirement
+
+OutcomeWord = Literal["idle", "masked", "contained", "tolerated", "violated", "missing"]
+
+
+@dataclass(frozen=True)
+class CausalChain:
+    """One fault of one episode, from plan to outcome; times in s, ``None`` for what never was.
+
+    Args:
+        record: From plan to recovery, as the loop saw it.
+        propagation: Whether the proposals left those of the fault-free twin; ``None`` if the fault
+            never manifested or that was not measured.
+        propagated_at: When they did.
+        unknown: Why that cannot be said.
+        outcome: ``idle`` (never active), ``masked`` (active, never manifested), ``contained`` (it
+            changed no proposal), ``tolerated`` (it may have, and nothing was violated),
+            ``violated``, or ``missing`` (the episode cannot tell).
+        violated: Requirements that were violated from its manifestation on.
+        violated_without: Those among them that the fault-free twin violates, too.
+    """
+
+    record: FaultRecord
+    propagation: PropagationWord | None
+    propagated_at: float | None
+    unknown: str
+    outcome: OutcomeWord
+    violated: tuple[str, ...] = ()
+    violated_without: tuple[str, ...] = ()
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data for the evidence record."""
+        own = {key: value for key, value in vars(self).items() if key != "record"}
+        return {
+            **asdict(self.record),
+            "detection_latency": self.record.detection_latency,
+            **{
+                key: list(value) if isinstance(value, tuple) else value
+                for key, value in own.items()
+            },
+        }
+
+
+def causal_chains(
+    episode: Episode,
+    requirements: Sequence[Requirement],
+    twin: Episode | None = None,
+    divergence: Divergence | None = None,
+) -> list[CausalChain]:
+    """The chains of all faults of an episode.
+
+    Args:
+        episode: The episode.
+        requirements: Those that apply to its case.
+        twin: The run of the same seed without any fault, if there is one.
+        divergence: Where the episode leaves it.
+    """
+    violated = _violations(episode, requirements)
+    without = _violations(twin, requirements) if twin is not None else {}
+    return [_chain(fault, episode, violated, without, divergence) for fault in episode.faults]
+
+
+def _chain(
+    fault: FaultRecord,
+    episode: Episode,
+    violated: Mapping[str, float | None],
+    without: Mapping[str, float | None],
+    divergence: Divergence | None,
+) -> CausalChain:
+    found = divergence.of_fault(fault) if divergence is not None else None
+    since = fault.manifested_at
+    reached = tuple(
+        name
+        for name, time in violated.items()
+        if since is not None and (time is None or time >= since - 1e-9)
+    )
+    outcome: OutcomeWord
+    if reached:
+        outcome = "violated"
+    elif episode.failure is not None:
+        outcome = "missing"
+    elif fault.activated_at is None:
+        outcome = "idle"
+    elif since is None:
+        outcome = "masked"
+    else:
+        outcome = "contained" if found is not None and found.word == "contained" else "tolerated"
+    return CausalChain(
+        fault,
+        found.word if found is not None else None,
+        found.at if found is not None else None,
+        found.reason if found is not None else "",
+        outcome,
+        reached,
+        tuple(name for name in reached if name in without),
+    )
+
+
+def _violations(episode: Episode, requirements: Sequence[Requirement]) -> dict[str, float | None]:
+    """The requirements that an episode violates by itself, and when."""
+    found: dict[str, float | None] = {}
+    for requirement in requirements:
+        if requirement.paired or not requirement.check:
+            continue
+        try:
+            verdict = judge_episode(requirement, episode)
+        except ConfigurationError:  # told where the requirement itself is judged
+            continue
+        if verdict.verdict == "violated":
+            found[requirement.id] = verdict.time
+    return found

@@ -1,0 +1,98 @@
+"""Propagation: whether a fault reached what the component proposes, by fault-free twins."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from pytest_dura.core.episode import Episode
+from pytest_dura.core.metrics import FaultRecord
+
+PropagationWord = Literal["propagated", "contained", "unknown"]
+
+
+@dataclass(frozen=True)
+class Propagation:
+    """What became of one manifested fault.
+
+    Args:
+        word: ``propagated`` if a proposal differs from that of the fault-free twin, ``contained``
+            if none does, ``unknown`` if the twins cannot tell.
+        at: Simulated seconds of the first proposal that differs.
+        reason: Why it is unknown.
+    """
+
+    word: PropagationWord
+    at: float | None = None
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class Divergence:
+    """Where an episode first leaves its fault-free twin.
+
+    Args:
+        at: Simulated seconds of the first differing proposal; ``None`` if there is none in the
+            ticks that both have.
+        doubt: Why this says nothing about the faults.
+    """
+
+    at: float | None = None
+    doubt: str = ""
+
+    @classmethod
+    def of(
+        cls, episode: Episode, twin: Episode, second: Callable[[], Episode] | None = None
+    ) -> Divergence:
+        """The first difference between the proposals of an episode and of its twin.
+
+        A component whose proposals differ between two fault-free runs would seem to be reached by
+        every fault; from the first such difference on, nothing is said.
+
+        Args:
+            episode: With faults.
+            twin: Of the same seed, without any fault.
+            second: Makes another run of the twin; asked for where the first one differs.
+        """
+        for one in (episode, twin):
+            if one.failure is not None:
+                return cls(doubt=f"{one.id} is missing")
+        first = _first_difference(episode, twin)
+        if first is None:
+            return cls()
+        if second is not None:
+            other = second()
+            if other.failure is not None:
+                return cls(doubt=f"{other.id} is missing")
+            apart = _first_difference(twin, other)
+            if apart is not None and apart <= first:
+                time = twin.time[apart]
+                return cls(doubt=f"two runs without faults differ from {time:.2f} s on")
+        return cls(at=float(episode.time[first]))
+
+    def of_fault(self, fault: FaultRecord) -> Propagation | None:
+        """What it says of one fault; ``None`` if the fault never manifested.
+
+        Several faults that had manifested by then are answerable together.
+        """
+        if fault.manifested_at is None:
+            return None
+        if self.doubt:
+            return Propagation("unknown", reason=self.doubt)
+        if self.at is None:
+            return Propagation("contained")
+        if fault.manifested_at <= self.at + 1e-9:
+            return Propagation("propagated", self.at)
+        reason = f"proposals differed already from {self.at:.2f} s on, through another fault"
+        return Propagation("unknown", reason=reason)
+
+
+def _first_difference(one: Episode, other: Episode) -> int | None:
+    """The first tick that both have at which their proposals differ."""
+    left, right = one.decisions["proposed"], other.decisions["proposed"]
+    ticks = min(len(left), len(right))
+    differing = np.flatnonzero(left[:ticks] != right[:ticks])
+    return int(differing[0]) if len(differing) else None

@@ -1,0 +1,72 @@
+"""What the faults of a case's episodes come to: how far each got along its causal chain."""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+Data = Mapping[str, Any]
+
+UNFOLLOWED: Data = {
+    "propagation": None,
+    "propagated_at": None,
+    "unknown": "",
+    "outcome": None,
+    "violated": [],
+    "violated_without": [],
+}
+"""The rest of the chain where no verdict asked for it."""
+
+
+def with_chains(episode: Data, chains: Mapping[str, Data]) -> dict[str, Any]:
+    """An episode's record with what is known of each of its faults, by fault id."""
+    faults = []
+    for fault in episode["faults"]:
+        chain = chains.get(fault["id"], UNFOLLOWED)
+        faults.append({**fault, **{key: chain[key] for key in UNFOLLOWED}})
+    return {**episode, "faults": faults}
+
+
+def fault_metrics(episodes: Sequence[Data]) -> list[dict[str, Any]]:
+    """How far each fault got, over the episodes in which it was planned.
+
+    ``activated`` and ``manifested`` are counted over all episodes that were run, what follows over
+    those in which the fault manifested: ``propagated`` beside ``followed``, in which that is known,
+    ``detected``, ``recovery`` (recovery acted), ``recovered`` (control was handed back) and
+    ``violated``. Latencies are seconds from the manifestation on: to the alert, to the first
+    recovery action, and from there until the proposal was acceptable again.
+    """
+    columns: dict[str, list[Data]] = {}
+    for episode in episodes:
+        for fault in episode["faults"]:
+            columns.setdefault(fault["id"], []).append(fault)
+    return [_of_fault(name, found) for name, found in columns.items()]
+
+
+def _of_fault(name: str, found: Sequence[Data]) -> dict[str, Any]:
+    reached = [one for one in found if one["manifested_at"] is not None]
+    return {
+        "id": name,
+        "target": found[0]["target"],
+        "run": len(found),
+        "activated": sum(one["activated_at"] is not None for one in found),
+        "manifested": len(reached),
+        "followed": sum(one["propagation"] in ("propagated", "contained") for one in reached),
+        "propagated": sum(one["propagation"] == "propagated" for one in reached),
+        "detected": sum(one["detected_at"] is not None for one in reached),
+        "recovery": sum(one["recovery_at"] is not None for one in reached),
+        "recovered": sum(one["recovered_at"] is not None for one in reached),
+        "violated": sum(one["outcome"] == "violated" for one in found),
+        "detection_latency": _latency(reached, "manifested_at", "detected_at"),
+        "recovery_latency": _latency(reached, "manifested_at", "recovery_at"),
+        "time_to_recover": _latency(reached, "recovery_at", "recovered_at"),
+    }
+
+
+def _latency(found: Iterable[Data], start: str, end: str) -> dict[str, float] | None:
+    """Median and greatest number of seconds between two events, where both happened."""
+    times = [
+        one[end] - one[start] for one in found if one[start] is not None and one[end] is not None
+    ]
+    return {"median": statistics.median(times), "max": max(times)} if times else None

@@ -1,0 +1,67 @@
+"""What the terminal shows of faults: how far each got, and the chain of one that went far."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from pytest_dura.plugin.tables import Data, aligned
+
+COLUMNS = ("runs", "act", "manif", "prop", "det", "after s", "recov", "after s", "viol")
+LEGEND = (
+    "act, manif: runs in which it became active, changed what the component read; of the latter,",
+    "prop: proposals left those of the fault-free twin; det: an alert; recov: recovery acted; each",
+    "with the median time from manifestation; viol: a requirement was violated from then on",
+)
+
+
+def fault_table(cases: Sequence[Data]) -> list[str]:
+    """One line per fault and case."""
+    names, rows = [], []
+    for case in cases:
+        for fault in case["metrics"]["faults"]:
+            names.append(f"{fault['id']} on {case['id']}")
+            rows.append(_row(fault))
+    return [*aligned("fault", COLUMNS, names, rows), *LEGEND] if rows else []
+
+
+def _row(fault: Data) -> list[str]:
+    followed = fault["followed"]
+    some = f"{fault['propagated']}" + (f"/{followed}" if followed < fault["manifested"] else "")
+    return [
+        str(fault["run"]),
+        str(fault["activated"]),
+        str(fault["manifested"]),
+        some if followed or not fault["manifested"] else "-",
+        str(fault["detected"]),
+        _median(fault["detection_latency"]),
+        str(fault["recovery"]),
+        _median(fault["recovery_latency"]),
+        str(fault["violated"]),
+    ]
+
+
+def _median(latency: Data | None) -> str:
+    return "-" if latency is None else f"{latency['median']:.1f}"
+
+
+def chain_line(fault: Data) -> str:
+    """The chain of one fault in words, with times in s."""
+    steps = [
+        ("planned", fault["planned_at"], ""),
+        ("activated", fault["activated_at"], ""),
+        ("manifested", fault["manifested_at"], ""),
+        ("propagated", fault["propagated_at"], ""),
+        ("detected", fault["detected_at"], _by(fault["detected_by"], fault["pattern"])),
+        ("recovery", fault["recovery_at"], _by(fault["recovery"])),
+        ("recovered", fault["recovered_at"], ""),
+    ]
+    told = [f"{word} {time:.1f}{by}" for word, time, by in steps if time is not None]
+    if fault["outcome"] is not None:
+        told.append(str(fault["outcome"]))
+    return f"{fault['id']}: {', '.join(told) or 'never active'}"
+
+
+def _by(*names: Any) -> str:
+    known = [str(name) for name in names if name]
+    return f" ({': '.join(known)})" if known else ""
