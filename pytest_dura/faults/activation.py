@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
@@ -31,6 +32,8 @@ class Activation(FaultPart):
 
     One of ``at``, ``when``, ``probability``, ``rate`` and ``after`` says when. All of them are
     decided on the channels as they are without any fault, so that faults do not shift each other.
+    What falls due while the fault is active is lost. ``when`` activates it where its condition
+    begins to hold within the window, and again only after it has not held.
     """
 
     at: NotNegative | None = Field(None, description="Simulated time of the activation, in s.")
@@ -53,7 +56,8 @@ class Activation(FaultPart):
     )
     times: Annotated[int, Field(ge=1)] | None = Field(
         None,
-        description="At most so often. Default: once for `at`, `when` and `after`, else no limit.",
+        description="At most so often, however it is activated. Default: once for `at`, `when` and"
+        " `after`, else no limit.",
     )
     by: Literal["fault_injector", "security_assessor"] = Field(
         "fault_injector",
@@ -82,6 +86,8 @@ class Activation(FaultPart):
             raise ValueError(f"nothing activates it; give one of {names}")
         if self.every is not None and self.at is None:
             raise ValueError("`every` repeats `at`, which is not given")
+        if self.at is not None and self.every is None and (self.times or 1) > 1:
+            raise ValueError(f"`at` alone happens once, not {self.times} times; add `every`")
         if self.not_after is not None and self.not_after < self.not_before:
             raise ValueError(
                 f"the window is empty: not_after {self.not_after:g} s is before not_before"
@@ -95,7 +101,7 @@ class Activation(FaultPart):
     @property
     def by_chance(self) -> bool:
         """Whether it is drawn whether the fault becomes active at all."""
-        drawn = self.probability is not None and self.probability < 1.0
+        drawn = self.probability is not None and 0.0 < self.probability < 1.0
         return drawn or self.rate is not None
 
     @property
@@ -108,12 +114,18 @@ class Activation(FaultPart):
 
     def due(self, time: float, since: float) -> bool:
         """Whether an activation by ``at`` and ``every`` falls into ``(since, time]``."""
+        return self.next_planned(since) <= time + TOLERANCE
+
+    def next_planned(self, since: float) -> float:
+        """The first time after ``since`` of an activation by ``at`` and ``every``; or infinity."""
         if self.at is None:
-            return False
-        if self.every is None or time < self.at:
-            return since + TOLERANCE < self.at <= time + TOLERANCE
-        count = int((time - self.at + TOLERANCE) / self.every)
-        return self.at + count * self.every > since + TOLERANCE
+            return math.inf
+        if since < self.at - TOLERANCE:
+            return self.at
+        if self.every is None:
+            return math.inf
+        passed = math.floor((since - self.at + TOLERANCE) / self.every)
+        return self.at + (max(passed, 0) + 1) * self.every
 
 
 TRIGGERS = ("at", "when", "probability", "rate", "after")

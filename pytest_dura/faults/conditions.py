@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import math
 import operator
 import re
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
+import numpy as np
+
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.faults.targets import Target
+from pytest_dura.core.state import Lazy
+from pytest_dura.faults.targets import AbsentRowError, Target
 
 _COMPARISONS: Mapping[str, Callable[[float, float], bool]] = {
     ">=": operator.ge,
@@ -47,14 +52,29 @@ class Condition:
         """The channels and fields that it reads; ``time`` is none of them."""
         return tuple(term.target for term in self.terms if term.target.channel != TIME)
 
+    def check(self, channels: Mapping[str, Any]) -> None:
+        """Refuse channels that do not have all that it reads.
+
+        Raises:
+            ConfigurationError: For a channel or field that is not there, or is not a number.
+        """
+        for target in self.targets:
+            with suppress(AbsentRowError):
+                _number(target, channels)
+
     def holds(self, channels: Mapping[str, Any], time: float) -> bool:
         """Whether it holds for the channels at this simulated time, in s.
+
+        It does not hold for a row that an array or list does not have at this tick, nor for NaN.
 
         Raises:
             ConfigurationError: For a channel or field that is not there, or is not a number.
         """
         for term in self.terms:
-            value = time if term.target.channel == TIME else _number(term.target, channels)
+            try:
+                value = time if term.target.channel == TIME else _number(term.target, channels)
+            except AbsentRowError:
+                return False
             if not term.holds(abs(value) if term.absolute else value, term.bound):
                 return False
         return True
@@ -75,29 +95,35 @@ def parse_condition(text: str) -> Condition:
         found = _TERM.match(part)
         if found is None:
             raise ValueError(
-                f"{part.strip()!r} is not a comparison such as 'odometry.speed > 5',"
+                f"{part.strip()!r} is not a comparison such as 'odometry.speed > 5'"
+                f" (a path, one of {' '.join(_COMPARISONS)}, a number),"
                 " of which several are joined by 'and'"
             )
         target = Target.parse(found["path"])
-        if not target.field and target.channel != TIME:
+        if (target.channel == TIME) == bool(target.field):
             raise ValueError(
                 f"{found['path']!r} is no number; write channel.field, channel.{COUNT} or {TIME}"
             )
         sign, bound = _COMPARISONS[found["sign"]], float(found["bound"])
+        if not math.isfinite(bound):
+            raise ValueError(f"{found['bound']} in {part.strip()!r} is not a finite number")
         terms.append(_Term(target, bool(found["abs"]), sign, bound))
     return Condition(text, tuple(terms))
 
 
 def _number(target: Target, channels: Mapping[str, Any]) -> float:
-    if target.field == COUNT:
-        return float(len(target.channel_of(channels)))
-    value = target.read(channels)
-    try:
-        return float(value)
-    except (TypeError, ValueError):
-        raise ConfigurationError(
-            f"{target} is not a number",
-            key="activation.when",
-            found=type(value).__name__,
-            expected="a field that holds a number",
-        ) from None
+    value = target.channel_of(channels)
+    if target.field == COUNT and not (isinstance(value, Mapping) and COUNT in value):
+        value = value.get() if type(value) is Lazy else value
+        if hasattr(value, "__len__"):
+            return float(len(value))
+    else:
+        value = target.read(channels)
+        if isinstance(value, (int, float, np.number, np.bool_)):
+            return float(value)
+    raise ConfigurationError(
+        f"a condition cannot read {str(target)!r}, which is not a number",
+        found=type(value).__name__,
+        expected=f"a field that holds a number, or {COUNT} of what has entries",
+        remedy="compare a number",
+    )

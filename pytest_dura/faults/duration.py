@@ -28,7 +28,10 @@ class Sampled(FaultPart):
 
 
 class Until(FaultPart):
-    """Until a condition on the channels holds, as they are without any fault."""
+    """Until a condition on the channels holds, as they are without any fault.
+
+    It is looked at from the tick after the activation on.
+    """
 
     until: str = Field(description="A condition on the channels, such as `odometry.speed < 1`.")
     at_most: Positive | None = Field(None, description="In s; null for no limit.")
@@ -62,9 +65,9 @@ def _kind(value: object) -> str:
     if isinstance(value, FaultPart):
         return f"<{type(value).__name__.lower()}>"
     if isinstance(value, Mapping):
-        if "until" in value:
+        if "until" in value or "at_most" in value:
             return "<until>"
-        return "<intermittent>" if "on" in value or "off" in value else "<sampled>"
+        return "<intermittent>" if {"on", "off", "lasting"} & set(value) else "<sampled>"
     return "<seconds>"
 
 
@@ -78,9 +81,19 @@ Duration: TypeAlias = Annotated[
 ]
 """Seconds; ``once`` (one tick); ``{min, max}``; ``{until, at_most}``; or ``{on, off, lasting}``."""
 
+DURATIONS = "seconds above 0, once, {min, max}, {until, at_most}, {on, off, lasting}, or null"
+"""All that a duration can be, for messages."""
+
+
+def has_end(duration: Any) -> bool:
+    """Whether a duration, as a fault has it, can end."""
+    if isinstance(duration, Intermittent):
+        return duration.lasting is not None
+    return duration is not None
+
 
 class Lifetime:
-    """One activation's duration, drawn at its beginning."""
+    """One activation's duration, drawn at its beginning. It lasts for one tick at least."""
 
     __slots__ = ("_duration", "_limit", "_until", "since")
 

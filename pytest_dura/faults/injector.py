@@ -5,25 +5,42 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.roles import FaultInjector, Injection, RoleContext
 from pytest_dura.core.state import NOTHING, RoleView
 from pytest_dura.faults.activation import TOLERANCE
 from pytest_dura.faults.catalogue import load_fault
-from pytest_dura.faults.life import Life
+from pytest_dura.faults.life import NEVER, NOW, Life
+from pytest_dura.faults.sameness import same
 
 
 class CampaignInjector(FaultInjector):
     """Applies the faults of the episode in declared order, each with random streams of its own.
 
     What is due at time t is in the percept at t, and in the command at t. What the
-    SecurityAssessor directs takes effect at the next percept, or in the command at once.
+    SecurityAssessor directs takes effect at the next percept, or in the command at once; that
+    counts towards the fault's greatest number of activations, and one that is active or spent
+    stays as it is.
     """
 
     def reset(self, context: RoleContext) -> None:
-        """Load the faults of the episode."""
-        self._lives = {
-            one["id"]: Life(load_fault(one), context.seed, context.dt) for one in context.faults
-        }
+        """Load the faults of the episode.
+
+        Raises:
+            ConfigurationError: For two faults of one id.
+        """
+        self._lives: dict[str, Life] = {}
+        for one in context.faults:
+            fault = load_fault(one)
+            if fault.id in self._lives:
+                raise ConfigurationError(
+                    f"two faults have the id {fault.id!r}",
+                    key="faults",
+                    found=fault.id,
+                    expected="an id of its own for each fault",
+                    remedy="give one of them another `id`",
+                )
+            self._lives[fault.id] = Life(fault, context.seed, context.dt)
         self._sensors: list[Life] = []
         self._commands: list[Life] = []
         self._followers: dict[tuple[str, str], list[Life]] = {}
@@ -36,28 +53,21 @@ class CampaignInjector(FaultInjector):
         self._started: list[str] = []
         self._ended: list[str] = []
         self._channels: Mapping[str, Any] = NOTHING
+        self._unchecked = True
+        self._keeping = any(life.keeps for life in self._sensors)
         self._wake = self._next()
 
     def run(self, view: RoleView) -> Injection:
-        """Take the SecurityAssessor's directives; say what has begun and ended at this tick."""
+        """Take the SecurityAssessor's directives; say what has begun and ended at this tick.
+
+        Raises:
+            ValueError: For a directive that names no fault of an episode that has faults.
+        """
         if not self._lives:
             return _IDLE
         directed = getattr(view.outputs.get("security_assessor"), "directives", ())
-        for name in directed:
-            life = self._lives.get(name)
-            if life is None:
-                known = ", ".join(self._lives)
-                raise ValueError(
-                    f"the security_assessor directs {name!r}, which is no fault of this episode;"
-                    f" there are: {known}"
-                )
-            if life.target.is_command:
-                if life.activate(view.time):
-                    self._tell("activated", name, view.time)
-            else:
-                self._directed.add(name)
         if directed:
-            self._wake = self._next()
+            self._direct(directed, view.time)
         if not self._started and not self._ended:
             return _IDLE
         told = Injection(tuple(self._started), tuple(self._ended))
@@ -69,50 +79,94 @@ class CampaignInjector(FaultInjector):
         self, channels: Mapping[str, Any], time: float
     ) -> tuple[Mapping[str, Any], Mapping[str, tuple[str, ...]]]:
         """Begin and end what is due, then apply the active sensor faults, in declared order."""
+        if self._unchecked:
+            self._check(channels)
+        self._channels = channels
         if time < self._wake - TOLERANCE:
-            self._channels = channels
             return channels, NOTHING
-        for name, life in self._lives.items():
-            ended = life.ends(time, channels)
-            begins = life.begins(time, channels)
-            if begins or (name in self._directed and life.activate(time)):
-                self._tell("activated", name, time)  # at its end anew: that is no end
-            elif ended:
-                self._tell("deactivated", name, time)
-        self._directed.clear()
-        self._wake = self._next()
-        changed: dict[str, Any] = dict(channels)
-        tampered: dict[str, tuple[str, ...]] = {}
-        for life in self._sensors:
-            if not life.acts_now:
-                continue
-            channel = life.target.channel
-            before = life.target.read(changed)
-            after = life.act(before, time, changed)
-            if after is not before:
-                changed[channel] = life.target.written(changed[channel], after)
-                tampered[channel] = (*tampered.get(channel, ()), life.fault.id)
-        self._channels = changed
-        return changed, tampered
+        self._advance(channels, time)
+        return self._apply(channels, time)
 
     def corrupt_command(self, action: Any, time: float) -> tuple[Any, tuple[str, ...]]:
         """Apply the active command faults, in declared order."""
-        tampered: tuple[str, ...] = ()
+        decided, tampered = action, list[str]()
         for life in self._commands:
             if not life.acts_now:
                 continue
-            field = life.target.field
-            before = life.target.read({life.target.channel: action}) if field else action
-            after = life.act(before, time, self._channels)
-            if after is not before:
-                action = life.target.written(action, after)
-                tampered = (*tampered, life.fault.id)
-        return action, tampered
+            before = action
+            action = life.act(before, time, self._channels)
+            if action is not before:
+                tampered.append(life.fault.id)
+        if len(tampered) > 1 and same(decided, action):
+            return decided, ()
+        return action, tuple(tampered)
 
     def manifested(self, faults: Sequence[str], time: float) -> None:
         """Faults that the orchestrator saw reach the component or the plant."""
         for name in faults:
             self._chain("manifested", name, time)
+
+    def _advance(self, channels: Mapping[str, Any], time: float) -> None:
+        """Begin and end what is due."""
+        for name, life in self._lives.items():
+            directed = name in self._directed
+            if time < life.wake - TOLERANCE and not directed:
+                continue
+            ended = life.ends(time, channels)
+            begins = life.begins(time, channels)
+            if begins or (directed and life.activate(time)):
+                self._tell("activated", name, time)  # at its end anew: that is no end
+            elif ended:
+                self._tell("deactivated", name, time)
+        self._directed.clear()
+        self._wake = self._next()
+
+    def _apply(
+        self, channels: Mapping[str, Any], time: float
+    ) -> tuple[Mapping[str, Any], Mapping[str, tuple[str, ...]]]:
+        """The channels after the active sensor faults, and which faults changed them."""
+        acting = [life for life in self._sensors if life.acts_now]
+        if not acting:
+            return channels, NOTHING
+        changed = dict(channels)
+        tampered: dict[str, tuple[str, ...]] = {}
+        for life in acting:
+            channel = life.target.channel
+            before = life.target.channel_of(changed)
+            changed[channel] = life.act(before, time, changed)
+            if changed[channel] is not before:
+                tampered[channel] = (*tampered.get(channel, ()), life.fault.id)
+        for channel in [name for name, faults in tampered.items() if len(faults) > 1]:
+            if same(channels[channel], changed[channel]):  # they cancel each other
+                changed[channel] = channels[channel]
+                del tampered[channel]
+        if not tampered:
+            return channels, NOTHING
+        self._channels = changed
+        return changed, tampered
+
+    def _check(self, channels: Mapping[str, Any]) -> None:
+        """At the first tick: a misspelt target shows before anything has moved."""
+        for life in self._lives.values():
+            life.check(channels)
+        self._unchecked = False
+
+    def _direct(self, names: Sequence[str], time: float) -> None:
+        for name in names:
+            life = self._lives.get(name)
+            if life is None:
+                known = ", ".join(self._lives)
+                raise ValueError(
+                    f"the security_assessor directs {name!r}, which is no fault of this episode;"
+                    f" there are: {known}"
+                )
+            if not life.target.is_command:
+                self._directed.add(name)
+            elif life.activate(time):
+                if name in self._ended:  # at its end anew: that is no end
+                    self._ended.remove(name)
+                self._tell("activated", name, time)
+        self._wake = self._next()
 
     def _tell(self, event: str, name: str, time: float) -> None:
         (self._started if event == "activated" else self._ended).append(name)
@@ -121,13 +175,15 @@ class CampaignInjector(FaultInjector):
     def _chain(self, event: str, name: str, time: float) -> None:
         for follower in self._followers.get((name, event), ()):
             follower.follow(time)
-            self._wake = -1.0
+            self._wake = min(self._wake, follower.wake)
 
     def _next(self) -> float:
         """The time before which there is nothing to do, in s."""
-        if self._directed or any(life.active for life in self._lives.values()):
-            return -1.0
-        return min((life.next_by_plan() for life in self._lives.values()), default=float("inf"))
+        if self._directed:
+            return NOW
+        if self._keeping:
+            return NOW
+        return min((life.wake for life in self._lives.values()), default=NEVER)
 
 
 _IDLE = Injection()

@@ -5,17 +5,21 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Mapping
+from contextlib import suppress
 from functools import partial
 from typing import Any
 
-import numpy as np
-
+from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.seeding import stream
 from pytest_dura.faults.activation import TOLERANCE
+from pytest_dura.faults.chance import Chance
 from pytest_dura.faults.conditions import parse_condition
-from pytest_dura.faults.duration import Lifetime
+from pytest_dura.faults.duration import Lifetime, Until
 from pytest_dura.faults.model import Fault, Moment
-from pytest_dura.faults.targets import resolved
+from pytest_dura.faults.sameness import same
+from pytest_dura.faults.targets import AbsentRowError, resolved
+
+NEVER, NOW = math.inf, -math.inf
 
 
 class Life:
@@ -23,6 +27,9 @@ class Life:
 
     All its random numbers come from streams of its own, so that adding or removing another fault
     shifts none of them.
+
+    ``wake`` is the time in s before which :meth:`ends` and :meth:`begins` need not be called,
+    unless an event that it follows happens; to call them is no mistake.
     """
 
     def __init__(self, fault: Fault, seed: int, dt: float) -> None:
@@ -38,42 +45,62 @@ class Life:
         self._began = 0.0
         activation = fault.activation
         self._condition = parse_condition(activation.when) if activation.when else None
-        self._chance = activation.probability
+        probability = activation.probability
         if activation.rate is not None:
-            self._chance = -math.expm1(-activation.rate * dt)
-        self._draws = stream(seed, f"fault:{fault.id}:activation")
-        self._keeps = fault.memory > 0.0
+            probability = -math.expm1(-activation.rate * dt)
+        self._chance: Chance | None = None
+        if probability is not None:
+            self._chance = Chance(probability, stream(seed, f"fault:activation:{fault.id}"))
+        self._first = activation.not_before - TOLERANCE
+        self._final = NEVER if activation.not_after is None else activation.not_after + TOLERANCE
+        self.keeps = fault.memory > 0.0
         self._history: deque[tuple[float, Any]] = deque(
-            maxlen=math.ceil(fault.memory / dt - TOLERANCE) + 1 if self._keeps else 1
+            maxlen=math.ceil(fault.memory / dt - TOLERANCE) + 1 if self.keeps else 1
         )
+        self.wake = self._next()
 
-    @property
-    def watchful(self) -> bool:
-        """Whether it must look at every tick, active or not."""
-        return self._condition is not None or self._chance is not None or self._keeps
+    def check(self, channels: Mapping[str, Any]) -> None:
+        """Refuse a target or a condition that these channels do not have.
+
+        Raises:
+            ConfigurationError: With the fault's id.
+        """
+        place = "target"
+        try:
+            if not self.target.is_command:
+                with suppress(AbsentRowError):
+                    self.target.read(channels)
+            place = "activation.when"
+            if self._condition is not None:
+                self._condition.check(channels)
+            place = "duration.until"
+            if isinstance(self.fault.duration, Until):
+                parse_condition(self.fault.duration.until).check(channels)
+        except ConfigurationError as error:
+            raise ConfigurationError(
+                f"the fault {self.fault.id!r} cannot be used: {error.problem}",
+                key=place,
+                found=error.found,
+                expected=error.expected,
+                remedy=error.remedy,
+            ) from None
 
     @property
     def active(self) -> bool:
         """Whether it has been activated and has not ended."""
         return self.lifetime is not None
 
-    def next_by_plan(self) -> float:
-        """The time before which it cannot become active without an event or a directive, in s."""
-        if self.watchful or self._pending:
-            return -math.inf
-        activation = self.fault.activation
-        if activation.at is None or activation.by != "fault_injector" or self._spent:
-            return math.inf
-        if activation.every is None or self._last < activation.at:
-            return activation.at if self._last < activation.at - TOLERANCE else math.inf
-        passed = math.floor((self._last - activation.at + TOLERANCE) / activation.every)
-        return activation.at + (passed + 1) * activation.every
+    @property
+    def acts_now(self) -> bool:
+        """Whether it must be asked at this tick: it is active, or keeps a history."""
+        return self.lifetime is not None or self.keeps
 
     def follow(self, time: float) -> None:
         """An event that it waits for has happened at this time."""
         after = self.fault.activation.after
         delay = after.delay if after is not None else 0.0
         self._pending.append(time + max(delay, self._dt))
+        self.wake = self._next()
 
     def ends(self, time: float, channels: Mapping[str, Any]) -> bool:
         """End it if it is over; whether it was."""
@@ -86,37 +113,44 @@ class Life:
         """Activate it if its plan says so; whether it was. To be asked once per tick."""
         due = self._due(time, channels)
         self._last = time
-        return due and self.activate(time)
+        began = due and self.activate(time)
+        self.wake = self._next()
+        return began
 
     def activate(self, time: float) -> bool:
         """Activate it from this time on; whether it was, being inactive and not spent."""
         if self.active or self._spent:
             return False
-        drawn = stream(self._seed, f"fault:{self.fault.id}:duration:{self._count}")
+        drawn = stream(self._seed, f"fault:duration:{self._count}:{self.fault.id}")
         self.lifetime = Lifetime(self.fault.duration, time, self._dt, drawn)
         self._count += 1
+        self.wake = NOW
         return True
 
-    def act(self, value: Any, time: float, channels: Mapping[str, Any]) -> Any:
-        """What stands at the target after the fault; the very value if nothing was changed."""
-        given = value
-        if self._keeps:
+    def act(self, whole: Any, time: float, channels: Mapping[str, Any]) -> Any:
+        """The channel, or the command, after the fault; the very same if nothing was changed.
+
+        A row that an array or list does not have at this tick is left alone.
+        """
+        try:
+            value = self.target.of(whole)
+        except AbsentRowError:
+            return whole
+        if self.keeps:
             value = resolved(value)
             self._history.append((time, value))
         if self.lifetime is None or not self.lifetime.acts(time):
-            return given
+            return whole
+        moment = self._moment(time, self._began, channels)
         if self._memory is None:
-            self._memory = self.fault.begin(value, self._moment(time, time, channels))
+            # One stream serves both, lest `apply` draw the numbers of `begin` again.
+            moment = self._moment(time, time, channels)
+            self._memory = self.fault.begin(value, moment)
             self._began = time
             if self._memory is None:
-                return given
-        after = self.fault.apply(self._memory, value, self._moment(time, self._began, channels))
-        return given if same(value, after) else after
-
-    @property
-    def acts_now(self) -> bool:
-        """Whether it must be asked at this tick: it is active, or keeps a history."""
-        return self.lifetime is not None or self._keeps
+                return whole
+        after = self.fault.apply(self._memory, value, moment)
+        return whole if same(value, after) else self.target.written(whole, after)
 
     @property
     def _spent(self) -> bool:
@@ -126,40 +160,43 @@ class Life:
     def _due(self, time: float, channels: Mapping[str, Any]) -> bool:
         activation = self.fault.activation
         if self._chance is not None:
-            # Drawn at every tick, so that how long it was active shifts nothing.
-            return self._draws.random() < self._chance and self._in_window(time)
+            return self._in_window(time) and self._chance.happens(self._index(time))
         if self._condition is not None:
-            held, self._held = self._held, self._condition.holds(channels, time)
-            return self._held and not held and self._in_window(time)
+            held = self._held
+            self._held = self._in_window(time) and self._condition.holds(channels, time)
+            return self._held and not held
         if self._pending:
-            reached = [one for one in self._pending if one <= time + TOLERANCE]
-            self._pending = [one for one in self._pending if one > time + TOLERANCE]
-            return bool(reached)
+            waiting = [one for one in self._pending if one > time + TOLERANCE]
+            reached = len(waiting) < len(self._pending)
+            self._pending = waiting
+            return reached
         return activation.by == "fault_injector" and activation.due(time, self._last)
 
     def _in_window(self, time: float) -> bool:
+        return self._first <= time <= self._final
+
+    def _next(self) -> float:
+        """The time before which it neither ends nor begins by itself."""
+        if self.lifetime is not None:
+            return NOW
+        if self._spent:
+            return NEVER
+        if self._pending:
+            return min(self._pending)
+        if self._chance is not None or self._condition is not None:
+            following = max(self._first, self._last + self._dt / 2)
+            if self._chance is not None:
+                index = math.ceil(following / self._dt - TOLERANCE)
+                following = self._chance.next(max(index, 0)) * self._dt
+            return following if following <= self._final else NEVER
         activation = self.fault.activation
-        if time < activation.not_before - TOLERANCE:
-            return False
-        return activation.not_after is None or time <= activation.not_after + TOLERANCE
+        if activation.by != "fault_injector":
+            return NEVER
+        return activation.next_planned(self._last)
+
+    def _index(self, time: float) -> int:
+        return round(time / self._dt)
 
     def _moment(self, time: float, began: float, channels: Mapping[str, Any]) -> Moment:
-        index = round(time / self._dt)
-        draws = partial(stream, self._seed, f"fault:{self.fault.id}:{index}")
+        draws = partial(stream, self._seed, f"fault:tick:{self._index(time)}:{self.fault.id}")
         return Moment(time, self._dt, time - began, channels, self._history, draws)
-
-
-def same(before: Any, after: Any) -> bool:
-    """Whether a fault left a value as it was, by identity or by equality."""
-    if before is after:
-        return True
-    if type(before) is not type(after) and not (
-        isinstance(before, (int, float, np.number)) and isinstance(after, (int, float, np.number))
-    ):
-        return False
-    if isinstance(before, np.ndarray):
-        return before.dtype == after.dtype and np.array_equal(before, after)
-    try:
-        return bool(before == after)
-    except (TypeError, ValueError):  # values that hold arrays do not compare
-        return False

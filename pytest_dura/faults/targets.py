@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import lru_cache
@@ -14,6 +15,10 @@ from pytest_dura.core.state import Lazy
 
 COMMAND = "command"
 """The command channel: what is on its way to the actuators."""
+
+
+class AbsentRowError(ConfigurationError):
+    """A row that a list or array does not have now, and may have at another tick."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,12 +57,16 @@ class Target:
                 key="target",
                 found=str(self),
                 expected="one of " + ", ".join([*sorted(channels), COMMAND]),
+                remedy="name a channel of this simulator",
             ) from None
 
     def read(self, channels: Mapping[str, Any]) -> Any:
         """The value that it names; see :func:`part_of`."""
-        value = self.channel_of(channels)
-        return part_of(value, self.field) if self.field else value
+        return self.of(self.channel_of(channels))
+
+    def of(self, channel: Any) -> Any:
+        """The part that it names of the channel's value; see :func:`part_of`."""
+        return part_of(channel, self.field) if self.field else channel
 
     def written(self, channel: Any, value: Any) -> Any:
         """The channel's value with the part that it names replaced."""
@@ -68,6 +77,7 @@ def part_of(value: Any, path: str) -> Any:
     """The part of a value at a dotted path: a field, a mapping's key or an index.
 
     Raises:
+        AbsentRowError: If a list or array is too short for the index.
         ConfigurationError: If there is no such part.
     """
     head, _, rest = path.partition(".")
@@ -80,9 +90,9 @@ def part_of(value: Any, path: str) -> Any:
         found = value[head]
     elif head in _field_names(value):
         found = getattr(value, head)
-    elif isinstance(value, (np.ndarray, list, tuple)) and head.isdecimal():
+    elif _is_indexed(value, head):
         if int(head) >= len(value):
-            raise _no_part(value, head)
+            raise AbsentRowError(f"there is no row {head} now, only {len(value)}", found=head)
         found = value[int(head)]
     else:
         raise _no_part(value, head)
@@ -92,7 +102,10 @@ def part_of(value: Any, path: str) -> Any:
 def with_part(value: Any, path: str, part: Any) -> Any:
     """A copy of a value with the part at a dotted path replaced; the value stays as it is.
 
+    An array of whole numbers becomes one of floats where the new part is a float.
+
     Raises:
+        AbsentRowError: If a list or array is too short for the index.
         ConfigurationError: If there is no such part.
     """
     head, _, rest = path.partition(".")
@@ -107,13 +120,14 @@ def with_part(value: Any, path: str, part: Any) -> Any:
         return value._replace(**{head: new})
     part_of(value, head)  # tells what is wrong
     if isinstance(value, np.ndarray):
-        copy = value.copy()
+        whole = value.dtype.kind in "biu" and np.asarray(new).dtype.kind == "f"
+        copy = value.astype(float if whole else value.dtype)
         copy[int(head)] = new
         copy.flags.writeable = False
         return copy
     items = list(value)
     items[int(head)] = new
-    return type(value)(items)
+    return value._make(items) if hasattr(value, "_make") else type(value)(items)
 
 
 def resolved(value: Any) -> Any:
@@ -127,13 +141,19 @@ def _field_names(value: Any) -> tuple[str, ...]:
     return getattr(value, "_fields", ())
 
 
+def _is_indexed(value: Any, head: str) -> bool:
+    return isinstance(value, (np.ndarray, list, tuple)) and head.isdecimal()
+
+
 def _no_part(value: Any, name: str) -> ConfigurationError:
     known = sorted(map(str, value)) if isinstance(value, Mapping) else list(_field_names(value))
     if not known and isinstance(value, (np.ndarray, list, tuple)):
-        known = [f"0 to {len(value) - 1}"] if len(value) else []
+        known = ["the rows, counted from 0"]
+    near = difflib.get_close_matches(name, known, n=1)
     return ConfigurationError(
         f"there is no {name!r} in a value of type {type(value).__name__}",
         key="target",
         found=name,
         expected="one of " + ", ".join(known) if known else "the channel as a whole",
+        remedy=f"did you mean {near[0]!r}?" if near else "name a part that is there",
     )
