@@ -16,8 +16,37 @@ from pytest_dura.faults.model import Fault
 _ATTACKS = "pytest_dura.driving.faults.attacks"
 _OBJECTS = "pytest_dura.driving.faults.objects"
 _GNSS = "pytest_dura.driving.faults.gnss"
+_TYPES = "pytest_dura.faults.types"
 
 FAULT_TYPES: dict[str, str] = {
+    "bias": f"{_TYPES}.scalar:Bias",
+    "drift": f"{_TYPES}.scalar:Drift",
+    "noise": f"{_TYPES}.scalar:Noise",
+    "gain": f"{_TYPES}.scalar:Gain",
+    "stuck-at": f"{_TYPES}.scalar:StuckAt",
+    "bit-flip": f"{_TYPES}.scalar:BitFlip",
+    "out-of-range": f"{_TYPES}.scalar:OutOfRange",
+    "freeze": f"{_TYPES}.timing:Freeze",
+    "omission": f"{_TYPES}.timing:Omission",
+    "delay": f"{_TYPES}.timing:Delay",
+    "slow": f"{_TYPES}.timing:Slow",
+    "intermittent": f"{_TYPES}.timing:Intermittent",
+    "latency": f"{_TYPES}.communication:Latency",
+    "loss": f"{_TYPES}.communication:Loss",
+    "reorder": f"{_TYPES}.communication:Reorder",
+    "duplicate": f"{_TYPES}.communication:Duplicate",
+    "corruption": f"{_TYPES}.communication:Corruption",
+    "denial": f"{_TYPES}.communication:Denial",
+    "replay": f"{_TYPES}.impersonation:Replay",
+    "masquerade": f"{_TYPES}.impersonation:Masquerade",
+    "loss-of-effectiveness": f"{_TYPES}.command:LossOfEffectiveness",
+    "lag": f"{_TYPES}.command:Lag",
+    "stuck-command": f"{_TYPES}.command:StuckCommand",
+    "inversion": f"{_TYPES}.command:Inversion",
+    "brightness": f"{_TYPES}.image:Brightness",
+    "salt-and-pepper": f"{_TYPES}.image:SaltAndPepper",
+    "patch": f"{_TYPES}.image:Patch",
+    "perturbation": f"{_TYPES}.perturbation:Perturbation",
     "ghost-obstacle": f"{_ATTACKS}:GhostObstacle",
     "trajectory-spoof": f"{_ATTACKS}:TrajectorySpoof",
     "object-miss": f"{_OBJECTS}:ObjectMiss",

@@ -1,0 +1,89 @@
+"""Messages of a channel, or the command, from somebody else: replay and masquerade."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar, Literal, TypeAlias
+
+from pydantic import Field, model_validator
+
+from pytest_dura.faults.model import Kind, Moment
+from pytest_dura.faults.parts import FaultPart, Finite, Positive
+from pytest_dura.faults.targets import resolved, with_part
+from pytest_dura.faults.types.base import ListedFault
+
+Plain: TypeAlias = bool | int | Finite | str
+
+
+class ReplayParameters(FaultPart):
+    """How much is replayed."""
+
+    s: Positive = Field(2.0, description="Seconds that were recorded before the activation.")
+
+
+class Replay(ListedFault):
+    """What was delivered in the ``s`` seconds before the activation is delivered again, in a loop.
+
+    Early in the episode the record is as long as there were messages; without any, it waits for
+    the first.
+    """
+
+    type: Literal["replay"]
+    parameters: ReplayParameters = ReplayParameters()
+
+    acts_on: ClassVar[Kind] = "any"
+
+    @property
+    def memory(self) -> float:
+        """The recorded seconds."""
+        return self.parameters.s
+
+    def begin(self, value: Any, moment: Moment) -> list[Any] | None:  # noqa: ARG002 - as Fault has it
+        """The record."""
+        return [message for _, message in moment.history][:-1] or None
+
+    def apply(self, memory: list[Any], value: Any, moment: Moment) -> Any:  # noqa: ARG002 - as Fault has it
+        """The recorded message whose turn it is."""
+        return memory[round(moment.elapsed / moment.dt) % len(memory)]
+
+
+class MasqueradeParameters(FaultPart):
+    """What the forger says."""
+
+    forged: dict[str, Plain] = Field(
+        {}, description="Fields of the message and what they hold, in their own units."
+    )
+    value: Plain | None = Field(
+        None, description="For a target that is one field: what it holds, in its own unit."
+    )
+
+    @model_validator(mode="after")
+    def _one_of_them(self) -> MasqueradeParameters:
+        if self.forged and self.value is not None:
+            raise ValueError("forged names fields of a message, value is a whole one; give one")
+        return self
+
+
+class Masquerade(ListedFault):
+    """A forged sender takes the real one's place and sends the same message over and over.
+
+    It is the message of the activation, which the forger overheard, with the ``forged`` fields in
+    it; or ``value``. With neither it is ``freeze``.
+    """
+
+    type: Literal["masquerade"]
+    parameters: MasqueradeParameters = MasqueradeParameters()
+
+    acts_on: ClassVar[Kind] = "any"
+
+    def begin(self, value: Any, moment: Moment) -> tuple[Any]:  # noqa: ARG002 - as Fault has it
+        """The forged message."""
+        if self.parameters.value is not None:
+            return (self.parameters.value,)
+        message = resolved(value)
+        for field, forged in self.parameters.forged.items():
+            message = with_part(message, field, forged)
+        return (message,)
+
+    def apply(self, memory: tuple[Any], value: Any, moment: Moment) -> Any:  # noqa: ARG002 - as Fault has it
+        """The forged message."""
+        return memory[0]

@@ -1,0 +1,94 @@
+"""Any perturbation of a picture, as a callable: where gradient-based attacks plug in."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import lru_cache
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+from pydantic import Field, field_validator
+
+from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.roles import RoleSpec
+from pytest_dura.faults.model import Kind, Moment
+from pytest_dura.faults.parts import FaultPart
+from pytest_dura.faults.types.base import ListedFault
+from pytest_dura.faults.types.image import Picture, described, picture
+
+
+@lru_cache(maxsize=64)
+def _function(path: str) -> Callable[..., Any]:
+    found = RoleSpec(path).factory()
+    if not callable(found):
+        raise ConfigurationError(f"{path!r} is no function", found=path)
+    return found
+
+
+class PerturbationParameters(FaultPart):
+    """Which function perturbs the picture, and with what."""
+
+    function: str = Field(
+        description="`package.module:name` of a function of a picture, a numpy Generator and the"
+        " `params`, which returns the new picture."
+    )
+    params: dict[str, Any] = Field(
+        {}, description="Its further arguments by name, in the units that it says."
+    )
+
+    @field_validator("function")
+    @classmethod
+    def _importable(cls, path: str) -> str:
+        try:
+            _function(path)
+        except ConfigurationError as error:
+            raise ValueError(error.problem) from error
+        return path
+
+
+class Perturbation(ListedFault):
+    """Any perturbation as ``function(image, rng, **params)``, such as a gradient-based attack.
+
+    It gets a copy of the picture, ``uint8`` of shape (height, width, 3), that it may write on, and
+    all its random numbers from ``rng``. It returns a picture of the same shape and dtype;
+    anything else is an error that names it. It is called at every tick, read or not, so that its
+    failures are not laid at the door of the component that reads the picture.
+    """
+
+    type: Literal["perturbation"]
+    parameters: PerturbationParameters
+
+    acts_on: ClassVar[Kind] = "image"
+    typical: ClassVar[Mapping[str, Any]] = {
+        "function": f"{__name__}:gaussian_noise",
+        "params": {"sigma": 25.0},
+    }
+
+    def apply(self, memory: Any, value: Any, moment: Moment) -> Picture:  # noqa: ARG002 - as Fault has it
+        """What the function makes of the picture.
+
+        Raises:
+            ConfigurationError: If that is no picture of the same shape.
+        """
+        image, path = picture(value), self.parameters.function
+        new: Any = _function(path)(image.copy(), moment.rng, **self.parameters.params)
+        same_kind = isinstance(new, np.ndarray) and new.dtype == image.dtype
+        if not same_kind or new.shape != image.shape:
+            raise ConfigurationError(
+                f"the perturbation {path} returned no picture like the one it got",
+                key="parameters.function",
+                found=described(new),
+                expected=described(image),
+                remedy="return an array of the same shape and dtype",
+            )
+        if np.array_equal(new, image):
+            return value  # type: ignore[no-any-return]  # lazy or not, nothing was changed
+        new = new.copy()
+        new.flags.writeable = False
+        return new  # type: ignore[no-any-return]
+
+
+def gaussian_noise(image: Picture, rng: np.random.Generator, sigma: float) -> Picture:
+    """Gaussian noise on each channel of each pixel, ``sigma`` in levels of 256; clipped."""
+    noisy = image + rng.normal(0.0, sigma, image.shape)
+    return np.clip(np.rint(noisy), 0.0, 255.0).astype(np.uint8)

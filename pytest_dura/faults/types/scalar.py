@@ -1,0 +1,177 @@
+"""Wrong values of one number: bias, drift, noise, gain, stuck-at, bit flips, out of range."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from pytest_dura.faults.model import Moment
+from pytest_dura.faults.parts import FaultPart, Finite, NotNegative, Positive
+from pytest_dura.faults.types.base import NumberFault
+from pytest_dura.faults.types.numbers import Numeric, flip_bits
+
+
+class BiasParameters(FaultPart):
+    """How far off the number is."""
+
+    offset: Finite = Field(1.0, description="Added to it, in the field's unit.")
+    percent: Finite = Field(0.0, description="Also added: this share of the true number, in %.")
+
+
+class Bias(NumberFault):
+    """A constant error: the number plus ``offset``, plus ``percent`` % of the number itself.
+
+    With both at 0 it is the identity.
+    """
+
+    type: Literal["bias"]
+    parameters: BiasParameters = BiasParameters()
+
+    def changed(self, value: Numeric, moment: Moment) -> Numeric:  # noqa: ARG002 - as NumberFault has it
+        """The number with its error."""
+        return value + (self.parameters.offset + value * (self.parameters.percent / 100.0))
+
+
+class DriftParameters(FaultPart):
+    """How fast the error grows."""
+
+    rate: Finite = Field(0.5, description="In the field's unit per second; may be negative.")
+
+
+class Drift(NumberFault):
+    """An error that grows from 0 at the activation: the number plus ``rate`` times the seconds."""
+
+    type: Literal["drift"]
+    parameters: DriftParameters = DriftParameters()
+
+    def changed(self, value: Numeric, moment: Moment) -> Numeric:
+        """The number with what has built up so far."""
+        return value + self.parameters.rate * moment.elapsed
+
+
+class NoiseParameters(FaultPart):
+    """How strong the noise is, and of what shape."""
+
+    sigma: NotNegative = Field(
+        0.5, description="Standard deviation of each distribution, in the field's unit."
+    )
+    distribution: Literal["gaussian", "uniform", "laplace"] = Field(
+        "gaussian", description="Shape of the noise, which has mean 0."
+    )
+
+
+class Noise(NumberFault):
+    """A random error of mean 0, drawn anew at each tick. With ``sigma`` 0 it is the identity."""
+
+    type: Literal["noise"]
+    parameters: NoiseParameters = NoiseParameters()
+
+    def changed(self, value: Numeric, moment: Moment) -> Numeric:
+        """The number with this tick's error."""
+        sigma, size = self.parameters.sigma, np.shape(value)
+        if self.parameters.distribution == "uniform":
+            half = math.sqrt(3.0) * sigma
+            return value + half * moment.rng.uniform(-1.0, 1.0, size)
+        if self.parameters.distribution == "laplace":
+            return value + moment.rng.laplace(0.0, sigma / math.sqrt(2.0), size)
+        return value + sigma * moment.rng.standard_normal(size)
+
+
+class GainParameters(FaultPart):
+    """By how much the number is scaled."""
+
+    factor: Finite = Field(1.5, description="Without unit; 1 is the identity.")
+
+
+class Gain(NumberFault):
+    """A wrong scale: the number times ``factor``. The identity is at 1."""
+
+    type: Literal["gain"]
+    parameters: GainParameters = GainParameters()
+
+    def changed(self, value: Numeric, moment: Moment) -> Numeric:  # noqa: ARG002 - as NumberFault has it
+        """The number, scaled."""
+        return value * self.parameters.factor
+
+
+class StuckAtParameters(FaultPart):
+    """What is reported."""
+
+    value: Finite = Field(0.0, description="Reported whatever is true, in the field's unit.")
+
+
+class StuckAt(NumberFault):
+    """The number is ``value``, whatever is true."""
+
+    type: Literal["stuck-at"]
+    parameters: StuckAtParameters = StuckAtParameters()
+
+    def changed(self, value: Numeric, moment: Moment) -> Numeric:  # noqa: ARG002 - as NumberFault has it
+        """The given number."""
+        stuck: Numeric = np.full(np.shape(value), self.parameters.value)[()]
+        return stuck
+
+
+class BitFlipParameters(FaultPart):
+    """How many bits are flipped."""
+
+    bits: int = Field(1, ge=0, le=32, description="Bits inverted at each tick; 0 is the identity.")
+
+
+class BitFlip(NumberFault):
+    """So many bits of the 64-bit float are inverted, drawn anew at each tick.
+
+    The result is finite: where the draw gives infinity or no number, as many bits are drawn anew
+    from the sign and the mantissa.
+    """
+
+    type: Literal["bit-flip"]
+    parameters: BitFlipParameters = BitFlipParameters()
+
+    def changed(self, value: Numeric, moment: Moment) -> Numeric:
+        """The number with its bits flipped."""
+        bits, rng = self.parameters.bits, moment.rng
+        if not isinstance(value, np.ndarray):
+            return float(flip_bits(value, bits, rng))
+        flat = [flip_bits(one, bits, rng) for one in value.ravel()]
+        return np.array(flat, float).reshape(value.shape)
+
+
+class OutOfRangeParameters(FaultPart):
+    """The valid range, and how far beyond it the report lies."""
+
+    low: Finite = Field(description="Lower end of the valid range, in the field's unit.")
+    high: Finite = Field(description="Upper end of the valid range, in the field's unit.")
+    excess: Positive = Field(10.0, description="Beyond the limit by this, in the field's unit.")
+    side: Literal["above", "below"] = Field("above", description="Beyond which limit.")
+
+    @model_validator(mode="after")
+    def _a_range(self) -> OutOfRangeParameters:
+        if self.low > self.high:
+            raise ValueError(f"low is above high ({self.low:g} > {self.high:g})")
+        if self.low <= self.reported <= self.high or not math.isfinite(self.reported):
+            raise ValueError(f"{self.reported:g} is no number beyond the range; change the excess")
+        return self
+
+    @property
+    def reported(self) -> float:
+        """The value beyond the limit."""
+        return self.high + self.excess if self.side == "above" else self.low - self.excess
+
+
+class OutOfRange(NumberFault):
+    """A value that cannot be: ``high + excess``, or ``low - excess`` with side ``below``."""
+
+    type: Literal["out-of-range"]
+    parameters: OutOfRangeParameters
+
+    typical: ClassVar[Mapping[str, Any]] = {"low": 0.0, "high": 100.0}
+
+    def changed(self, value: Numeric, moment: Moment) -> Numeric:  # noqa: ARG002 - as NumberFault has it
+        """The value beyond the limit."""
+        beyond: Numeric = np.full(np.shape(value), self.parameters.reported)[()]
+        return beyond
