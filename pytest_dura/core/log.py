@@ -26,7 +26,7 @@ from pytest_dura.core.simulator import Simulator
 from pytest_dura.core.state import NOTHING, Event, StateManager, Tick
 
 DETECTION_GRACE = 1.0
-"""An alert this many seconds after a fault's end still detects it."""
+"""An alert or a recovery this many seconds after a fault's end still answers it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +62,9 @@ class EpisodeLog:
         }
         self._open: dict[tuple[str, str], str] = {}
         self._violated_at: dict[str, int] = {}
-        self._alerts: dict[Alert, None] = {}
+        self._alerts: dict[Alert, str] = {}
+        self._recovery: str | None = None
+        self._reached: set[str] = set()
 
     def event(
         self, tick: Tick, kind: str, subject: str, detail: str = "", *, wall_clock: bool = False
@@ -97,7 +99,7 @@ class EpisodeLog:
         self.metrics.log_alerts(name, tick.index, raised=bool(output.alerts))
         for alert in output.alerts:
             if alert not in self._alerts:  # a refined proposal is assessed in the same tick
-                self._alerts[alert] = None
+                self._alerts[alert] = name
                 self.metrics.alerts += 1
                 self.event(tick, "alert", alert.subject, f"{alert.pattern}: {alert.detail}")
         if output.reaction is not None:
@@ -117,9 +119,11 @@ class EpisodeLog:
         """Faults were activated or deactivated."""
         for fault in output.activated:
             record = self._record(fault)
+            record.activations += 1
             if record.activated_at is None:
                 record.activated_at = tick.time
             record.deactivated_at = None
+            self._reached.discard(fault)
             self.event(tick, "fault_activated", fault)
         for fault in output.deactivated:
             self._record(fault).deactivated_at = tick.time
@@ -128,34 +132,53 @@ class EpisodeLog:
     def manifested(
         self, tick: Tick, state: StateManager, command: tuple[str, ...], verdict: Assessed
     ) -> tuple[str, ...]:
-        """Note which active faults reached the Generator or the plant, and which were detected.
+        """Note which active faults reached the Generator or the plant, and what came of it.
 
         Returns:
-            Ids of those that did so for the first time.
+            Ids of those that did so for the first time since their activation.
         """
-        first_time = []
-        reached = set(command)
+        perceived: set[str] = set()
         for channel, faults in state.percept.tampered.items():
             if channel in state.generator_reads:
-                reached.update(faults)
-        for fault in sorted(reached):
+                perceived.update(faults)
+        first_time = []
+        for fault in sorted(perceived.union(command)):
             record = self._record(fault)
             record.manifest_ticks += 1
             record.flagged_ticks += verdict is Assessed.UNSAFE
             if record.manifested_at is None:
                 record.manifested_at = tick.time
+            if fault not in self._reached:
+                self._reached.add(fault)
                 first_time.append(fault)
                 self.event(tick, "fault_manifested", fault)
-        if self._alerts:
-            first = next(iter(self._alerts))
-            for record in self.metrics.faults.values():
-                if _detectable(record, tick.time):
-                    record.detected_at, record.detected_by = tick.time, first.pattern
-            self._alerts.clear()
+        # What changed the command alone did so when alerts and recovery had been decided.
+        self._followed(tick, set(command) - perceived, verdict)
         return tuple(first_time)
+
+    def _followed(self, tick: Tick, late: set[str], verdict: Assessed) -> None:
+        """Detection and recovery of this tick, for the faults whose consequence they can be."""
+        alert, role = next(iter(self._alerts.items()), (None, None))
+        for record in self.metrics.faults.values():
+            first = record.manifested_at
+            if first is None or (record.id in late and first == tick.time):
+                continue
+            acceptable = self._recovery is None and verdict is not Assessed.UNSAFE
+            if acceptable and record.recovery_at is not None and record.recovered_at is None:
+                record.recovered_at = tick.time
+            if not _in_time(record, tick.time):
+                continue
+            if alert is not None and record.detected_at is None:
+                record.detected_at, record.detected_by = tick.time, role
+                record.pattern = alert.pattern
+            if self._recovery is not None and record.recovery_at is None:
+                record.recovery_at, record.recovery = tick.time, self._recovery
+        self._alerts.clear()
+        self._recovery = None
 
     def recovered(self, tick: Tick, recovery: Recovery, nanoseconds: int) -> None:
         """The RecoveryPlanner has replaced the proposal."""
+        self._recovery = recovery.name
         self.metrics.log_time("recovery_planner", tick.index, nanoseconds)
         before = len(self.metrics.recoveries)
         self.metrics.log_recovery(tick.index)
@@ -254,10 +277,8 @@ class EpisodeLog:
         )
 
 
-def _detectable(fault: FaultRecord, time: float) -> bool:
-    """Whether an alert now detects it: it has manifested, is undetected and not long gone."""
-    if fault.manifested_at is None or fault.detected_at is not None:
-        return False
+def _in_time(fault: FaultRecord, time: float) -> bool:
+    """Whether what happens now may answer it: it is not long gone."""
     return fault.deactivated_at is None or time <= fault.deactivated_at + DETECTION_GRACE + 1e-9
 
 

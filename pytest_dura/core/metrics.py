@@ -13,13 +13,30 @@ from numpy.typing import NDArray
 
 @dataclass
 class FaultRecord:
-    """One fault from plan to detection; times in s, ``None`` for what did not happen.
+    """One fault from plan to recovery; times in s, ``None`` for what did not happen.
 
     A fault manifests when the value of a channel that the Generator read at that tick, or the
-    command, was changed. ``detected_at`` is the first alert from then until one second after the
-    fault's end; ``detected_by`` names its pattern. Manifest and flagged ticks count how often it
-    reached the component or the plant, and how often the proposal was unsafe then. A fault
-    ``by_chance`` need not manifest.
+    command, was changed. Detection and recovery are looked for from the first manifestation until
+    one second after the fault's end, and after it where the command was changed, since that
+    happens at the end of a tick.
+
+    Args:
+        id: Its name in the episode.
+        target: Channel, field of a channel, or command.
+        planned_at: Time of its activation where the plan has one.
+        activated_at: First tick at which it acted.
+        manifested_at: First tick at which it manifested.
+        deactivated_at: First tick at which the latest activation no longer acted.
+        detected_at: First alert.
+        detected_by: Name of the role that raised it.
+        pattern: Pattern of that alert.
+        recovery_at: First recovery action.
+        recovery: Name of that action.
+        recovered_at: First tick after it at which the proposal was acceptable again.
+        activations: How often it was activated.
+        manifest_ticks: Ticks at which it manifested.
+        flagged_ticks: Those of them at which the proposal was unsafe.
+        by_chance: Whether it is drawn whether it has any effect; then it need not manifest.
     """
 
     id: str
@@ -30,6 +47,11 @@ class FaultRecord:
     deactivated_at: float | None = None
     detected_at: float | None = None
     detected_by: str | None = None
+    pattern: str | None = None
+    recovery_at: float | None = None
+    recovery: str | None = None
+    recovered_at: float | None = None
+    activations: int = 0
     manifest_ticks: int = 0
     flagged_ticks: int = 0
     by_chance: bool = False
@@ -40,11 +62,35 @@ class FaultRecord:
         return self.manifested_at is not None
 
     @property
+    def manifestation_latency(self) -> float | None:
+        """Seconds from activation to manifestation."""
+        return _between(self.activated_at, self.manifested_at)
+
+    @property
     def detection_latency(self) -> float | None:
         """Seconds from manifestation to the first alert."""
-        if self.manifested_at is None or self.detected_at is None:
-            return None
-        return self.detected_at - self.manifested_at
+        return _between(self.manifested_at, self.detected_at)
+
+    @property
+    def recovery_latency(self) -> float | None:
+        """Seconds from manifestation to the first recovery action."""
+        return _between(self.manifested_at, self.recovery_at)
+
+    @property
+    def time_to_recover(self) -> float | None:
+        """Seconds from the first recovery action until the proposal was acceptable again."""
+        return _between(self.recovery_at, self.recovered_at)
+
+    def latencies(self) -> dict[str, float | None]:
+        """All latencies by name, in s."""
+        names = (
+            "manifestation_latency", "detection_latency", "recovery_latency", "time_to_recover"
+        )  # fmt: skip
+        return {name: getattr(self, name) for name in names}
+
+
+def _between(first: float | None, then: float | None) -> float | None:
+    return None if first is None or then is None else then - first
 
 
 @dataclass
@@ -166,6 +212,7 @@ class DependabilityMetrics:
                 "planned": len(faults),
                 "succeeded": sum(fault.success for fault in faults),
                 "detected": sum(fault.detected_at is not None for fault in faults),
+                "recovered": sum(fault.recovered_at is not None for fault in faults),
                 "impact_ticks": sum(fault.flagged_ticks for fault in faults),
             },
             "recoveries": len(self.recoveries),

@@ -321,10 +321,12 @@ class Orchestrator:
         tampered: tuple[str, ...] = ()
         action = decision.action
         if self.injector is not None:
-            action = self._guard("simulator", self.simulator.actuation, action)
-            action, tampered = self._guard(
-                "fault_injector", _corrupted_command, self.injector, action, tick.time
+            sent = self._guard("simulator", self.simulator.actuation, action)
+            sent, tampered = self._guard(
+                "fault_injector", _corrupted_command, self.injector, sent, tick.time
             )
+            # Without an effect the plant gets what was decided, whatever `actuation` makes of it.
+            action = sent if tampered else action
         self._manifested(tick, tampered, decision.verdict)
         return action
 

@@ -39,10 +39,7 @@ def episode_record(episode: Episode, *, planned: bool) -> dict[str, Any]:
             "trace": None,
             "outcome": outcome(episode),
             "metrics": episode.metrics.summary(),
-            "faults": [
-                {**asdict(fault), "detection_latency": fault.detection_latency}
-                for fault in episode.faults
-            ],
+            "faults": [{**asdict(fault), **fault.latencies()} for fault in episode.faults],
             "events": [event.to_json() for event in episode.events],
             "spec": spec,
         }

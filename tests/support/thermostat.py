@@ -184,25 +184,24 @@ class Bias(FaultInjector):
         """Read the plan."""
         self._plan = {fault["id"]: fault for fault in context.faults}
         self._active: set[str] = set()
+        self._told: set[str] = set()
 
     def run(self, view: RoleView) -> Injection:
-        """Activate and deactivate by time; takes effect at the next update."""
-        on, off = [], []
-        ahead = view.time + view.dt + 1e-9
-        for name, fault in self._plan.items():
-            start = fault["activation"]["at"]
-            due = start <= ahead < start + fault["duration"]
-            if due and name not in self._active:
-                on.append(name)
-            if not due and name in self._active:
-                off.append(name)
-        self._active = (self._active | set(on)) - set(off)
-        return Injection(tuple(on), tuple(off))
+        """Which of them have begun and ended at this tick."""
+        on, off = self._active - self._told, self._told - self._active
+        self._told = set(self._active)
+        return Injection(tuple(sorted(on)), tuple(sorted(off)))
 
     def corrupt(
         self, channels: Mapping[str, Any], time: float
     ) -> tuple[Mapping[str, Any], Mapping[str, tuple[str, ...]]]:
-        """The target channel plus the bias."""
+        """The target channel plus the bias of each fault that is active at this time."""
+        now = time + 1e-9
+        self._active = {
+            name
+            for name, fault in self._plan.items()
+            if (start := fault["activation"]["at"]) <= now < start + fault["duration"]
+        }
         if not self._active:
             return channels, NOTHING
         changed, tampered = dict(channels), {}

@@ -126,6 +126,8 @@ def test_a_role_more_shifts_nobodys_draws() -> None:
         lambda e: setattr(e, "failure", "infrastructure: x"),
         lambda e: setattr(e, "timeouts", (1,)),
         lambda e: setattr(e.faults[0], "detected_at", 0.1),
+        lambda e: setattr(e.faults[0], "activations", 7),
+        lambda e: setattr(e.faults[0], "recovered_at", 0.1),
         lambda e: e.metrics.robustness["safety_monitor"][1].__setitem__(0, 0.0),
         lambda e: e.signals.__setitem__("verdict", e.signals.pop("temperature")),
     ],

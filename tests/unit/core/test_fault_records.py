@@ -6,14 +6,17 @@ from typing import Any
 
 import pytest
 from loops import Says, doing, run_loop
-from thermostat import Bias, Controller, HeatMonitor, JumpWatch, Meter, SwitchOff
+from thermostat import Bias, Controller, HeatMonitor, JumpWatch, Meter, SwitchOff, Thermostat
 
 from pytest_dura import (
     Alert,
+    Assessed,
+    Assessment,
     Episode,
     FaultInjector,
     Injection,
     Proposal,
+    SafetyMonitor,
     SecurityAssessment,
     SecurityAssessor,
 )
@@ -34,18 +37,25 @@ def test_a_fault_is_recorded_from_plan_to_end() -> None:
     episode = with_faults(Controller(), security_assessor=JumpWatch())
     (fault,) = episode.faults
     assert fault.planned_at == 0.5
-    assert fault.activated_at == pytest.approx(0.4)  # decided one tick ahead
+    assert fault.activated_at == pytest.approx(0.5)
     assert fault.manifested_at == pytest.approx(0.5)
-    assert fault.deactivated_at == pytest.approx(0.7)
+    assert fault.deactivated_at == pytest.approx(0.8)  # the first tick without it
     assert fault.manifest_ticks == 3
     assert fault.success
-    assert (fault.detected_at, fault.detected_by) == (pytest.approx(0.5), "jump")
-    assert fault.detection_latency == pytest.approx(0.0)
+    assert fault.activations == 1
+    assert fault.detected_at == pytest.approx(0.5)
+    assert (fault.detected_by, fault.pattern) == ("security_assessor", "jump")
+    assert fault.latencies() == {
+        "manifestation_latency": pytest.approx(0.0),
+        "detection_latency": pytest.approx(0.0),
+        "recovery_latency": None,
+        "time_to_recover": None,
+    }
     assert episode.validity == "valid"
     assert kinds(episode) == [
-        (4, "fault_activated"),
+        (5, "fault_activated"),
         (5, "fault_manifested"),
-        (7, "fault_deactivated"),
+        (8, "fault_deactivated"),
     ]
 
 
@@ -204,11 +214,11 @@ def alerts_at(*ticks: int) -> Any:
     "ticks, detected",
     [
         ((), None),
-        ((2, 4), None),  # before it manifests, also while it is activated: a false alarm
+        ((2, 4), None),  # before it manifests: a false alarm
         ((2, 6, 7), 6),
         ((5,), 5),
-        ((17,), 17),  # one second after its end is still in time
-        ((18,), None),
+        ((18,), 18),  # one second after its end is still in time
+        ((19,), None),
     ],
 )
 def test_detection_is_the_first_alert_from_manifestation_to_shortly_after(
@@ -217,11 +227,133 @@ def test_detection_is_the_first_alert_from_manifestation_to_shortly_after(
     episode = with_faults(Controller(), seconds=2.5, security_assessor=alerts_at(*ticks))
     (fault,) = episode.faults
     if detected is None:
-        assert (fault.detected_at, fault.detected_by, fault.detection_latency) == (None,) * 3
+        assert (fault.detected_at, fault.detected_by, fault.pattern) == (None,) * 3
+        assert fault.detection_latency is None
     else:
-        assert fault.detected_by == f"pattern-{detected}"
+        assert (fault.detected_by, fault.pattern) == ("security_assessor", f"pattern-{detected}")
         assert fault.detection_latency == pytest.approx((detected - 5) * 0.1)
     assert episode.metrics.alerts == len(ticks)
+
+
+def test_the_role_that_alerts_first_has_detected_it() -> None:
+    later = doing(
+        SecurityAssessor,
+        lambda view: SecurityAssessment(alerts=(Alert("other", "thermometer"),)),
+        name="residuals",
+        after=("security_assessor",),
+    )
+    episode = with_faults(Controller(), security_assessor=alerts_at(5), residuals=later)
+    assert (episode.faults[0].detected_by, episode.faults[0].pattern) == (
+        "security_assessor",
+        "pattern-5",
+    )
+    alone = with_faults(Controller(), security_assessor=alerts_at(), residuals=later)
+    assert (alone.faults[0].detected_by, alone.faults[0].pattern) == ("residuals", "other")
+
+
+def refusing(*ticks: int) -> Any:
+    def output(view: Any) -> Assessment:
+        refused = view.index in ticks
+        return Assessment(Assessed.UNSAFE if refused else Assessed.SAFE, 0.0, ("no",) * refused)
+
+    return doing(SafetyMonitor, output)
+
+
+@pytest.mark.parametrize(
+    "refused, recovery_at, recovered_at",
+    [
+        ((), None, None),
+        ((4,), None, None),  # before it manifests: an answer to something else
+        ((5, 6, 9), 0.5, 0.7),
+        ((4, 5), 0.5, 0.6),  # it went on into the fault
+        ((9,), 0.9, 1.0),
+        ((18,), 1.8, 1.9),  # one second after its end is still in time
+        ((19,), None, None),
+        ((18, 19, 20, 21, 22, 23, 24), 1.8, None),  # it never was acceptable again
+    ],
+)
+def test_recovery_is_looked_for_from_manifestation_to_shortly_after(
+    refused: tuple[int, ...], recovery_at: float | None, recovered_at: float | None
+) -> None:
+    episode = with_faults(
+        Controller(),
+        seconds=2.5,
+        safety_monitor=refusing(*refused),
+        recovery_planner=SwitchOff(),
+        fault_injector=Bias(),
+    )
+    (fault,) = episode.faults
+    assert fault.deactivated_at == pytest.approx(0.8)
+    assert fault.recovery_at == (None if recovery_at is None else pytest.approx(recovery_at))
+    assert fault.recovered_at == (None if recovered_at is None else pytest.approx(recovered_at))
+    assert fault.recovery == (None if recovery_at is None else "switch_off")
+    if recovered_at is not None and recovery_at is not None:
+        assert fault.recovery_latency == pytest.approx(recovery_at - 0.5)
+        assert fault.time_to_recover == pytest.approx(recovered_at - recovery_at)
+
+
+def test_without_recovery_a_refused_proposal_is_no_recovery() -> None:
+    episode = with_faults(Controller(), policy="log_only", safety_monitor=refusing(5, 6))
+    (fault,) = episode.faults
+    assert fault.flagged_ticks == 2
+    assert (fault.recovery, fault.recovery_at, fault.recovered_at) == (None,) * 3
+
+
+def test_what_was_decided_before_the_command_was_changed_is_no_answer_to_it() -> None:
+    command = {"id": "weak", "target": "command"}
+
+    def chained(*ticks: int) -> Any:
+        (fault,) = with_faults(
+            lambda view: Proposal(1.0),
+            command,
+            fault_injector=Scripted({}, dict.fromkeys((3, 4, 5), "weak")),
+            safety_monitor=refusing(*ticks),
+            security_assessor=alerts_at(*ticks),
+            recovery_planner=SwitchOff(),
+        ).faults
+        assert fault.manifested_at == pytest.approx(0.3)
+        return fault
+
+    same_tick, next_tick = chained(3), chained(3, 4)
+    assert (same_tick.detected_at, same_tick.recovery_at) == (None, None)
+    assert (next_tick.detected_at, next_tick.recovery_at) == (pytest.approx(0.4),) * 2
+
+
+def test_each_activation_is_counted_and_manifests_anew() -> None:
+    on, off = {4: ("a",), 8: ("a",)}, {6: ("a",), 10: ("a",)}
+
+    class Twice(Scripted):
+        def run(self, view: Any) -> Injection:
+            return Injection(on.get(view.index, ()), off.get(view.index, ()))
+
+    told: list[tuple[tuple[str, ...], float]] = []
+
+    class Hears(Twice):
+        def manifested(self, faults: tuple[str, ...], time: float) -> None:
+            told.append((faults, round(time, 9)))
+
+    ticks = {tick: ("a",) for tick in (4, 5, 8, 9)}
+    episode = with_faults(
+        Controller(), {"id": "a", "target": "thermometer"}, fault_injector=Hears(ticks, {})
+    )
+    (fault,) = episode.faults
+    assert fault.activations == 2
+    assert (fault.activated_at, fault.manifested_at) == (pytest.approx(0.4),) * 2
+    assert fault.deactivated_at == pytest.approx(1.0)
+    manifested = [event.tick for event in episode.events if event.kind == "fault_manifested"]
+    assert manifested == [4, 8]
+    assert told == [(("a",), 0.4), (("a",), 0.8)]
+
+
+def test_a_command_that_no_fault_changed_is_carried_out_as_it_was_decided() -> None:
+    class Loose(Thermostat):
+        def actuation(self, action: Any) -> Any:
+            return action + 0.5  # an adapter that breaks the contract
+
+    episode = with_faults(
+        lambda view: Proposal(0.25), simulator=Loose(), fault_injector=Scripted({}, {})
+    )
+    assert set(episode.signals["power"][1:].tolist()) == {0.25}
 
 
 def test_a_reaction_is_an_event_whenever_it_changes() -> None:

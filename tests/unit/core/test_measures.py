@@ -53,7 +53,13 @@ def test_the_summary_has_every_item_and_is_plain_data() -> None:
     assert summary["performance"]["energy"]["last"] == pytest.approx(2.0)
     assert set(summary["wall_clock"]) == {"response_s"}
     assert summary["robustness_min"]["safety_monitor"] < 0.0
-    assert summary["faults"] == {"planned": 1, "succeeded": 1, "detected": 1, "impact_ticks": 0}
+    assert summary["faults"] == {
+        "planned": 1,
+        "succeeded": 1,
+        "detected": 1,
+        "recovered": 0,
+        "impact_ticks": 0,
+    }
     assert summary["recoveries"] >= 1
     assert summary["proposals"] == summary["valid_proposals"] == 20
     assert set(summary["processing_us"]) == {
