@@ -17,7 +17,7 @@ from pytest_dura.campaign.fault_campaigns import (
     Faults,
     alternatives,
 )
-from pytest_dura.campaign.planned_faults import own_fault
+from pytest_dura.campaign.planned_faults import own_fault, parsed
 from pytest_dura.campaign.problems import did_you_mean
 from pytest_dura.campaign.scenario import Scenario
 from pytest_dura.campaign.worlds import checked_world
@@ -183,6 +183,7 @@ class Case:
         """World and faults of the run with this seed."""
         world = checked_world(self.scenario, simulator, self.scenario.world)
         faults = {fault["id"]: fault for fault in self.faults}
+        varied: set[str] = set()
         for path, spread in self.scenario.variation.items():
             # A path into a fault that this case leaves out has a stream of its own: nothing shifts.
             fault, inner = variation.split(path)
@@ -191,6 +192,10 @@ class Case:
                 world = variation.replaced(world, inner, value, create=True)
             elif fault in faults:
                 faults[fault] = variation.replaced(faults[fault], inner, value)
+                # Values that are possible each may contradict each other.
+                varied.add(fault)
+        for fault in sorted(varied):
+            faults[fault] = parsed(self.scenario, faults[fault])
         return copy.deepcopy(world), tuple(copy.deepcopy(list(faults.values())))
 
 

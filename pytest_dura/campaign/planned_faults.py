@@ -3,13 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pytest_dura.campaign.domains import domain_of
 from pytest_dura.campaign.problems import did_you_mean, placed
 from pytest_dura.campaign.scenario import Scenario
 from pytest_dura.campaign.worlds import channel_kinds, fault_targets
+from pytest_dura.core.episode import Termination
 from pytest_dura.core.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from pytest_dura.faults.model import Fault
+
+RESERVED = ("none", "catalogue")
+"""Names of fault campaigns, which no fault may have."""
+TOLERANCE = 1e-9
+"""s; two simulated times nearer than this are the same."""
 
 
 def parsed(scenario: Scenario, data: Mapping[str, Any]) -> dict[str, Any]:
@@ -34,17 +43,42 @@ def parsed(scenario: Scenario, data: Mapping[str, Any]) -> dict[str, Any]:
         if isinstance(fault.duration, Until):
             targets = parse_condition(fault.duration.until).targets
             check_condition_targets(targets, channels, "duration.until")
-    earliest = fault.activation.at
-    earliest = fault.activation.not_before if earliest is None else earliest
-    if earliest >= scenario.duration:
-        raise ConfigurationError(
-            f"the fault {fault.id!r} can only begin at {earliest:g} s, when the episode is over",
-            key="activation.at" if fault.activation.at is not None else "activation.not_before",
-            found=earliest,
-            expected=f"less than the scenario's duration of {scenario.duration:g} s",
-            remedy="let it begin earlier, or make the scenario longer",
-        )
+    _check_id(fault.id)
+    _check_times(scenario, fault)
     return filled
+
+
+def _check_id(name: str) -> None:
+    """Refuse an id that would read as something else in the id of a case."""
+    if name in RESERVED or set(name) & set("+~#*?["):
+        raise ConfigurationError(
+            f"a fault cannot have the id {name!r}",
+            key="id",
+            found=name,
+            expected=f"a name other than {' and '.join(RESERVED)}, without any of + ~ # * ? [",
+            remedy="give it another `id`",
+        )
+
+
+def _check_times(scenario: Scenario, fault: Fault) -> None:
+    """Refuse what could only happen when the last decision of the episode has been made."""
+    last = Termination(scenario.duration).last_index(scenario.time_step) - 1
+    activation, end = fault.activation, last * scenario.time_step
+    times = {"at": activation.at, "not_before": activation.not_before or None}
+    if activation.after is not None:
+        times["after.delay"] = activation.after.delay
+    for name, time in times.items():
+        if time is not None and time > end + TOLERANCE:
+            raise ConfigurationError(
+                f"the fault {fault.id!r} can only begin at {time:g} s, when the episode is over"
+                if name != "after.delay"
+                else f"the fault {fault.id!r} waits {time:g} s, longer than the episode",
+                key=f"activation.{name}",
+                found=time,
+                expected=f"at most {end:g} s, the last decision of the scenario's"
+                f" {scenario.duration:g} s",
+                remedy="let it begin earlier, or make the scenario longer",
+            )
 
 
 def own_fault(scenario: Scenario, index: int) -> dict[str, Any]:
@@ -63,37 +97,64 @@ def own_fault(scenario: Scenario, index: int) -> dict[str, Any]:
 
 
 def check_chains(faults: Sequence[Mapping[str, Any]]) -> None:
-    """Refuse faults that wait for one that is not there, or for each other.
+    """Refuse faults that wait for what does not happen.
+
+    That is: a fault that is not there, the end of one that has none, or each other.
 
     Raises:
-        ConfigurationError: With the key ``<index>.activation.after.fault``.
+        ConfigurationError: With the key ``<index>.activation.after.fault``, or ``.event``.
     """
-    waits = {
-        fault["id"]: after["fault"]
-        for fault in faults
-        if (after := fault["activation"].get("after")) is not None
-    }
-    ids = [fault["id"] for fault in faults]
-    for index, fault in enumerate(faults):
-        first = waits.get(fault["id"])
-        key = f"{index}.activation.after.fault"
-        if first is not None and first not in ids:
+    by_id = {fault["id"]: fault for fault in faults}
+    after = {name: fault["activation"].get("after") for name, fault in by_id.items()}
+    waits = {name: one["fault"] for name, one in after.items() if one is not None}
+    for index, name in enumerate(by_id):
+        if name not in waits:
+            continue
+        first, key = waits[name], f"{index}.activation.after"
+        if first not in by_id:
+            others = [one for one in by_id if one != name]
+            near = did_you_mean(first, others) if others else ""
             raise ConfigurationError(
-                f"the fault {fault['id']!r} waits for {first!r}, which is not planned with it",
-                key=key,
+                f"the fault {name!r} waits for {first!r}, which is not planned with it",
+                key=f"{key}.fault",
                 found=first,
-                expected="one of " + ", ".join(one for one in ids if one != fault["id"]),
-                remedy=did_you_mean(first, ids),
+                expected="one of " + ", ".join(others) if others else "another fault beside it",
+                remedy=near
+                if near.startswith("did")
+                else f"plan {first!r} as well, or name both"
+                f" where the faults are chosen: {first}+{name}",
             )
-        path = [fault["id"]]
-        while path[-1] in waits and waits[path[-1]] not in path:
-            path.append(waits[path[-1]])
-        if waits.get(path[-1]) == fault["id"]:
-            circle = " -> ".join([*path, fault["id"]])
+        _check_circle(waits, name, f"{key}.fault")
+        if after[name]["event"] == "deactivated" and not _ends(by_id[first]):
             raise ConfigurationError(
-                f"these faults wait for each other for ever: {circle}",
-                key=key,
-                found=first,
-                expected="a fault that something else activates",
-                remedy="give one of them a time, `at`",
+                f"the fault {name!r} waits for the end of {first!r}, which has none",
+                key=f"{key}.event",
+                found="deactivated",
+                expected=f"`activated` or `manifested`, since {first!r} is permanent",
+                remedy=f"give {first!r} a duration, or wait for another event of it",
             )
+
+
+def _check_circle(waits: Mapping[str, str], name: str, key: str) -> None:
+    path = [name]
+    while path[-1] in waits and waits[path[-1]] not in path:
+        path.append(waits[path[-1]])
+    if waits.get(path[-1]) == name:
+        circle = " -> ".join([*path, name])
+        raise ConfigurationError(
+            f"these faults wait for each other for ever: {circle}"
+            if len(path) > 1
+            else f"the fault {name!r} waits for itself",
+            key=key,
+            found=waits[name],
+            expected="a fault that something else activates",
+            remedy="give one of them a time, `at`" if len(path) > 1 else "give it a time, `at`",
+        )
+
+
+def _ends(fault: Mapping[str, Any]) -> bool:
+    """Whether a fault in plain data can end."""
+    duration = fault["duration"]
+    if isinstance(duration, Mapping) and "on" in duration:
+        return duration.get("lasting") is not None
+    return duration is not None

@@ -66,7 +66,7 @@ class Sign(NamedTuple):
 
 CHANNELS: Mapping[str, Channel] = {
     "lidar": Channel("objects"),
-    "radar": Channel("array"),
+    "radar": Channel("array", columns=3),
     "camera_front": Channel("image"),
     "camera_third_person": Channel("image"),
     "imu": Channel("numbers", Imu._fields),

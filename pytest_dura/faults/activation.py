@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, field_validator, model_validator
 
 from pytest_dura.faults.conditions import parse_condition
-from pytest_dura.faults.parts import FaultPart, NotNegative, Positive, Share
+from pytest_dura.faults.parts import FaultPart, NotNegative, Positive, RefusedError, Share
 
 TOLERANCE = 1e-9
 """s; two simulated times nearer than this are the same."""
@@ -74,29 +74,54 @@ class Activation(FaultPart):
     @model_validator(mode="after")
     def _one_of_them(self) -> Activation:
         given = [name for name in TRIGGERS if getattr(self, name) is not None]
-        names = ", ".join(TRIGGERS)
+        directed = self.by == "security_assessor"
         if len(given) > 1:
-            raise ValueError(f"{' and '.join(given)} contradict; give one of {names}")
-        if self.by == "security_assessor":
-            if given not in ([], ["at"]):
-                raise ValueError(
-                    f"the security_assessor directs by `at` or by itself, not by {given[0]!r}"
-                )
-        elif not given:
-            raise ValueError(f"nothing activates it; give one of {names}")
+            raise RefusedError(
+                f"{' and '.join(given)} contradict each other",
+                f"only one of {', '.join(TRIGGERS)}",
+                "keep one of them; a window is given by not_before and not_after",
+            )
+        if not given and not directed:
+            raise RefusedError(
+                "nothing activates it",
+                f"one of {', '.join(TRIGGERS)}",
+                "add one of them, such as `at: 2.0`",
+            )
+        if directed and given not in ([], ["at"]):
+            raise RefusedError(
+                f"the security_assessor does not direct by {given[0]!r}",
+                "`at`, or nothing, which leaves it to that role",
+                f"remove {given[0]!r}, or leave the fault to the fault_injector",
+            )
+        self._check_repetition()
+        self._check_window(given)
+        return self
+
+    def _check_repetition(self) -> None:
         if self.every is not None and self.at is None:
-            raise ValueError("`every` repeats `at`, which is not given")
+            raise RefusedError("`every` repeats `at`, which is not given", "`at` beside `every`")
         if self.at is not None and self.every is None and (self.times or 1) > 1:
-            raise ValueError(f"`at` alone happens once, not {self.times} times; add `every`")
+            raise RefusedError(
+                f"`at` alone happens once, not {self.times} times",
+                "`every` beside `at` and `times`",
+                "add `every`, or remove `times`",
+            )
+
+    def _check_window(self, given: list[str]) -> None:
         if self.not_after is not None and self.not_after < self.not_before:
-            raise ValueError(
-                f"the window is empty: not_after {self.not_after:g} s is before not_before"
-                f" {self.not_before:g} s"
+            raise RefusedError(
+                f"the window is empty: not_after ({self.not_after:g} s) is before not_before"
+                f" ({self.not_before:g} s)",
+                "not_before <= not_after",
+                "exchange them, or remove one",
             )
         windowed = given and given[0] in ("when", "probability", "rate")
         if not windowed and (self.not_after is not None or self.not_before):
-            raise ValueError("not_before and not_after bound `when`, `probability` and `rate` only")
-        return self
+            raise RefusedError(
+                f"a window does not bound {given[0] if given else 'a directive'!r}",
+                "not_before and not_after beside `when`, `probability` or `rate`",
+                "remove the window",
+            )
 
     @property
     def by_chance(self) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Mapping
-from typing import Any, get_args
+from typing import Any
 
 from pydantic import ValidationError
 
@@ -12,6 +12,7 @@ from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.roles import RoleSpec
 from pytest_dura.core.state import NOTHING
 from pytest_dura.faults.model import Fault
+from pytest_dura.faults.refusals import refusal
 
 _ATTACKS = "pytest_dura.driving.faults.attacks"
 _OBJECTS = "pytest_dura.driving.faults.objects"
@@ -113,23 +114,7 @@ def load_fault(data: Mapping[str, Any], targets: Mapping[str, str] = NOTHING) ->
     try:
         return kind.model_validate(filled)
     except ValidationError as error:
-        # A misspelt key is also a missing one; the misspelling is what helps.
-        found = error.errors()
-        first = next((one for one in found if one["type"] == "extra_forbidden"), found[0])
-        place = ".".join(part for part in map(str, first["loc"]) if not part.startswith("<"))
-        expected, remedy = first["msg"], None
-        if first["type"] == "extra_forbidden":
-            known = _keys_at(kind, first["loc"][:-1])
-            near = difflib.get_close_matches(str(first["loc"][-1]), known, n=1)
-            expected = "one of " + ", ".join(known)
-            remedy = f"did you mean {near[0]!r}?" if near else "remove the key"
-        raise ConfigurationError(
-            f"the fault {filled['id']!r} cannot be used: {first['msg']}",
-            key=place,
-            found=first["input"],
-            expected=expected,
-            remedy=remedy or "correct the value",
-        ) from None
+        raise refusal(kind, filled, error) from None
 
 
 def parse_fault(data: Mapping[str, Any], targets: Mapping[str, str] = NOTHING) -> dict[str, Any]:
@@ -141,16 +126,3 @@ def parse_fault(data: Mapping[str, Any], targets: Mapping[str, str] = NOTHING) -
 def default_fault(name: str, targets: Mapping[str, str] = NOTHING) -> dict[str, Any]:
     """A fault of the catalogue with its default activation and parameters, by its type's name."""
     return parse_fault({"type": name, **fault_class(name).example()}, targets)
-
-
-def _keys_at(kind: Any, path: tuple[int | str, ...]) -> list[str]:
-    """The keys that a part of a fault has; none where it is no model of its own."""
-    model = kind
-    for part in path:
-        if not str(part).startswith("<"):  # a tag that pydantic puts into a place
-            model = model.model_fields[str(part)].annotation
-        found = [one for one in (model, *get_args(model)) if hasattr(one, "model_fields")]
-        if not found:
-            return []
-        model = found[0]
-    return sorted(model.model_fields)

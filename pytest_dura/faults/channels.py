@@ -20,10 +20,12 @@ class Channel:
         kind: ``numbers`` and ``pose`` have named fields, ``array`` has rows; lists of objects,
             pictures and signs are taken as a whole.
         fields: Names of the fields that hold numbers.
+        columns: Numbers in each row of an array; 0 where the rows are numbers themselves.
     """
 
     kind: Literal["numbers", "array", "objects", "image", "pose", "signs", "other"]
     fields: tuple[str, ...] = ()
+    columns: int = 0
 
 
 _HOLDS: Mapping[Kind, tuple[str, ...]] = {
@@ -32,6 +34,7 @@ _HOLDS: Mapping[Kind, tuple[str, ...]] = {
     "pose": ("pose",),
     "signs": ("signs",),
 }
+_COUNTED = ("objects", "array", "signs")
 
 
 def check_target(fault: Fault, channels: Mapping[str, Channel]) -> None:
@@ -41,21 +44,39 @@ def check_target(fault: Fault, channels: Mapping[str, Channel]) -> None:
         ConfigurationError: With the targets that it can act on.
     """
     target, possible = fault.place, possible_targets(fault.acts_on, channels)
-    if fault.acts_on in ("number", "command") and target.channel in channels:
-        rows = channels[target.channel].kind == "array" and target.field
-        if rows and fault.acts_on == "number":
-            return
+    channel = channels.get(target.channel)
+    if channel is not None and _acts_on_rows(fault.acts_on, target, channel):
+        return
     if str(target) in possible:
         return
+    if fault.acts_on in ("number", "any"):
+        possible = [*possible, *_rows(channels)]
     near = difflib.get_close_matches(str(target), possible, n=1)
-    exists = target.channel in channels
+    if channel is None:
+        why = f"there is no channel {target.channel!r}"
+    elif target.field and target.field not in channel.fields and channel.kind != "array":
+        why = f"{target.channel!r} has no part {target.field!r} that holds a number"
+    else:
+        why = f"it acts on {WHAT[fault.acts_on]}"
     raise ConfigurationError(
-        f"{fault.type!r} cannot act on {str(target)!r}" + ("" if exists else ": no such channel"),
+        f"the fault {fault.id!r} cannot act on {str(target)!r}: {why}",
         key="target",
         found=str(target),
-        expected="one of " + ", ".join(possible),
+        expected="one of " + ", ".join(possible) if possible else "another type of fault",
         remedy=f"did you mean {near[0]!r}?" if near else "choose a target that it can act on",
     )
+
+
+WHAT: Mapping[Kind, str] = {
+    "number": "a number",
+    "any": "any value",
+    "command": "a number of the command",
+    "objects": "a list of objects",
+    "image": "a picture",
+    "pose": "a pose",
+    "signs": "the texts of signs",
+}
+"""What the kinds mean, for messages."""
 
 
 def check_condition_targets(
@@ -68,18 +89,46 @@ def check_condition_targets(
     """
     for target in targets:
         channel = channels.get(target.channel)
-        counted = target.field == "count" and channel is not None
-        indexed = channel is not None and channel.kind == "array"
-        if target.is_command or not (
-            counted or indexed or (channel is not None and target.field in channel.fields)
-        ):
+        if channel is None or target.is_command or not _is_number(target, channel):
             known = [name for name in possible_targets("number", channels) if COMMAND not in name]
+            known += _rows(channels)
+            counts = [f"{name}.count" for name, one in channels.items() if one.kind in _COUNTED]
+            near = difflib.get_close_matches(str(target), [*known, *counts], n=1)
             raise ConfigurationError(
                 f"a condition cannot read {str(target)!r}",
                 key=key,
                 found=str(target),
-                expected="one of " + ", ".join([*known, "<channel>.count", "time"]),
+                expected="one of " + ", ".join([*known, *counts, "time"]),
+                remedy=f"did you mean {near[0]!r}?" if near else "compare a number",
             )
+
+
+def _is_number(target: Target, channel: Channel) -> bool:
+    if target.field in channel.fields or _acts_on_rows("number", target, channel):
+        return True
+    return target.field == "count" and channel.kind in _COUNTED
+
+
+def _acts_on_rows(acts_on: Kind, target: Target, channel: Channel) -> bool:
+    """Whether the target is a row of an array, or a number in a row, that suits a fault."""
+    indices = target.field.split(".")
+    if channel.kind != "array" or not all(one.isdecimal() for one in indices):
+        return False
+    depth = 2 if channel.columns else 1
+    if len(indices) == 2 and int(indices[1]) >= channel.columns:
+        return False
+    if acts_on == "any":
+        return len(indices) <= depth
+    return acts_on == "number" and len(indices) == depth
+
+
+def _rows(channels: Mapping[str, Channel]) -> list[str]:
+    """The numbers in arrays, as messages show them."""
+    return [
+        f"{name}.<row>" + (f".<0 to {one.columns - 1}>" if one.columns else "")
+        for name, one in channels.items()
+        if one.kind == "array"
+    ]
 
 
 def possible_targets(acts_on: Kind, channels: Mapping[str, Channel]) -> list[str]:

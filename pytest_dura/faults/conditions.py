@@ -15,6 +15,7 @@ import numpy as np
 
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.state import Lazy
+from pytest_dura.faults.parts import RefusedError
 from pytest_dura.faults.targets import AbsentRowError, Target
 
 _COMPARISONS: Mapping[str, Callable[[float, float], bool]] = {
@@ -88,25 +89,30 @@ def parse_condition(text: str) -> Condition:
     or ``time``; ``cmp`` is one of ``> >= < <=``.
 
     Raises:
-        ValueError: For anything else, with the part that is not understood.
+        RefusedError: For anything else, with the part that is not understood.
     """
     terms = []
     for part in re.split(r"\band\b", text):
         found = _TERM.match(part)
         if found is None:
-            raise ValueError(
-                f"{part.strip()!r} is not a comparison such as 'odometry.speed > 5'"
-                f" (a path, one of {' '.join(_COMPARISONS)}, a number),"
-                " of which several are joined by 'and'"
+            raise RefusedError(
+                f"{part.strip()!r} is not a comparison such as 'odometry.speed > 5'",
+                f"a path, one of {' '.join(_COMPARISONS)}, and a number; several are joined by"
+                " 'and'",
+                "correct the condition",
             )
         target = Target.parse(found["path"])
         if (target.channel == TIME) == bool(target.field):
-            raise ValueError(
-                f"{found['path']!r} is no number; write channel.field, channel.{COUNT} or {TIME}"
+            raise RefusedError(
+                f"{found['path']!r} is no number",
+                f"channel.field, channel.{COUNT}, abs(channel.field) or {TIME}",
+                "say which number of the channel is meant",
             )
         sign, bound = _COMPARISONS[found["sign"]], float(found["bound"])
         if not math.isfinite(bound):
-            raise ValueError(f"{found['bound']} in {part.strip()!r} is not a finite number")
+            raise RefusedError(
+                f"{found['bound']} in {part.strip()!r} is not a finite number", "a finite number"
+            )
         terms.append(_Term(target, bool(found["abs"]), sign, bound))
     return Condition(text, tuple(terms))
 

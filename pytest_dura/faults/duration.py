@@ -11,7 +11,7 @@ from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 
 from pytest_dura.faults.activation import TOLERANCE
 from pytest_dura.faults.conditions import parse_condition
-from pytest_dura.faults.parts import FaultPart, Positive
+from pytest_dura.faults.parts import FaultPart, Positive, RefusedError
 
 
 class Sampled(FaultPart):
@@ -23,7 +23,11 @@ class Sampled(FaultPart):
     @model_validator(mode="after")
     def _ordered(self) -> Sampled:
         if self.min > self.max:
-            raise ValueError(f"min is above max ({self.min:g} > {self.max:g})")
+            raise RefusedError(
+                f"min is above max ({self.min:g} > {self.max:g})",
+                "a shortest duration that is no longer than the longest",
+                "exchange them",
+            )
         return self
 
 
@@ -83,13 +87,6 @@ Duration: TypeAlias = Annotated[
 
 DURATIONS = "seconds above 0, once, {min, max}, {until, at_most}, {on, off, lasting}, or null"
 """All that a duration can be, for messages."""
-
-
-def has_end(duration: Any) -> bool:
-    """Whether a duration, as a fault has it, can end."""
-    if isinstance(duration, Intermittent):
-        return duration.lasting is not None
-    return duration is not None
 
 
 class Lifetime:

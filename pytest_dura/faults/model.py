@@ -59,7 +59,7 @@ class Fault(FaultPart, ABC):
     """
 
     type: str
-    id: str
+    id: str = Field(min_length=1)
     target: str = Field(description="A channel, a field such as `odometry.speed`, or `command`.")
     activation: Activation
     duration: Duration | None = Field(

@@ -17,3 +17,17 @@ class FaultPart(BaseModel):
     """Base of the parts of a fault: unknown keys are errors, values do not change."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+
+class RefusedError(ValueError):
+    """A value that a part of a fault refuses, for validators to raise.
+
+    Args:
+        problem: What is wrong, in one sentence.
+        expected: What would have been accepted.
+        remedy: What to do about it.
+    """
+
+    def __init__(self, problem: str, expected: str, remedy: str = "correct the value") -> None:
+        super().__init__(problem)
+        self.expected, self.remedy = expected, remedy

@@ -21,6 +21,7 @@ from pytest_dura.driving.reaction import ReactionWatch
 from pytest_dura.driving.sensors import RANGE
 from pytest_dura.driving.tracking import Tracker
 from pytest_dura.faults.activation import Activation
+from pytest_dura.faults.targets import Target
 
 _ROAD_END = 85.0
 """m from the centre; farther out, bodies come and go at the ends of the arms."""
@@ -52,7 +53,10 @@ class PlausibilityAssessor(SecurityAssessor):
     def reset(self, context: RoleContext) -> None:
         """Load the plan of attacks; forget what was seen."""
         self._plan = {
-            fault["id"]: Activation.model_validate(fault["activation"])
+            fault["id"]: (
+                Activation.model_validate(fault["activation"]),
+                Target.parse(fault["target"]).is_command,
+            )
             for fault in context.faults
             if fault["activation"]["by"] == self.name
         }
@@ -91,9 +95,13 @@ class PlausibilityAssessor(SecurityAssessor):
         )
 
     def _direct(self, view: RoleView) -> tuple[str, ...]:
-        """The attacks that begin with the next percept."""
-        ahead = view.time + view.dt
-        due = tuple(name for name, when in self._plan.items() if when.due(ahead, self._last))
+        """The attacks that begin with the next percept, or with the command of this tick."""
+        now, ahead = view.time, view.time + view.dt
+        due = tuple(
+            name
+            for name, (when, at_once) in self._plan.items()
+            if when.due(*((now, self._last - view.dt) if at_once else (ahead, self._last)))
+        )
         self._last = ahead
         return due
 

@@ -41,7 +41,7 @@ class Bad(NamedTuple):
 
 CASES = {
     "a misspelt key": Bad(HEAD + "rans: 3\n", 5, "rans", "unknown key 'rans'", "mean 'runs'"),
-    "a key like no other": Bad(HEAD + "zzzz: 3\n", 5, "zzzz", "unknown key", "use one of: desc"),
+    "a key like no other": Bad(HEAD + "zzzz: 3\n", 5, "zzzz", "unknown key", "description"),
     "a wrong type": Bad(HEAD + "runs: many\n", 5, "runs", "a valid integer", "correct"),
     "a number as text": Bad(HEAD + "time_step: '1'\n", 5, "time_step", "valid number", "correct"),
     "a boolean as number": Bad(HEAD + "runs: true\n", 5, "runs", "valid integer", "correct"),

@@ -332,7 +332,7 @@ def test_each_activation_is_counted_and_manifests_anew() -> None:
         def manifested(self, faults: tuple[str, ...], time: float) -> None:
             told.append((faults, round(time, 9)))
 
-    ticks = {tick: ("a",) for tick in (4, 5, 8, 9)}
+    ticks = dict.fromkeys((4, 5, 8, 9), ("a",))
     episode = with_faults(
         Controller(), {"id": "a", "target": "thermometer"}, fault_injector=Hears(ticks, {})
     )

@@ -102,8 +102,8 @@ def test_at_is_the_first_tampered_tick_whoever_activates_it(by: str, at: float) 
     (record,) = attacked.faults
     assert record.manifested_at == pytest.approx(at)
     assert record.manifest_ticks == 10
-    assert record.activated_at == pytest.approx(at - 0.1)
-    assert record.deactivated_at == pytest.approx(at + 0.9)
+    assert record.activated_at == pytest.approx(at)
+    assert record.deactivated_at == pytest.approx(at + 1.0), "the first tick without it"
     clean = episode()
     tampered = attacked.signals["percept.gap"] != clean.signals["percept.gap"]
     first = round(at / 0.1)
@@ -130,7 +130,7 @@ def test_periodic_attacks_come_again() -> None:
         activation = {"at": 1.0, "every": 2.0, "by": by}
         attacked = episode({**GHOST, "activation": activation, "duration": 0.5}, duration=6.0)
         activated = [event.tick for event in attacked.events if event.kind == "fault_activated"]
-        assert activated == [9, 29, 49]
+        assert activated == [10, 30, 50]
         assert attacked.faults[0].manifest_ticks == 15
 
 

@@ -7,6 +7,8 @@ from typing import Any
 import pytest
 
 from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.driving.sensors import CHANNELS, FAULT_TARGETS
+from pytest_dura.faults.activation import Activation
 from pytest_dura.faults.catalogue import (
     FAULT_TYPES,
     default_fault,
@@ -14,7 +16,7 @@ from pytest_dura.faults.catalogue import (
     load_fault,
     parse_fault,
 )
-from pytest_dura.faults.activation import Activation
+from pytest_dura.faults.channels import check_target
 from pytest_dura.faults.model import Fault
 
 GHOST: dict[str, Any] = {"type": "ghost-obstacle", "activation": {"at": 2.0}, "duration": 4.0}
@@ -22,12 +24,16 @@ GHOST: dict[str, Any] = {"type": "ghost-obstacle", "activation": {"at": 2.0}, "d
 
 @pytest.mark.parametrize("name", sorted(FAULT_TYPES))
 def test_every_type_has_a_default_that_is_complete(name: str) -> None:
-    fault = default_fault(name)
-    assert issubclass(fault_class(name), Fault)
+    kind = fault_class(name)
+    fault = default_fault(name, FAULT_TARGETS)
+    assert issubclass(kind, Fault)
     assert fault["type"] == fault["id"] == name
-    assert fault["target"] == "lidar"
-    assert fault["activation"] == {"at": 2.0, "every": None, "by": "fault_injector"}
+    assert fault["target"] == FAULT_TARGETS.get(kind.acts_on, kind.default_target)
+    assert fault["activation"]["at"] == 2.0
+    assert fault["activation"]["by"] == "fault_injector"
+    assert set(fault["activation"]) == set(Activation.model_fields)
     assert parse_fault(fault) == fault, "complete data is left as it is"
+    check_target(load_fault(fault), CHANNELS)
 
 
 @pytest.mark.parametrize("name", sorted(FAULT_TYPES))
@@ -39,7 +45,7 @@ def test_every_parameter_says_what_it_means_and_its_unit(name: str) -> None:
 
 def test_defaults_are_filled_in() -> None:
     fault = parse_fault(GHOST)
-    assert fault["parameters"] == {"ahead": 14.0, "length": 5.0, "width": 2.0}
+    assert fault["parameters"].items() >= {"ahead": 14.0, "length": 5.0, "width": 2.0}.items()
     assert parse_fault({**GHOST, "id": "g2"})["id"] == "g2"
     assert parse_fault({**GHOST, "duration": None})["duration"] is None
 
@@ -48,25 +54,85 @@ def test_defaults_are_filled_in() -> None:
     "change, key, told",
     [
         ({"type": "ghost-obstcle"}, "type", ["unknown fault", "did you mean 'ghost-obstacle'?"]),
-        ({"type": "meteor"}, "type", ["one of ghost-obstacle, trajectory-spoof", "catalogue"]),
+        ({"type": "meteor"}, "type", ["package.module:Class, or one of", "catalogue"]),
         ({"type": None}, "type", ["unknown fault None"]),
         ({"duraton": 3.0}, "duraton", ["did you mean 'duration'?"]),
         ({"duration": -1.0}, "duration", ["greater than 0", "found:    -1.0"]),
         ({"duration": 0.0}, "duration", ["greater than 0"]),
-        ({"duration": "4"}, "duration", ["number", "found:    '4'"]),
+        ({"duration": "4"}, "duration", ["no duration", "{min, max}", "found:    '4'"]),
         ({"duration": float("inf")}, "duration", ["finite"]),
         ({"activation": {"at": -1.0}}, "activation.at", ["greater than or equal to 0"]),
         ({"activation": {"at": float("nan")}}, "activation.at", ["found:    nan"]),
-        ({"activation": {}}, "activation.at", ["required"]),
+        ({"duration": "onec"}, "duration", ["no duration", "seconds above 0, once, {min, max}"]),
+        ({"duration": {"min": 1.0}}, "duration.max", ["the key 'max' is missing", "Longest"]),
+        ({"duration": {"min": 1.0, "mx": 2.0}}, "duration.mx", ["did you mean 'max'?"]),
+        ({"duration": {"min": 3.0, "max": 2.0}}, "duration", ["min is above max (3 > 2)"]),
+        ({"duration": {"min": -1.0, "max": 2.0}}, "duration.min", ["greater than 0", "Shortest"]),
+        ({"duration": {"on": 1.0}}, "duration.off", ["'off' is missing"]),
+        ({"duration": {"lasting": 1.0}}, "duration.on", ["'on' is missing"]),
+        ({"duration": {"at_most": 1.0}}, "duration.until", ["'until' is missing"]),
+        ({"duration": {"until": "x"}}, "duration.until", ["'x' is not a comparison", "joined"]),
+        ({"duration": [1.0]}, "duration", ["no duration", "found:    [1.0]"]),
+        ({"activation": {}}, "activation", ["nothing activates it", "at, when, probability"]),
+        ({"activation": {"at": None}}, "activation", ["nothing activates it"]),
+        ({"activation": {"at": 1.0, "rate": 2.0}}, "activation", ["at and rate contradict"]),
+        (
+            {"activation": {"at": 1.0, "when": "a.b > 1", "probability": 0.1}},
+            "activation",
+            ["at and when and probability contradict", "only one of at, when, probability"],
+        ),
+        ({"activation": {"probability": -0.1}}, "activation.probability", ["than or equal to 0"]),
+        ({"activation": {"probability": 1.1}}, "activation.probability", ["than or equal to 1"]),
+        ({"activation": {"rate": 0.0}}, "activation.rate", ["greater than 0", "1/s"]),
+        ({"activation": {"every": 1.0}}, "activation", ["nothing activates it"]),
+        (
+            {"activation": {"every": 1.0, "by": "security_assessor"}},
+            "activation",
+            ["`every` repeats `at`"],
+        ),
+        (
+            {"activation": {"rate": 1.0, "by": "security_assessor"}},
+            "activation",
+            ["does not direct by 'rate'", "leave the fault to the fault_injector"],
+        ),
+        ({"activation": {"at": 1.0, "times": 2}}, "activation", ["once, not 2 times", "`every`"]),
+        ({"activation": {"rate": 1.0, "times": 0}}, "activation.times", ["equal to 1"]),
+        (
+            {"activation": {"rate": 1.0, "not_before": 4.0, "not_after": 3.0}},
+            "activation",
+            ["the window is empty: not_after (3 s) is before not_before (4 s)", "exchange"],
+        ),
+        (
+            {"activation": {"at": 1.0, "not_after": 3.0}},
+            "activation",
+            ["a window does not bound 'at'", "remove the window"],
+        ),
+        (
+            {"activation": {"after": {"fault": "x", "event": "begun"}}},
+            "activation.after.event",
+            ["'activated', 'manifested' or 'deactivated'", "found:    'begun'"],
+        ),
+        ({"activation": {"after": {"falt": "x"}}}, "activation.after.falt", ["mean 'fault'?"]),
+        ({"activation": {"after": {}}}, "activation.after.fault", ["is missing", "Id of the"]),
+        ({"activation": {"after": "x"}}, "activation.after", ["a mapping with keys of fault"]),
+        (
+            {"activation": {"after": {"fault": "x", "delay": -1.0}}},
+            "activation.after.delay",
+            ["greater than or equal to 0"],
+        ),
         ({"activation": {"att": 1.0}}, "activation.att", ["did you mean 'at'?"]),
         ({"activation": {"at": 1.0, "every": 0.0}}, "activation.every", ["greater than 0"]),
         ({"activation": {"at": 1.0, "by": "nobody"}}, "activation.by", ["security_assessor"]),
-        ({"activation": 2.0}, "activation", ["found:    2.0"]),
-        ({"target": "radar"}, "target", ["'lidar'", "found:    'radar'"]),
-        ({"target": "lidr"}, "target", ["'lidar'"]),
+        ({"activation": 2.0}, "activation", ["found:    2.0", "a mapping with keys of at,"]),
+        ({"target": 3}, "target", ["valid string", "found:    3"]),
+        ({"id": ""}, "id", ["at least 1 character"]),
         ({"parameters": {"ahed": 3.0}}, "parameters.ahed", ["did you mean 'ahead'?"]),
         ({"parameters": {"ahead": -3.0}}, "parameters.ahead", ["greater than 0"]),
-        ({"parameters": {"colour": "red"}}, "parameters.colour", ["ahead, length, width"]),
+        (
+            {"parameters": {"colour": "red"}},
+            "parameters.colour",
+            ["one of ahead, ", "length", "remove the key"],
+        ),
     ],
     ids=lambda value: str(value)[:40] if isinstance(value, dict) else "",
 )
@@ -78,7 +144,43 @@ def test_what_is_no_fault_is_refused_at_its_key(
     assert caught.value.key == key
     for part in told:
         assert part in str(caught.value)
-    assert "pydantic" not in str(caught.value)
+    assert caught.value.expected
+    assert caught.value.remedy
+    for leaked in ("pydantic", "Value error", "Input should", "<seconds>", "<until>", "<sampled>"):
+        assert leaked not in str(caught.value)
+
+
+def test_without_target_and_domain_there_is_one_clear_error() -> None:
+    with pytest.raises(ConfigurationError) as caught:
+        parse_fault({"type": "bias", "activation": {"at": 1.0}})
+    error = caught.value
+    assert error.key == "target"
+    assert error.found is None
+    assert "'bias' cannot be used: it has no target" in error.problem
+    assert "add `target: <channel>" in str(error.remedy)
+
+
+def test_without_activation_there_is_one_clear_error() -> None:
+    with pytest.raises(ConfigurationError, match="nothing activates it") as caught:
+        load_fault({"type": "ghost-obstacle"})
+    assert caught.value.key == "activation"
+    assert "at: 2.0" in str(caught.value.remedy)
+
+
+@pytest.mark.parametrize(
+    "activation, by_chance",
+    [
+        ({"at": 1.0}, False),
+        ({"when": "odometry.speed > 1"}, False),
+        ({"rate": 0.1}, True),
+        ({"probability": 0.5}, True),
+        ({"probability": 1.0}, False),
+        ({"probability": 0.0}, False),  # that it never begins is no chance
+        ({"after": {"fault": "x"}}, False),
+    ],
+)
+def test_what_is_by_chance_need_not_happen(activation: dict[str, Any], by_chance: bool) -> None:
+    assert parse_fault({**GHOST, "activation": activation})["by_chance"] is by_chance
 
 
 def test_a_fault_without_a_type_is_refused() -> None:

@@ -66,9 +66,8 @@ def test_at_is_the_first_tampered_tick_and_duration_is_exact(at: float) -> None:
     run = Run(fault(at=at)).ticks(40)
     first = round(at / DT)
     assert run.when("ghost-obstacle") == [first, first + 1, first + 2]
-    announced = max(first - 1, 0)
-    assert run.activated == [(announced, "ghost-obstacle")]
-    assert run.ended == [(first + 2, "ghost-obstacle")]
+    assert run.activated == [(first, "ghost-obstacle")]
+    assert run.ended == [(first + 3, "ghost-obstacle")], "the first tick without it"
 
 
 def test_a_permanent_fault_stays() -> None:
@@ -80,7 +79,8 @@ def test_a_permanent_fault_stays() -> None:
 def test_a_periodic_fault_comes_again_and_begins_anew() -> None:
     run = Run(fault(at=0.5, every=1.0)).ticks(30)
     assert run.when("ghost-obstacle") == [5, 6, 7, 15, 16, 17, 25, 26, 27]
-    assert [index for index, _ in run.activated] == [4, 14, 24]
+    assert [index for index, _ in run.activated] == [5, 15, 25]
+    assert [index for index, _ in run.ended] == [8, 18, 28]
     places = [run.lidar[index][0].y for index in (5, 7, 15, 25)]
     assert places[0] == places[1], "it stands still while it lasts"
     assert places[0] - places[2] == pytest.approx(5.0), "and is ahead of the ego anew"
@@ -90,14 +90,15 @@ def test_a_periodic_fault_comes_again_and_begins_anew() -> None:
 def test_a_period_as_long_as_the_duration_leaves_no_gap_and_no_end() -> None:
     run = Run(fault(at=0.5, every=0.3)).ticks(20)
     assert run.when("ghost-obstacle") == list(range(5, 20))
-    assert [index for index, _ in run.activated] == [4, 7, 10, 13, 16, 19]
+    assert [index for index, _ in run.activated] == [5, 8, 11, 14, 17]
     assert run.ended == []
 
 
 def test_an_activation_while_it_is_active_changes_nothing() -> None:
     run = Run(fault(at=0.5, every=0.2)).ticks(10)
-    assert [index for index, _ in run.activated] == [4, 8]
+    assert [index for index, _ in run.activated] == [5, 9]
     assert run.when("ghost-obstacle") == [5, 6, 7, 9]
+    assert run.ended == [(8, "ghost-obstacle")]
 
 
 def test_a_directed_fault_waits_for_the_directive_and_not_for_its_time() -> None:
@@ -106,13 +107,19 @@ def test_a_directed_fault_waits_for_the_directive_and_not_for_its_time() -> None
     assert run.activated == []
     run.tick("ghost-obstacle")
     run.ticks(6)
-    assert run.activated == [(10, "ghost-obstacle")]
+    assert run.activated == [(11, "ghost-obstacle")], "at the next percept"
     assert run.when("ghost-obstacle") == [11, 12, 13]
 
 
-def test_a_directive_for_a_planned_or_unknown_fault_is_nothing() -> None:
+def test_an_unknown_directive_is_an_error_that_names_what_there_is() -> None:
     run = Run(fault(at=5.0))
-    run.tick("ghost-obstacle", "nobody")
+    with pytest.raises(ValueError, match=r"directs 'nobody'.*there are: ghost-obstacle"):
+        run.tick("ghost-obstacle", "nobody")
+
+
+def test_where_nothing_is_planned_a_directive_has_no_effect() -> None:
+    run = Run()  # the arm without faults of an assessor that does not know the plan
+    run.tick("ghost-obstacle")
     assert run.ticks(5).activated == []
 
 
@@ -146,7 +153,8 @@ def test_another_fault_does_not_change_the_first_one_s_draws() -> None:
     alone = Run(fault(at=0.5, id="a")).ticks(10)
     second = fault(at=0.2, id="b", duration=2.0, parameters={"ahead": 30.0})
     both = Run(second, fault(at=0.5, id="a")).ticks(10)
-    assert alone.lidar[5].ids[0] == f"V{900 + int(stream(3, 'fault:a').integers(100))}"
+    drawn = int(stream(3, "fault:tick:5:a").integers(100))
+    assert alone.lidar[5].ids[0] == f"V{900 + drawn}"
     assert alone.lidar[5].ids[0] in both.lidar[5].ids
     assert alone.lidar[5][0] == both.lidar[5].get(alone.lidar[5].ids[0])
     assert both.tampered[5] == ("b", "a"), "in declared order"
@@ -190,7 +198,7 @@ def test_a_spoofed_car_begins_where_it_is_and_ends_on_the_route_ahead_of_the_ego
 
 def test_a_spoof_of_magnitude_zero_is_the_identity() -> None:
     run = spoofed(magnitude=0.0)
-    assert run.activated == [(4, "trajectory-spoof")]
+    assert run.activated == [(5, "trajectory-spoof")]
     assert run.when("trajectory-spoof") == []
     assert all(found == BodyList.of(REAL) for found in run.lidar)
 
