@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, Literal, TypeAlias
+import math
+from typing import Annotated, Any, ClassVar, Literal, TypeAlias
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from pytest_dura.faults.model import Kind, Moment
-from pytest_dura.faults.parts import FaultPart, Finite, Positive
-from pytest_dura.faults.targets import resolved, with_part
+from pytest_dura.faults.parts import FaultPart, Positive
+from pytest_dura.faults.targets import part_of, resolved, with_part
 from pytest_dura.faults.types.base import ListedFault
 
-Plain: TypeAlias = bool | int | Finite | str
+
+def _plain(value: Any) -> Any:
+    if not isinstance(value, (bool, int, float, str)):
+        raise ValueError(f"a number, a text or a truth value can be forged, not {value!r}")  # noqa: TRY004 - what pydantic takes
+    if isinstance(value, float) and not math.isfinite(value):
+        raise ValueError(f"a forged number is finite, not {value!r}")
+    return value
+
+
+Plain: TypeAlias = Annotated[bool | int | float | str, BeforeValidator(_plain)]
 
 
 class ReplayParameters(FaultPart):
@@ -76,11 +86,16 @@ class Masquerade(ListedFault):
     acts_on: ClassVar[Kind] = "any"
 
     def begin(self, value: Any, moment: Moment) -> tuple[Any]:  # noqa: ARG002 - as Fault has it
-        """The forged message."""
+        """The forged message.
+
+        Raises:
+            ConfigurationError: If the message has no such field.
+        """
         if self.parameters.value is not None:
             return (self.parameters.value,)
         message = resolved(value)
         for field, forged in self.parameters.forged.items():
+            part_of(message, field)  # a mapping would take any new key
             message = with_part(message, field, forged)
         return (message,)
 

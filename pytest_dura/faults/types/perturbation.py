@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from functools import lru_cache
+from collections.abc import Mapping
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -15,14 +14,6 @@ from pytest_dura.faults.model import Kind, Moment
 from pytest_dura.faults.parts import FaultPart
 from pytest_dura.faults.types.base import ListedFault
 from pytest_dura.faults.types.image import Picture, described, picture
-
-
-@lru_cache(maxsize=64)
-def _function(path: str) -> Callable[..., Any]:
-    found = RoleSpec(path).factory()
-    if not callable(found):
-        raise ConfigurationError(f"{path!r} is no function", found=path)
-    return found
 
 
 class PerturbationParameters(FaultPart):
@@ -40,7 +31,7 @@ class PerturbationParameters(FaultPart):
     @classmethod
     def _importable(cls, path: str) -> str:
         try:
-            _function(path)
+            RoleSpec(path).factory()
         except ConfigurationError as error:
             raise ValueError(error.problem) from error
         return path
@@ -71,7 +62,7 @@ class Perturbation(ListedFault):
             ConfigurationError: If that is no picture of the same shape.
         """
         image, path = picture(value), self.parameters.function
-        new: Any = _function(path)(image.copy(), moment.rng, **self.parameters.params)
+        new: Any = RoleSpec(path).factory()(image.copy(), moment.rng, **self.parameters.params)
         same_kind = isinstance(new, np.ndarray) and new.dtype == image.dtype
         if not same_kind or new.shape != image.shape:
             raise ConfigurationError(

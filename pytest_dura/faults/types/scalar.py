@@ -9,10 +9,10 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from pytest_dura.faults.model import Moment
+from pytest_dura.faults.model import Kind, Moment
 from pytest_dura.faults.parts import FaultPart, Finite, NotNegative, Positive
-from pytest_dura.faults.types.base import NumberFault
-from pytest_dura.faults.types.numbers import Numeric, flip_bits
+from pytest_dura.faults.types.base import ListedFault, NumberFault
+from pytest_dura.faults.types.numbers import Numeric, flip_bits, number, settled
 
 
 class BiasParameters(FaultPart):
@@ -122,23 +122,27 @@ class BitFlipParameters(FaultPart):
     bits: int = Field(1, ge=0, le=32, description="Bits inverted at each tick; 0 is the identity.")
 
 
-class BitFlip(NumberFault):
+class BitFlip(ListedFault):
     """So many bits of the 64-bit float are inverted, drawn anew at each tick.
 
     The result is finite: where the draw gives infinity or no number, as many bits are drawn anew
-    from the sign and the mantissa.
+    from the sign and the mantissa. A channel that keeps shorter floats has those flipped.
     """
 
     type: Literal["bit-flip"]
     parameters: BitFlipParameters = BitFlipParameters()
 
-    def changed(self, value: Numeric, moment: Moment) -> Numeric:
+    acts_on: ClassVar[Kind] = "number"
+
+    def apply(self, memory: Any, value: Any, moment: Moment) -> Any:  # noqa: ARG002 - as Fault has it
         """The number with its bits flipped."""
         bits, rng = self.parameters.bits, moment.rng
-        if not isinstance(value, np.ndarray):
-            return float(flip_bits(value, bits, rng))
-        flat = [flip_bits(one, bits, rng) for one in value.ravel()]
-        return np.array(flat, float).reshape(value.shape)
+        given = number(value)
+        if not isinstance(given, np.ndarray):
+            return float(flip_bits(value if isinstance(value, np.floating) else given, bits, rng))
+        kept = value if value.dtype.kind == "f" else given
+        flipped = np.array([flip_bits(one, bits, rng) for one in kept.ravel()], kept.dtype)
+        return settled(flipped.reshape(kept.shape))
 
 
 class OutOfRangeParameters(FaultPart):
