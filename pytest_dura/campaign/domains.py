@@ -18,6 +18,7 @@ class Domain:
         simulator: Of the simulator's class.
         roles: Of the default roles, by role name.
         generators: Of Generators that have a short name.
+        recovery_planners: Of RecoveryPlanners that have a short name.
         world: Of the pydantic model of ``world``, for editors and for messages.
         signals: Of the names of the ground-truth signals.
         percept_signals: Of the names of the percept signals, without the prefix ``percept.``.
@@ -28,14 +29,21 @@ class Domain:
     simulator: str
     roles: Mapping[str, str] = field(default_factory=dict)
     generators: Mapping[str, str] = field(default_factory=dict)
+    recovery_planners: Mapping[str, str] = field(default_factory=dict)
     world: str | None = None
     signals: str | None = None
     percept_signals: str | None = None
     channels: str | None = None
     fault_targets: str | None = None
 
+    def short_names(self, role: str) -> Mapping[str, str]:
+        """Import paths by short name of what can serve as a role; none for most roles."""
+        known = {"generator": self.generators, "recovery_planner": self.recovery_planners}
+        return known.get(role, {})
+
 
 _PLANNERS = "pytest_dura.driving.roles.planners"
+_RECOVERY = "pytest_dura.driving.roles.recovery"
 
 DOMAINS: dict[str, Domain] = {
     "driving": Domain(
@@ -46,13 +54,20 @@ DOMAINS: dict[str, Domain] = {
             "security_assessor": "pytest_dura.driving.roles.security:PlausibilityAssessor",
             "fault_injector": "pytest_dura.faults.injector:CampaignInjector",
             "performance_oracle": "pytest_dura.driving.roles.performance:DrivingOracle",
-            "recovery_planner": "pytest_dura.driving.roles.recovery:EmergencyBrake",
+            "recovery_planner": f"{_RECOVERY}:EmergencyBrake",
         },
         generators={
             "rule_based": f"{_PLANNERS}:RuleBased",
             "reactive": f"{_PLANNERS}:Reactive",
             "aggressive": f"{_PLANNERS}:Aggressive",
             "random": f"{_PLANNERS}:RandomPlanner",
+        },
+        recovery_planners={
+            "emergency_brake": f"{_RECOVERY}:EmergencyBrake",
+            "safe_stop": f"{_RECOVERY}:SafeStop",
+            "replan": f"{_RECOVERY}:Replan",
+            "ignore_untrusted": f"{_RECOVERY}:IgnoreUntrusted",
+            "alert": f"{_RECOVERY}:AlertOnly",
         },
         world="pytest_dura.driving.scenario:DrivingWorld",
         signals="pytest_dura.driving.signals:NAMES",
@@ -97,7 +112,7 @@ def role_spec(role: str, spec: RoleSpec, domain: Domain | None) -> RoleSpec:
     """
     if ":" in spec.path:
         return spec
-    known = domain.generators if domain is not None and role == "generator" else {}
+    known = domain.short_names(role) if domain is not None else {}
     if spec.path in known:
         return RoleSpec(known[spec.path], spec.params)
     names = ", ".join(sorted(known))
