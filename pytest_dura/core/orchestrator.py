@@ -285,6 +285,7 @@ class Orchestrator:
             self.log.assessed(tick, name, output)
             if isinstance(output, SecurityAssessment):
                 self.log.alerted(tick, name, output)
+                self.state.alerts += [(tick.time, alert) for alert in output.alerts]
         elif isinstance(output, PerformanceAssessment):
             self.log.performed(tick, output)
         elif isinstance(output, Injection):

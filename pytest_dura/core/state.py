@@ -8,7 +8,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from pytest_dura.core.roles import Proposal
+    from pytest_dura.core.roles import Alert, Proposal
 
 
 class _Nothing(Mapping[str, Any]):
@@ -191,7 +191,8 @@ class RoleView:
     ``outputs`` maps a role's name to its latest output, from this tick if it ran already and from
     an earlier one otherwise; ``percepts`` is the history, the current percept last. ``command`` is
     the action that was decided on at the tick before, proposal or recovery, before any command
-    fault; ``None`` at the first tick.
+    fault; ``None`` at the first tick. ``alerts`` are all that SecurityAssessors have raised so far,
+    as ``(time, alert)``, oldest first.
     """
 
     index: int
@@ -204,6 +205,7 @@ class RoleView:
     generator_seconds: float = 0.0
     reasons: tuple[str, ...] = ()
     command: Any = None
+    alerts: Sequence[tuple[float, Alert]] = ()
 
 
 @dataclass(slots=True)
@@ -216,6 +218,7 @@ class StateManager:
     outputs: dict[str, Any] = field(default_factory=dict)
     proposal: Proposal | None = None
     command: Any = None
+    alerts: list[tuple[float, Alert]] = field(default_factory=list)
     generator_reads: set[str] = field(default_factory=set)
     generator_seconds: float = 0.0
     _role_reads: set[str] = field(default_factory=set)
@@ -265,4 +268,5 @@ class StateManager:
             self.generator_seconds,
             reasons,
             self.command,
+            History(self.alerts),
         )

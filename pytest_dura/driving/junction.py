@@ -168,7 +168,9 @@ class Route:
 @cache
 def route(origin: int, turn: str) -> Route:
     """The one Route object of this origin and turn."""
-    return Route(origin, turn)
+    made = Route(origin, turn)
+    made.points(np.zeros(1))  # what it caches is there before it is part of a percept
+    return made
 
 
 def all_routes() -> list[Route]:

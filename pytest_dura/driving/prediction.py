@@ -147,16 +147,31 @@ class Predictor:
 
         Bodies out of reach are left out.
         """
-        bodies = scene.bodies
-        rows = near(bodies, scene.x, scene.y, scene.speed, self.horizon)
-        if not rows:
+        bodies = self._within_reach(scene, scene.speed)
+        if not bodies.ids:
             return np.empty((len(accelerations), len(self.times), 0)), NO_BODIES
-        if len(rows) < len(bodies):
-            bodies = BodyList(tuple(bodies.ids[row] for row in rows), bodies.data[rows])
         driven = advance(scene.speed, accelerations, self._steps, SPEED_LIMIT)
+        return self._apart(scene, driven, bodies, dt), bodies
+
+    def along(self, scene: Scene, driven: Floats, dt: float) -> tuple[Floats, BodyList]:
+        """The same for an ego that has driven so many metres at each time.
+
+        Args:
+            scene: Where it begins.
+            driven: Shape ``(candidates, times)``, not decreasing over time.
+            dt: Seconds per tick.
+        """
+        bodies = self._within_reach(scene, float(driven[:, -1].max()) / self.horizon)
+        return self._apart(scene, driven, bodies, dt), bodies
+
+    def _within_reach(self, scene: Scene, speed: float) -> BodyList:
+        bodies = scene.bodies
+        return bodies.rows(near(bodies, scene.x, scene.y, speed, self.horizon))
+
+    def _apart(self, scene: Scene, driven: Floats, bodies: BodyList, dt: float) -> Floats:
         ego = ego_discs(scene.route, scene.s + driven)
         others = moving(bodies, self.times, self._yaw_rates(bodies.ids, dt))
-        return separations(ego, others, radii(bodies)), bodies
+        return separations(ego, others, radii(bodies))
 
     def _yaw_rates(self, ids: tuple[str, ...], dt: float) -> Floats | None:
         rates = []

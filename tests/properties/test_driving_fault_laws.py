@@ -179,6 +179,17 @@ def test_id_switch_is_undone_by_another(channels: Any) -> None:
     assert alike(one.apply(memory, after, moment(channels)), before)
 
 
+def test_id_switch_is_between_the_nearest_and_its_neighbour() -> None:
+    ahead, beside, behind = (
+        Body(name, x, y, 0.0, 0.0, 0.0, 5.0, 2.0)
+        for name, x, y in (("A", 2.0, 51.0), ("B", 2.0, 42.0), ("C", 2.0, 72.0))
+    )
+    channels = channels_of(ahead, beside, behind, s=50.0)  # the ego is at y = 61
+    assert acted(fault("id-switch"), channels).ids == ("B", "A", "C")
+    named = acted(fault("id-switch", ids=["C", "B"]), channels)
+    assert named.ids == ("A", "C", "B")
+
+
 @laws
 @given(scenes())
 def test_id_switch_needs_two(channels: Any) -> None:
@@ -209,6 +220,15 @@ def test_moved_obstacle_is_off_by_the_very_vector(
     along = (now.x - was.x) * math.cos(heading) + (now.y - was.y) * math.sin(heading)
     right = (now.y - was.y) * math.cos(heading) - (now.x - was.x) * math.sin(heading)
     np.testing.assert_allclose([along, right], [dx, dy], atol=1e-6)
+
+
+def test_moved_obstacle_is_the_nearest_or_the_named_one() -> None:
+    far, near = (Body(f"V{i}", 2.0, y, 0.0, 0.0, 0.0, 5.0, 2.0) for i, y in enumerate((20.0, 40.0)))
+    channels = channels_of(far, near)
+    assert acted(fault("moved-obstacle", dx=1.0), channels)[0] == far
+    assert acted(fault("moved-obstacle", dx=1.0, id="V0"), channels)[1] == near
+    assert acted(fault("moved-obstacle", dx=1.0, id="V0"), channels)[0] != far
+    assert acted(fault("moved-obstacle", dx=1.0, id="V7"), channels) is None
 
 
 @laws

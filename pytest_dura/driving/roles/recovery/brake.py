@@ -1,4 +1,4 @@
-"""RecoveryPlanner: what is done instead of a refused proposal."""
+"""EmergencyBrake: the default recovery."""
 
 from __future__ import annotations
 
