@@ -76,10 +76,7 @@ def reduce_faults(
         return Reduction(whole, False, False, False, trials.runs, None, ())
     best, one_minimal, smallest = whole, False, False
     try:
-        if trials.violates(()):
-            best = ()
-        else:
-            best = [whole, *_shrinking(whole, trials)][-1]
+        best = () if trials.violates(()) else [whole, *_shrinking(whole, trials)][-1]
         one_minimal = True
         best = _smallest(whole, best, trials)
         smallest = True

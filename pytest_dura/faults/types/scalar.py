@@ -19,7 +19,7 @@ class BiasParameters(FaultPart):
     """How far off the number is."""
 
     offset: Finite = Field(1.0, description="Added to it, in the field's unit.")
-    percent: Finite = Field(0.0, description="Also added: this share of the true number, in %.")
+    percent: Finite = Field(0.0, description="Also added: this part of the number itself, in %.")
 
 
 class Bias(NumberFault):
