@@ -1,0 +1,200 @@
+"""The reference page of the catalogue; ``python -m pytest_dura.faults.reference`` writes it."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import sys
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel
+
+from pytest_dura.core.state import NOTHING
+from pytest_dura.faults.activation import Activation, After
+from pytest_dura.faults.catalogue import FAULT_TYPES, fault_class
+from pytest_dura.faults.conditions import parse_condition
+from pytest_dura.faults.duration import Intermittent, Sampled, Until
+from pytest_dura.faults.model import Fault, Kind
+from pytest_dura.faults.targets import Target
+
+PAGE = "faults.md"
+DOMAIN = "pytest_dura.driving.sensors:FAULT_TARGETS"
+"""Where the committed page has its default targets from."""
+
+_ACTS_ON: Mapping[Kind, str] = {
+    "number": "a number",
+    "any": "any channel, any field, `command`",
+    "command": "a number of the command",
+    "objects": "a list of objects",
+    "image": "a picture",
+    "pose": "a pose",
+    "signs": "signs",
+}
+_DURATIONS: tuple[type[BaseModel], ...] = (Sampled, Until, Intermittent)
+
+
+def reference_page(targets: Mapping[str, str] = NOTHING) -> str:
+    """The page in Markdown, the same text for the same catalogue.
+
+    Args:
+        targets: Where a fault acts that names no target, by what its type can act on, as a domain
+            has it.
+    """
+    families: dict[str, list[str]] = {}
+    for name, path in FAULT_TYPES.items():
+        families.setdefault(path.partition(":")[0], []).append(name)
+    lines = [
+        "# Faults",
+        "",
+        "<!-- Written by `python -m pytest_dura.faults.reference`; do not edit. -->",
+        "",
+        "A fault is a type, an `id`, a `target`, an `activation`, a `duration` and `parameters`.",
+        "At magnitude 0 a fault leaves everything as it is. A channel delivers one message per",
+        "tick; a receiver that gets none keeps showing the last one that it got.",
+    ]
+    for module, names in families.items():
+        lines += ["", *_family(module, names, targets)]
+    return "\n".join([*lines, "", *_when_and_where(), ""])
+
+
+def write_page(path: Path, targets: Mapping[str, str] = NOTHING) -> None:
+    """Write the page to a file; see :func:`reference_page`."""
+    path.parent.mkdir(exist_ok=True)
+    path.write_text(reference_page(targets), "utf-8")
+
+
+def domain_targets(path: str = DOMAIN) -> Mapping[str, str]:
+    """A domain's default targets, by the import path of the mapping."""
+    module, _, name = path.partition(":")
+    found: Mapping[str, str] = getattr(importlib.import_module(module), name)
+    return found
+
+
+def _family(module: str, names: list[str], targets: Mapping[str, str]) -> Iterator[str]:
+    title = inspect.getdoc(importlib.import_module(module)) or module
+    yield f"## {_cell(title.partition(chr(10))[0].rstrip('.'))}"
+    kinds = {name: fault_class(name) for name in names}
+    columns = ["type", "acts on", "default target", "effect"]
+    referenced = any(kind.reference for kind in kinds.values())
+    yield from ("", *_head([*columns, "reference"] if referenced else columns))
+    for name, kind in kinds.items():
+        target = targets.get(kind.acts_on, kind.default_target)
+        row = [f"`{name}`", _ACTS_ON[kind.acts_on], f"`{target}`" if target else ""]
+        row.append(_cell(inspect.getdoc(kind) or ""))
+        yield _row([*row, kind.reference] if referenced else row)
+    rows = [row for name, kind in kinds.items() for row in _parameters(name, kind)]
+    if rows:
+        yield from ("", *_head(["type", "parameter", "values", "default", "meaning"]))
+        yield from rows
+
+
+def _parameters(name: str, kind: type[Fault]) -> Iterator[str]:
+    model: Any = kind.model_fields["parameters"].annotation
+    for row in _fields(model):
+        yield _row([f"`{name}`", *row])
+
+
+def _fields(model: type[BaseModel]) -> Iterator[list[str]]:
+    schema = model.model_json_schema()
+    for name, one in schema.get("properties", {}).items():
+        default = "required" if name in schema.get("required", ()) else _value(one.get("default"))
+        values = _values(one, schema.get("$defs", {}))
+        yield [f"`{name}`", values, default, _cell(one.get("description", ""))]
+
+
+def _values(schema: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
+    """What a field takes, in words, from its JSON Schema."""
+    if "$ref" in schema:
+        named = definitions[schema["$ref"].rpartition("/")[2]]
+        return "{" + ", ".join(named.get("properties", {})) + "}"
+    if "anyOf" in schema:
+        return ", ".join(dict.fromkeys(_values(one, definitions) for one in schema["anyOf"]))
+    if "enum" in schema or "const" in schema:
+        choices = schema.get("enum") or [schema["const"]]
+        return ", ".join(f"`{one}`" for one in choices)
+    if schema.get("type") == "array":
+        items = schema.get("prefixItems") or [schema.get("items", {})]
+        inner = ", ".join(dict.fromkeys(_values(one, definitions) for one in items))
+        count = f"{schema['maxItems']} of " if "maxItems" in schema else "list of "
+        return count + inner
+    if schema.get("type") == "object":
+        return "mapping"
+    return _TYPES.get(str(schema.get("type")), "anything") + _range(schema)
+
+
+_TYPES = {
+    "number": "number",
+    "integer": "whole number",
+    "string": "text",
+    "boolean": "true or false",
+    "null": "null",
+}
+_BOUNDS = {"minimum": "≥", "exclusiveMinimum": ">", "maximum": "≤", "exclusiveMaximum": "<"}
+
+
+def _range(schema: Mapping[str, Any]) -> str:
+    found = [f"{sign} {schema[key]:g}" for key, sign in _BOUNDS.items() if key in schema]
+    return " " + ", ".join(found) if found else ""
+
+
+def _when_and_where() -> Iterator[str]:
+    """What the models say of activation, duration, targets and conditions."""
+    yield from ("## Targets", "")
+    yield _text(Fault.model_fields["target"].description)
+    yield _text(Target.__doc__)
+    yield from ("", "## Activation", "", _text(Activation.__doc__), "", *_table(Activation))
+    yield from ("", "`after`: " + _text(After.__doc__), "", *_table(After))
+    yield from ("", "## Duration", "", _text(Fault.model_fields["duration"].description))
+    for model in _DURATIONS:
+        keys = ", ".join(model.model_fields)
+        yield from ("", f"`{{{keys}}}`: " + _text(model.__doc__), "", *_table(model))
+    yield from ("", "## Conditions", "")
+    yield from (_text(part) for part in _described(parse_condition))
+
+
+def _described(function: Any) -> list[str]:
+    said = (inspect.getdoc(function) or "").partition("\nRaises:")[0]
+    return said.strip().split("\n")
+
+
+def _table(model: type[BaseModel]) -> Iterator[str]:
+    yield from _head(["key", "values", "default", "meaning"])
+    for row in _fields(model):
+        yield _row(row)
+
+
+def _head(names: list[str]) -> list[str]:
+    return [_row(names), "|" + "---|" * len(names)]
+
+
+def _row(cells: list[str]) -> str:
+    return "| " + " | ".join(cells) + " |"
+
+
+def _value(default: Any) -> str:
+    if isinstance(default, (bool, type(None))):
+        return {True: "true", False: "false", None: "null"}[default]
+    if isinstance(default, (int, float)):
+        return f"{default:g}"
+    if isinstance(default, str):
+        return _cell(f"“{default}”")
+    return "`{}`" if default == {} else f"`{default}`"
+
+
+def _text(said: str | None) -> str:
+    return inspect.cleandoc(said or "").replace("``", "`")
+
+
+def _cell(said: str) -> str:
+    """A text on one line, with paragraphs kept apart, that cannot end a table's cell."""
+    paragraphs = inspect.cleandoc(said).split("\n\n")
+    return "<br>".join(" ".join(_text(one).split()) for one in paragraphs).replace("|", "\\|")
+
+
+if __name__ == "__main__":
+    write_page(
+        Path(__file__).resolve().parents[2] / "docs" / PAGE,
+        domain_targets(*sys.argv[1:2]),
+    )

@@ -1,0 +1,81 @@
+"""The reference page of the catalogue."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from pytest_dura.driving.sensors import FAULT_TARGETS
+from pytest_dura.faults.activation import Activation
+from pytest_dura.faults.catalogue import FAULT_TYPES, fault_class
+from pytest_dura.faults.reference import PAGE, domain_targets, reference_page, write_page
+
+DOCS = Path(__file__).parents[3] / "docs"
+
+
+@pytest.fixture(scope="module")
+def page() -> str:
+    return reference_page(FAULT_TARGETS)
+
+
+def test_the_committed_page_is_up_to_date(page: str) -> None:
+    committed = (DOCS / PAGE).read_text("utf-8")
+    assert committed == page, "run `python -m pytest_dura.faults.reference`"
+
+
+@pytest.mark.parametrize("name", sorted(FAULT_TYPES))
+def test_every_type_has_a_line_and_each_of_its_parameters_one(name: str, page: str) -> None:
+    kind = fault_class(name)
+    target = re.escape(FAULT_TARGETS[kind.acts_on])
+    (line,) = re.findall(rf"^\| `{name}` \| [^|]+ \| `{target}` \|.*\|$", page, re.MULTILINE)
+    effect = line.strip("| ").split(" | ")[-1]
+    assert len(effect) > 20
+    assert "``" not in line
+    model = kind.model_fields["parameters"].annotation
+    found = re.findall(rf"^\| `{name}` \| `(\w+)` \|", page, re.MULTILINE)
+    assert found == list(model.model_fields)
+
+
+def test_every_description_says_something_and_ranges_and_defaults_stand_there(page: str) -> None:
+    assert (
+        "| `noise` | `sigma` | number ≥ 0 | 0.5 | Standard deviation of each distribution,"
+        " in the field's unit. |" in page
+    )
+    assert "| `noise` | `distribution` | `gaussian`, `uniform`, `laplace` | “gaussian” |" in page
+    assert "| `out-of-range` | `low` | number | required |" in page
+    assert "| `patch` | `colour` | 3 of whole number ≥ 0, ≤ 255 | `[255, 0, 255]` |" in page
+    assert "|  |" not in page, "no cell is empty"
+
+
+def test_every_row_has_as_many_cells_as_its_table_s_head(page: str) -> None:
+    tables = re.findall(r"(?:^\|.*\n)+", page, re.MULTILINE)
+    assert len(tables) > 10
+    for table in tables:
+        rows = table.splitlines()
+        assert len({len(re.findall(r"(?<!\\)\|", row)) for row in rows}) == 1
+        assert len(rows) > 2
+
+
+def test_activation_duration_targets_and_conditions_are_described(page: str) -> None:
+    for title in ("Targets", "Activation", "Duration", "Conditions"):
+        assert f"\n## {title}\n" in page
+    for key, field in Activation.model_fields.items():
+        assert f"| `{key}` |" in page
+        assert field.description is not None
+        assert field.description in page
+    for key in ("`{min, max}`", "`{until, at_most}`", "`{on, off, lasting}`", "abs(channel.field)"):
+        assert key in page
+
+
+def test_without_a_domain_there_are_the_types_own_defaults_alone() -> None:
+    page = reference_page()
+    assert "odometry" not in re.sub(r"## Targets.*", "", page, flags=re.DOTALL)
+    assert "| `object-miss` | a list of objects | `lidar` |" in page
+
+
+def test_writing_is_reproducible(tmp_path: Path) -> None:
+    write_page(tmp_path / "docs" / "a", domain_targets())
+    write_page(tmp_path / "docs" / "b", domain_targets())
+    assert (tmp_path / "docs" / "a").read_bytes() == (tmp_path / "docs" / "b").read_bytes()
