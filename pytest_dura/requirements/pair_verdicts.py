@@ -12,6 +12,10 @@ from pytest_dura.requirements.checks import check_name, load_function
 from pytest_dura.requirements.episodes import EpisodeVerdict, EpisodeWord
 from pytest_dura.requirements.model import Requirement
 
+_ROUNDING = 1e-9
+"""Share of the greatest value by which a growth may miss the bound and still equals it: times are
+multiples of a time step that has no exact float, such as 8.3 s and 6.3 s."""
+
 
 def check_comparison(requirement: Requirement) -> None:
     """Refuse a requirement on pairs that does not say, or says twice, what is compared.
@@ -48,7 +52,8 @@ def pair_verdict(with_it: EpisodeVerdict, without: EpisodeVerdict) -> EpisodeVer
     """Whether something made an episode violate a check: violated with it, satisfied without it.
 
     The margin is that of the implication "satisfied without it implies satisfied with it". A pair
-    of which one run is missing or invalid is so itself: there is nothing to compare.
+    of which one run is missing or invalid is so itself: there is nothing to compare. One in which
+    the check's condition held in neither run is vacuous.
 
     Args:
         with_it: Verdict on the episode.
@@ -69,8 +74,9 @@ def pair_verdict(with_it: EpisodeVerdict, without: EpisodeVerdict) -> EpisodeVer
         detail = f"violated only with it: {with_it.detail}"
         return replace(with_it, margin=margin, detail=detail)
     detail = f"{words[0]} with it, {words[1]} without it"
+    vacuous = with_it.vacuous and without.vacuous
     return replace(
-        with_it, verdict="satisfied", margin=margin, time=None, detail=detail, vacuous=False
+        with_it, verdict="satisfied", margin=margin, time=None, detail=detail, vacuous=vacuous
     )
 
 
@@ -127,6 +133,8 @@ def _compared(
         return "satisfied", None, f"the measure is {own:.4g}, and has no value without"
     detail = f"the measure is {own:.4g}, and {other:.4g} without: {own - other:+.4g}"
     margin = bound - (own - other)
+    if abs(margin) <= _ROUNDING * max(abs(own), abs(other), abs(bound)):
+        margin = 0.0
     return ("satisfied" if margin >= 0 else "violated"), margin, detail
 
 
