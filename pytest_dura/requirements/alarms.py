@@ -23,7 +23,8 @@ class Watch:
         duration: Simulated seconds.
         alarms: By name of each monitor that was asked, its alarms in order. One stands from the
             first tick at which the monitor found the proposal unsafe to the last tick before the
-            monitor, when it was asked again, did not.
+            monitor, when it was asked again, did not: a monitor that is not asked, as where there
+            is no valid proposal, has not taken its alarm back.
         alerts: Stretches of neighbouring ticks with alerts of any assessor, whatever they were
             about; ``None`` where no assessor was asked.
         manifested_at: Seconds at which a fault manifested first, if one did.
@@ -62,37 +63,35 @@ def watch(episode: Episode) -> Watch:
     be ticks at which the monitor was not asked, and a simulator may have events of that kind, too.
     """
     metrics = episode.metrics
-    asked = {
-        # Refined proposals of one tick are assessed at the same time.
-        name: list(dict.fromkeys(map(float, times)))
-        for name, (times, _) in metrics.robustness.items()
-    }
+    asked = {name: set(map(float, times)) for name, (times, _) in metrics.robustness.items()}
     flagged = {
         name: {float(episode.time[tick]) for tick in ticks} for name, ticks in metrics.flags.items()
     }
     alerted = {float(episode.time[i]) for ticks in metrics.alert_ticks.values() for i in ticks}
-    faults = episode.faults
+    faults, time = episode.faults, episode.time.tolist()
     return Watch(
         episode=episode.id,
         component=episode.spec.component,
         validity=episode.validity,
         duration=float(episode.time[-1] - episode.time[0]) if episode.ticks else 0.0,
-        alarms={name: _stretches(asked[name], flagged.get(name, set())) for name in sorted(asked)},
-        alerts=_stretches(episode.time.tolist(), alerted) if metrics.alert_ticks else None,
+        alarms={
+            name: _stretches(time, asked[name], flagged.get(name, set())) for name in sorted(asked)
+        },
+        alerts=_stretches(time, set(time), alerted) if metrics.alert_ticks else None,
         manifested_at=_first(fault.manifested_at for fault in faults),
         detected_at=_first(fault.detected_at for fault in faults),
         intervention=_intervention(episode),
     )
 
 
-def _stretches(times: list[float], flagged: set[float]) -> tuple[Stretch, ...]:
-    """Runs of flagged times among all at which there might have been a flag."""
+def _stretches(times: list[float], asked: set[float], flagged: set[float]) -> tuple[Stretch, ...]:
+    """Runs of times from a flagged one to the last before one that was asked and not flagged."""
     found: list[Stretch] = []
     standing = False
     for time in times:
-        if time in flagged:
-            found.append((found.pop()[0] if standing else time, time))
-        standing = time in flagged
+        stood, standing = standing, time in flagged or (standing and time not in asked)
+        if standing:
+            found.append((found.pop()[0] if stood else time, time))
     return tuple(found)
 
 
