@@ -203,3 +203,24 @@ def test_the_first_spoilt_episode_is_named_a_missing_one_before_an_invalid_one()
     assert judge(verdicts[:2]).spoilt == Spoilt("case#1", "invalid", verdicts[1].detail)
     assert judge(verdicts[:1]).spoilt is None
     assert CampaignVerdict.from_json(found.to_json()) == found
+
+
+def test_one_violation_shows_that_the_condition_held() -> None:
+    vacuous = [one(run, vacuous=True) for run in range(1, 93)]
+    found = judge([*vacuous, one(0, "violated", -1.0)], at_most=0.05)
+    assert (found.verdict, found.vacuous, found.violations) == ("supported", 92, 1)
+
+
+def test_nothing_is_saved_where_runs_ended_for_want_of_an_answer() -> None:
+    verdicts = some(satisfied=3, missing=1)
+    rule = Requirement("R", at_most=0.05)
+    found = judge_campaign(rule, "case", verdicts, planned=100, until_decided=True)
+    assert (found.verdict, found.saved) == ("undecided", 0)
+
+
+def test_what_is_run_after_the_decision_is_counted_and_changes_nothing() -> None:
+    verdicts = some(satisfied=74, violated=3)
+    rule = Requirement("R", at_most=0.05, method="e-process")
+    found = judge_campaign(rule, "case", verdicts, planned=100)
+    assert (found.verdict, found.episodes, found.violations) == ("supported", 77, 3)
+    assert (found.run, found.saved) == (77, 23)
