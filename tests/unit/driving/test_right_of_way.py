@@ -42,6 +42,20 @@ def test_a_car_that_would_stand_before_that_stops_before_the_conflict() -> None:
     assert demanded_braking(20.0, 8.0, 100.0) == pytest.approx(braking)
 
 
+@pytest.mark.parametrize("left", [2.0, 3.5, 3.7, 5.7, 7.5, 20.0])
+def test_under_the_demanded_braking_the_car_keeps_off_and_under_less_it_does_not(
+    left: float,
+) -> None:
+    def arrives(braking: float) -> float:
+        """Metres that the car drives until a second after the ego has left; 20 m are there."""
+        time = min(left + 0.6, 8.0 / braking)
+        return 8.0 * 0.4 + 8.0 * time - braking * time**2 / 2
+
+    braking = demanded_braking(20.0, 8.0, left)
+    assert arrives(braking) <= 20.0 + 1e-9
+    assert arrives(0.999 * braking) > 20.0
+
+
 def test_who_cannot_stop_any_more_is_asked_for_the_cap() -> None:
     assert demanded_braking(3.0, 8.0, 2.0) == BRAKING_CAP
     assert demanded_braking(4.0, 8.0, 20.0) == BRAKING_CAP
