@@ -7,11 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from roads import always, drive
+from roads import always, car_on, drive
 
 from pytest_dura.core.state import Tick
+from pytest_dura.driving.bodies import BodyList
+from pytest_dura.driving.junction import ARM_LENGTH, conflict, route
 from pytest_dura.driving.maneuvers import Command, Maneuver
-from pytest_dura.driving.right_of_way import BRAKING_CAP, CAP, demanded_braking
+from pytest_dura.driving.right_of_way import BRAKING_CAP, CAP, demanded_braking, right_of_way
 
 
 def crossing(
@@ -127,3 +129,25 @@ def test_arrival_counts_down_while_the_ego_has_to_decide() -> None:
     assert found[0] == CAP, "the ego is still far from its line"
     begins = int(np.argmax(found < CAP))
     assert found[begins + 1] < found[begins] < 6.5
+
+
+@pytest.mark.parametrize("behind", [0.4, 1.3, 3.0, -0.6])
+def test_the_gap_time_is_from_when_the_ego_has_left_to_when_the_other_arrives(
+    behind: float,
+) -> None:
+    mine, theirs, dt, speed = route(0, "straight"), route(1, "straight"), 0.1, 8.0
+    meeting = conflict(mine, theirs)
+    assert meeting is not None
+    _, ends, other_begins, _ = meeting
+    s = 80.0 + speed * dt * np.arange(80)
+    line, left = (int(np.argmax(s + half > at)) for half, at in ((2.5, ARM_LENGTH), (-2.5, ends)))
+    arrives = left * dt + behind
+    other = other_begins - 2.5 - speed * (arrives - dt * np.arange(80))
+    bodies = [BodyList.of([car_on(1, "straight", float(at), speed)]) for at in other]
+    found = right_of_way(mine, s, np.full(80, speed), bodies, [(theirs.number,)] * 80, dt=dt)
+    assert found.gap_time[line:left] == pytest.approx(behind)
+    assert (found.gap_time[:line] == CAP).all()
+    assert (found.gap_time[left:] == CAP).all()
+    assert (found.braking[line:left] > 0.0).all() == (behind < 1.0)
+    assert not found.braking[:line].any()
+    assert not found.braking[left:].any()
