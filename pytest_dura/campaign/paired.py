@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+from pytest_dura.campaign.asked import number
 from pytest_dura.campaign.cases import NO_FAULTS, Case, expand_cases
 from pytest_dura.campaign.monitoring import monitor_qualities
 from pytest_dura.core.episode import Episode
@@ -122,7 +123,7 @@ class PairedCampaign:
         self,
         check: Check = "",
         at_most: float | None = None,
-        confidence: float = 0.95,
+        confidence: float | None = None,
         method: Method | None = None,
         p0: float | None = None,
         *,
@@ -142,20 +143,23 @@ class PairedCampaign:
 
         Raises:
             RequirementViolated: If it is violated or undecided.
-            ConfigurationError: For a check or measure that cannot be used.
+            ConfigurationError: For a check or measure that cannot be used, and what is not as the
+                requirement's file says.
         """
         __tracebackhide__ = True
-        name = check_name(check) or measure
-        requirement = replace(
-            self.campaign.requirement or Requirement(id=name, kind="recovery"),
-            check=check_name(check),
-            at_most=at_most,
-            confidence=confidence,
-            method=method,
-            p0=p0,
-            paired=Paired(self.without, measure, change_at_most),
-        )
+        given: dict[str, Any] = {"at_most": at_most, "confidence": confidence}
+        given |= {"method": method, "p0": p0}
+        if check:
+            given |= {"check": check_name(check)}
+        own = self.campaign.requirement
+        own = own or Requirement(check_name(check) or measure, kind="recovery")
         try:
+            if change_at_most is not None:
+                change_at_most = number("change_at_most", change_at_most)
+            paired = Paired(self.without, measure, change_at_most)
+            if own.paired is not None and paired == Paired(self.without):
+                paired = replace(own.paired, without=self.without)
+            requirement = self.campaign.asked(own, given | {"paired": paired})
             verdict = self.judge(requirement, check or None)
         except ConfigurationError as error:
             raise error.with_traceback(None) from None

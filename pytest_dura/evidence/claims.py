@@ -114,7 +114,7 @@ def _check(verdict: Data, requirement: Data) -> str:
         check = f"{_text(requirement.get('check', ''))} in {_text(verdict['item'])}".lstrip()
     if verdict["pairs"] is None:
         return check
-    paired = requirement.get("paired") or {}
+    paired = verdict["paired"] or {}
     told = {key: paired.get(key) for key in ("measure", "change_at_most")}
     rest = [f"{key} {value}" for key, value in told.items() if value not in (None, "")]
     return ", ".join([check, f"pairs without {_text(verdict['pairs']['without'])}", *rest])

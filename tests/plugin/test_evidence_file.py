@@ -164,7 +164,7 @@ def test_different_digests_of_one_episode_fail_the_session(project):
             f"test_{name}.py",
             "import pytest\n"
             "@pytest.mark.dura(scenario='corridor/unsteady')\n"
-            "@pytest.mark.requirement('GO-1')\n"
+            "@pytest.mark.requirement('OWN-1', text='As it should be.')\n"
             "def test_it(campaign): campaign.require('always (gap >= 0)')\n",
         )
     text = (project.path / "scenarios/corridor/tight.yaml").read_text()
