@@ -87,7 +87,9 @@ class PairCounts:
         violated_with: Violations with it, incomplete pairs included.
         violated_without: Violations without it, incomplete pairs included.
         p_value: Two-sided p-value of the exact McNemar test on the discordant pairs, against "it
-            makes no difference to the rate of violations"; 1 if no pair is discordant.
+            makes no difference to the rate of violations"; 1 if no pair is discordant. It holds
+            for a number of pairs that did not depend on what they came to: of pairs that were run
+            until a requirement was decided it may be too small.
     """
 
     pairs: int

@@ -42,8 +42,8 @@ class Evaluation:
         status: The verdict, Boolean unless the trace ends too early.
         margin: Robustness at the first sample as far as the trace goes. In a conjunction that is
             violated, the worst of the violated parts.
-        lower: Least robustness that a longer trace could still give.
-        upper: Greatest one. Both equal ``margin`` where the whole trace is judged.
+        lower: No longer trace could give less; see ``robustness_interval``.
+        upper: None could give more. Both equal ``margin`` where the whole trace is judged.
         time: Seconds of the first sample that decided a violation.
         worst_time: Seconds at which an ``always`` or ``eventually`` at the root reached its
             margin; for other formulas ``time``, or the start.

@@ -119,7 +119,8 @@ class TemporalPair:
 class Step:
     """A formula at the neighbouring sample; ``rise`` and ``fall`` compare it with this one.
 
-    Where there is no such sample, the weak operators hold and the strong ones do not.
+    Where there is no such sample, the weak operators hold and the strong ones do not. A verdict
+    says so of the past only: what follows the last sample is unknown to it, see ``evaluation``.
     """
 
     operator: StepOperator

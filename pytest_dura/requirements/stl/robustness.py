@@ -98,12 +98,14 @@ def robustness_interval(
     complete: bool = True,
     truth: bool = False,
 ) -> tuple[Array, Array]:
-    """Least and greatest robustness at each sample, over all that may follow the trace.
+    """Bounds on the robustness at each sample, over all that may follow the trace.
 
     A bounded window, and ``next``, see unknown samples behind the end. Operators without a window
     do so only if the trace is not complete. What was before the start is known: nothing. A formula
     behind the end is unknown as a whole, even if it looks back into the trace. The interval
     contains the robustness of every longer trace, and is a single value where nothing is unknown.
+    Parts of a formula are bounded apart, so that it may be wider than what can come about: at the
+    last sample ``(next (p)) or (next (not p))`` stays open, although one of the two must hold.
 
     Args:
         formula: What to evaluate.

@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 import pytest
-from episodes import episode
+from episodes import episode, idle
 
 from pytest_dura.requirements.episodes import EpisodeVerdict
 from pytest_dura.requirements.model import Paired, Requirement
@@ -69,6 +69,15 @@ def test_a_pair_is_vacuous_if_the_condition_held_in_neither_run(own: bool, twin:
 def test_a_condition_that_only_the_twin_met_is_not_vacuous() -> None:
     kept_away = verdict("satisfied", 0, vacuous=True)
     assert not pair_verdict(kept_away, verdict("violated", 0)).vacuous
+
+
+def test_a_measure_of_a_missing_run_is_missing_whatever_the_other_is() -> None:
+    unreached, broken = episode(faults=(idle(),)), episode(failure="infrastructure: simulator")
+    for one, twin in ((unreached, broken), (broken, unreached)):
+        found = change_verdict(GROWTH, one, twin, (None, None))
+        assert (found.verdict, found.margin) == ("missing", None)
+        assert found.detail == "infrastructure: simulator, in case#0"
+    assert change_verdict(GROWTH, episode(), unreached, (1.0, None)).verdict == "invalid"
 
 
 GROWTH = Requirement("R", paired=Paired("faults", "pkg:time", 2.0))
