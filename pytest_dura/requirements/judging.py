@@ -100,6 +100,9 @@ class CampaignJudge:
             return self._count("violated") > 0
         # A test that can only come out against the component goes on all the same: "undecided"
         # may be excused, "violated" may not.
+        if self.test.decision == "supported":
+            # Too many invalid or vacuous episodes stand against it, which further ones may mend.
+            return not self._obstacles(decided=True)
         return self.test.decision is not None
 
     def verdict(self) -> CampaignVerdict:

@@ -9,6 +9,7 @@ import pytest
 
 from pytest_dura import ConfigurationError, Requirement
 from pytest_dura.requirements.campaigns import Spoilt
+from pytest_dura.requirements.judging import CampaignJudge
 from pytest_dura.requirements.verdicts import CampaignVerdict, EpisodeVerdict, judge_campaign
 
 KEYS_OF_THE_RECORD = {
@@ -224,3 +225,27 @@ def test_what_is_run_after_the_decision_is_counted_and_changes_nothing() -> None
     found = judge_campaign(rule, "case", verdicts, planned=100)
     assert (found.verdict, found.episodes, found.violations) == ("supported", 77, 3)
     assert (found.run, found.saved) == (77, 23)
+
+
+@pytest.mark.parametrize("method", ["e-process", "sprt", "fixed"])
+def test_runs_go_on_while_a_rate_is_decided_and_invalid_episodes_are_too_many(method: Any) -> None:
+    rule = Requirement("R", at_most=0.3, method=method, p0=0.01 if method == "sprt" else None)
+    judge = CampaignJudge(rule, "case", planned=60 if method != "fixed" else 20, until_decided=True)
+    for run, word in enumerate(["invalid"] * 5 + ["satisfied"] * 19):
+        judge.add(one(run, word))
+    assert judge.test is not None
+    assert judge.test.decision == "supported"
+    assert (judge.decided, judge.verdict().verdict) == (False, "undecided")
+    judge.add(one(30))
+    assert (judge.decided, judge.verdict().verdict) == (True, "supported")
+
+
+def test_runs_go_on_until_the_condition_has_held() -> None:
+    rule = Requirement("R", at_most=0.3, method="e-process")
+    judge = CampaignJudge(rule, "case", planned=60, until_decided=True)
+    for run in range(30):
+        judge.add(one(run, vacuous=True))
+        assert not judge.decided
+    judge.add(one(30))
+    assert judge.decided
+    assert (judge.verdict().verdict, judge.verdict().saved) == ("supported", 29)
