@@ -151,3 +151,16 @@ def test_the_gap_time_is_from_when_the_ego_has_left_to_when_the_other_arrives(
     assert (found.braking[line:left] > 0.0).all() == (behind < 1.0)
     assert not found.braking[:line].any()
     assert not found.braking[left:].any()
+
+
+def test_of_a_car_that_stands_nothing_is_demanded() -> None:
+    mine, theirs = route(0, "straight"), route(1, "straight")
+    meeting = conflict(mine, theirs)
+    assert meeting is not None
+    s = 80.0 + 0.8 * np.arange(80)
+    for speed, demanded in ((0.0, False), (0.4, False), (8.0, True)):
+        bodies = [BodyList.of([car_on(1, "straight", meeting[2] - 4.5, speed)])] * 80
+        found = right_of_way(mine, s, np.full(80, 8.0), bodies, [(theirs.number,)] * 80, dt=0.1)
+        assert bool(found.braking.any()) == demanded
+        assert bool((found.gap_time < CAP).any()) == demanded
+        assert bool((found.arrival < CAP).any()) == demanded
