@@ -33,6 +33,20 @@ def applied(
     return found
 
 
+def idle_globs(
+    scenarios: Mapping[str, Scenario], requirements: Mapping[str, Located], theirs: set[str]
+) -> list[str]:
+    """Globs under ``applies_to`` in ``theirs`` files that match no scenario: a misspelt one."""
+    return [
+        f"{one.document.file}:{one.document.line_of(f'requirements.{one.index}.applies_to.{i}')}: "
+        f"the requirement {name!r} applies to {glob!r}, which matches no scenario"
+        for name, one in requirements.items()
+        if one.document.file in theirs
+        for i, glob in enumerate(one.requirement.applies_to)
+        if not any(fnmatchcase(scenario, glob) for scenario in scenarios)
+    ]
+
+
 def check_reference(scenario: Scenario, index: int, requirements: Mapping[str, Located]) -> None:
     """Refuse a requirement that does not exist, or cannot be judged in this scenario.
 

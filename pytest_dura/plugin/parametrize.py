@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, get_args
 
@@ -36,18 +37,11 @@ def parametrize(session: DuraSession, metafunc: pytest.Metafunc, marker: pytest.
     """
     looked_at = [name for name in ("episode", "campaign") if name in metafunc.fixturenames]
     definition = metafunc.definition
-    try:
+    with _errors_at(definition):
         _check_use(definition, looked_at)
         requirements = marked_requirements(session, definition)
         _check_decidable(requirements, each_run="episode" in looked_at)
         targets = _targets(session, marker, requirements, each_run="episode" in looked_at)
-    except ConfigurationError as error:
-        from pytest_dura.campaign.problems import placed
-
-        file, line, _ = definition.location
-        if error.file is None:  # else it is another file that has to be mended
-            error = placed(error, file=file, line=None if line is None else line + 1)
-        raise pytest.Collector.CollectError(str(error)) from None
     if looked_at:
         metafunc.parametrize(
             ",".join(looked_at),
@@ -55,6 +49,31 @@ def parametrize(session: DuraSession, metafunc: pytest.Metafunc, marker: pytest.
             ids=[name for _, name in targets],
             indirect=True,
         )
+
+
+def check_markers(session: DuraSession, definition: pytest.Item) -> None:
+    """Check the requirements that a test names which chooses its episodes itself.
+
+    Raises:
+        pytest.Collector.CollectError: For one that does not exist, at the test's place.
+    """
+    with _errors_at(definition):
+        marked_requirements(session, definition)
+
+
+@contextmanager
+def _errors_at(definition: pytest.Item) -> Iterator[None]:
+    """Errors are told at the place of a test, unless it is another file that has to be mended."""
+    try:
+        yield
+    except ConfigurationError as error:
+        from pytest_dura.campaign.problems import placed
+
+        file, line, _ = definition.location
+        told = error
+        if error.file is None:
+            told = placed(error, file=file, line=None if line is None else line + 1)
+        raise pytest.Collector.CollectError(str(told)) from None
 
 
 def _check_use(definition: pytest.Item, looked_at: Sequence[str]) -> None:

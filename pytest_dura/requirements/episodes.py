@@ -22,6 +22,7 @@ from pytest_dura.requirements.checks import (
     load_function,
 )
 from pytest_dura.requirements.model import Requirement
+from pytest_dura.requirements.sealed import SealedColumns
 from pytest_dura.requirements.stl.evaluation import Evaluation, evaluate
 from pytest_dura.requirements.stl.formula import Formula, unknown_signal
 from pytest_dura.requirements.stl.parsing import parse
@@ -150,9 +151,16 @@ def _by_function(
     if not result.holds:
         return "violated", result
     spoilt = _spoilt(episode)
+    if spoilt is None and _ended_early(episode):
+        spoilt = "invalid", "the episode ended at a violation of something else"
     if spoilt is not None:
         return spoilt[0], CheckResult(False, result.margin, None, spoilt[1])
     return "satisfied", result
+
+
+def _ended_early(episode: Episode) -> bool:
+    """Whether it might have gone on, and what it then would have shown is not known."""
+    return episode.termination == "violation"
 
 
 def _spoilt(episode: Episode) -> tuple[EpisodeWord, str] | None:
@@ -189,7 +197,8 @@ def evaluate_episode(formula: Formula, episode: Episode) -> tuple[Evaluation | N
         if samples == 0:
             undecided = Evaluation("undecided", np.inf, -np.inf, np.inf, None, 0.0, gap)
             return undecided, gap
-    complete = samples == episode.ticks and episode.failure is None
+    # Who judged that the episode may end at a violation did not ask for every formula.
+    complete = samples == episode.ticks and episode.failure is None and not _ended_early(episode)
     cut = {name: column[:samples] for name, column in columns.items()}
     found = evaluate(
         formula,
@@ -216,12 +225,20 @@ class JudgedEpisode(Episode):
     def of(cls, episode: Episode) -> JudgedEpisode:
         """The same episode, with the judging methods.
 
-        Its signals cannot be written: what one requirement looks at, the next one looks at too.
+        It cannot be changed: what one requirement looks at, the next one looks at too.
         """
-        given = {one.name: getattr(episode, one.name) for one in fields(Episode)}
-        for column in (episode.time, *episode.signals.values()):
-            column.flags.writeable = False
-        return cls(**{**given, "signals": dict(episode.signals)})
+        made = cls(**{one.name: getattr(episode, one.name) for one in fields(Episode)})
+        made.time.flags.writeable = False
+        made.signals = SealedColumns(made.signals)
+        made.decisions = SealedColumns(made.decisions)
+        vars(made)["_sealed"] = True
+        return made
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        """Refuse it on an episode that others look at."""
+        if "_sealed" in vars(self):
+            raise AttributeError(f"`{name}` of an episode cannot be changed")
+        super().__setattr__(name, value)
 
     def robustness(self, formula: str) -> float:
         """How far the episode stays clear of violating a formula; below 0 it is violated.

@@ -217,3 +217,64 @@ def test_a_formula_that_cannot_be_judged_is_no_violation(project):
     result = project.run("test_it.py")
     result.assert_outcomes(failed=3)
     expect(project, result, "undecided", "3 of 3 episodes are missing", requirement="OWN-1")
+
+
+@pytest.mark.parametrize("look", ["orchestrator", "run_episode"])
+def test_an_unknown_id_is_told_of_tests_that_choose_their_episodes_too(project, look):
+    lines = ["import pytest", "@pytest.mark.requirement('GAPP-1')", f"def test_it({look}): pass"]
+    project.write("test_it.py", "\n".join(lines))
+    result = project.run("test_it.py")
+    result.assert_outcomes(errors=1)
+    assert "the requirement 'GAPP-1' has no text" in result.stdout.str()
+
+
+def test_a_glob_that_matches_no_scenario_is_told(project):
+    requirement(project, "always (gap >= 0)", applies_to="[corridor/tight, coridor/*]")
+    result = project.run("corridor/tight")
+    result.assert_outcomes(passed=2)
+    told = "requirements_R-1.yaml:2: the requirement 'R-1' applies to 'coridor/*', which matches no"
+    assert told in result.stdout.str()
+    assert "'corridor/tight', which" not in result.stdout.str()
+
+
+@pytest.mark.parametrize(
+    "check, detail",
+    [
+        ("'always (x < 5)'", "which does not decide `always (x < 5)`"),
+        ("lambda one: one.signals['x'].max() < 5", "ended at a violation of something else"),
+    ],
+    ids=["formula", "function"],
+)
+def test_an_episode_that_ended_at_a_violation_decides_nothing_else(project, check, detail):
+    scenario(project, requirements="[GAP-1]\nend_at_violation: true", **PUSHED)
+    write_test(project, f"campaign.require({check})", "requirement('OWN-1', text='Stays.')")
+    found = expect(project, project.run("test_it.py"), "undecided", requirement="OWN-1")
+    assert detail in found["spoilt"]["detail"]
+    project.run("corridor/it").assert_outcomes(failed=1)
+    assert project.verdict("GAP-1")["verdict"] == "violated"
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        "one.signals['gap'] = one.signals['gap'] + 100",
+        "one.signals.update(gap=one.time + 100)",
+        "one.signals['gap'] += 100",
+        "one.signals = {}",
+        "one.failure = 'infrastructure: none'",
+    ],
+)
+def test_a_test_cannot_change_what_another_one_judges(project, change):
+    scenario(project, **PUSHED)
+    write_test(project, f"for one in campaign: {change}", name="a", runs=2)
+    write_test(project, "campaign.require()", "requirement('GAP-1')", name="b", runs=2)
+    result = project.run("test_a.py", "test_b.py")
+    result.assert_outcomes(failed=2)
+    expect(project, result, "violated", requirement="GAP-1")
+
+
+def test_a_column_may_be_added_to_a_copy(project):
+    scenario(project)
+    body = "copy.deepcopy(episode.signals)['own'] = dict(episode.signals)['own'] = episode.time"
+    write_test(project, f"import copy; {body}", look="episode")
+    project.run("test_it.py").assert_outcomes(passed=3)
