@@ -249,3 +249,17 @@ def test_runs_go_on_until_the_condition_has_held() -> None:
     judge.add(one(30))
     assert judge.decided
     assert (judge.verdict().verdict, judge.verdict().saved) == ("supported", 29)
+
+
+def test_runs_until_decided_end_at_a_missing_episode_and_take_an_e_process_by_default() -> None:
+    judge = CampaignJudge(Requirement("R", at_most=0.3), "case", planned=60, until_decided=True)
+    assert judge.method == "e-process"
+    judge.add(one(0))
+    assert not judge.decided
+    judge.add(one(1, "missing"))
+    assert judge.decided
+
+
+def test_without_a_valid_episode_a_sequential_test_bounds_nothing() -> None:
+    assert judge(some(invalid=3), at_most=0.3, method="e-process").bound.upper is None
+    assert judge(some(satisfied=3), at_most=0.3, method="e-process").bound.upper is not None
