@@ -244,6 +244,9 @@ class EvidenceRecord:
             planned=case["planned"],
             component=case["component"],
         ).to_json()
+        if item != f"{case['id']}::{requirement}":
+            # Its episodes may have run: what was not made is the verdict.
+            verdict["reason"] = "the test ended without a verdict on it"
         waived = [one for name, one in self._waivers.items() if test_of(name) == item]
         return {
             **verdict,

@@ -225,6 +225,7 @@ def test_what_a_test_was_to_decide_and_did_not_is_undecided():
         ("t.py::f[a/b]", "S", "undecided"),
     ]
     assert found[1]["waiver"] == {"kind": "skip", "reason": "too cold"}
+    assert found[2]["reason"] == "the test ended without a verdict on it"
 
 
 def test_waivers_are_recorded_beside_the_verdict():
