@@ -92,6 +92,17 @@ class SessionHooks:
 
         return unused(self.session)
 
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_runtest_setup(self, item: pytest.Item) -> None:
+        """Refuse a marker that pytest does not let us see, which would run nothing and pass."""
+        own = any(marker.name == "dura" for marker in item.own_markers)
+        if own and not hasattr(item, "callspec"):
+            pytest.fail(
+                "the marker dura runs nothing here: a test of unittest.TestCase takes no fixtures; "
+                "write a function, or a class of its own",
+                pytrace=False,
+            )
+
     @pytest.hookimpl(wrapper=True)
     def pytest_pyfunc_call(self, pyfuncitem: pytest.Function) -> Generator[None, Any, Any]:
         """Tell our own errors as failures, and refuse a pass on an episode that says nothing."""

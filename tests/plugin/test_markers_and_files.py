@@ -278,3 +278,17 @@ def test_a_column_may_be_added_to_a_copy(project):
     body = "copy.deepcopy(episode.signals)['own'] = dict(episode.signals)['own'] = episode.time"
     write_test(project, f"import copy; {body}", look="episode")
     project.run("test_it.py").assert_outcomes(passed=3)
+
+
+def test_a_marker_on_a_test_that_takes_no_fixtures_is_no_pass(project):
+    project.write(
+        "test_it.py",
+        "import unittest, pytest\n"
+        "class Test(unittest.TestCase):\n"
+        "    @pytest.mark.dura(scenario='corridor/tight')\n"
+        "    @pytest.mark.requirement('GAP-1')\n"
+        "    def test_it(self): pass\n",
+    )
+    result = project.run("test_it.py")
+    assert result.ret == 1
+    assert "the marker dura runs nothing here" in result.stdout.str()
