@@ -12,11 +12,11 @@ from pytest_dura.campaign.cases import Case
 from pytest_dura.campaign.reasons import reasons
 from pytest_dura.campaign.references import check_formula
 from pytest_dura.core.errors import ConfigurationError, DuraError
-from pytest_dura.requirements.campaigns import CampaignVerdict
 from pytest_dura.requirements.checks import Check, check_name
-from pytest_dura.requirements.episodes import JudgedEpisode, judge_episode
-from pytest_dura.requirements.judging import CampaignJudge
 from pytest_dura.requirements.model import Method, Requirement
+from pytest_dura.requirements.verdicts.campaigns import CampaignVerdict
+from pytest_dura.requirements.verdicts.episodes import JudgedEpisode, judge_episode
+from pytest_dura.requirements.verdicts.judging import CampaignJudge
 
 if TYPE_CHECKING:
     from pytest_dura.campaign.paired import PairedCampaign

@@ -11,19 +11,19 @@ from pytest_dura.campaign.cases import NO_FAULTS, Case, expand_cases
 from pytest_dura.campaign.monitoring import monitor_qualities
 from pytest_dura.core.episode import Episode
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.requirements.campaigns import CampaignVerdict
-from pytest_dura.requirements.changes import Change
 from pytest_dura.requirements.checks import Check, check_name
-from pytest_dura.requirements.episodes import EpisodeVerdict, JudgedEpisode, judge_episode
 from pytest_dura.requirements.model import FAULTS, Method, Paired, Requirement
-from pytest_dura.requirements.monitor_quality import MonitorQuality
-from pytest_dura.requirements.pair_verdicts import (
+from pytest_dura.requirements.monitoring.quality import MonitorQuality
+from pytest_dura.requirements.pairs.changes import Change
+from pytest_dura.requirements.pairs.counts import Pair, PairCounts, judge_pairs
+from pytest_dura.requirements.pairs.verdicts import (
     change_verdict,
     check_comparison,
     measured,
     pair_verdict,
 )
-from pytest_dura.requirements.pairs import Pair, PairCounts, judge_pairs
+from pytest_dura.requirements.verdicts.campaigns import CampaignVerdict
+from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict, JudgedEpisode, judge_episode
 
 if TYPE_CHECKING:
     from pytest_dura.campaign.campaigns import Campaign

@@ -15,8 +15,8 @@ from pytest_dura.core.loop_signals import LOOP_SIGNALS
 from pytest_dura.requirements.checks import Check, is_function_path
 from pytest_dura.requirements.methods import method_of
 from pytest_dura.requirements.model import FAULTS
-from pytest_dura.requirements.stl.checks import check_time_step
-from pytest_dura.requirements.stl.parsing import parse
+from pytest_dura.requirements.stl.language.checks import check_time_step
+from pytest_dura.requirements.stl.language.parsing import parse
 
 
 def applied(

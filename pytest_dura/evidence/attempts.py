@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from pytest_dura.requirements.episodes import EpisodeVerdict
+from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict
 
 Data = dict[str, Any]
 

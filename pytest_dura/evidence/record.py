@@ -9,8 +9,8 @@ from typing import Any, Literal
 
 from pytest_dura.evidence.attempts import final_outcomes, test_of, worst_by_episode
 from pytest_dura.evidence.episodes import case_metrics
-from pytest_dura.requirements.judging import judge_campaign
 from pytest_dura.requirements.model import Requirement
+from pytest_dura.requirements.verdicts.judging import judge_campaign
 
 SCHEMA_VERSION = "1"
 UNKNOWN = "unknown"

@@ -9,9 +9,9 @@ import pytest
 from pytest_dura.core.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from pytest_dura.requirements.episodes import EpisodeVerdict, EpisodeWord
     from pytest_dura.requirements.model import Requirement
     from pytest_dura.requirements.verdicts import JudgedEpisode
+    from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict, EpisodeWord
 
 
 def outcome_of_test(
@@ -45,7 +45,7 @@ def judged_by_own_check(requirement: Requirement, episode: JudgedEpisode) -> Epi
     """What the requirement's own check says; ``None`` without one, and where none can be asked."""
     if not requirement.check or requirement.paired is not None:
         return None
-    from pytest_dura.requirements.episodes import judge_episode
+    from pytest_dura.requirements.verdicts.episodes import judge_episode
 
     try:
         return judge_episode(requirement, episode)

@@ -19,10 +19,10 @@ if TYPE_CHECKING:
     from pytest_dura.evidence.record import ItemReport
     from pytest_dura.plugin.parametrize import Target
     from pytest_dura.plugin.session import DuraSession
-    from pytest_dura.requirements.campaigns import CampaignVerdict
     from pytest_dura.requirements.model import Requirement
-    from pytest_dura.requirements.monitor_quality import MonitorQuality
+    from pytest_dura.requirements.monitoring.quality import MonitorQuality
     from pytest_dura.requirements.verdicts import JudgedEpisode
+    from pytest_dura.requirements.verdicts.campaigns import CampaignVerdict
 
 ATTRIBUTE = "dura"
 """Of a test report. pytest and xdist carry further attributes along, and unlike
@@ -133,7 +133,7 @@ class Reporter:
 
     def _check_share(self, used: Sequence[JudgedEpisode]) -> None:
         """Too many invalid episodes leave a campaign undecided that no verdict was asked of."""
-        from pytest_dura.requirements.judging import MAX_INVALID_SHARE
+        from pytest_dura.requirements.verdicts.judging import MAX_INVALID_SHARE
 
         episodes = {one.id: one for one in used}.values()
         invalid = [one for one in episodes if one.validity == "invalid"]

@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 
 from pytest_dura import ConfigurationError, Requirement
-from pytest_dura.requirements.campaigns import Spoilt
-from pytest_dura.requirements.judging import CampaignJudge
 from pytest_dura.requirements.verdicts import CampaignVerdict, EpisodeVerdict, judge_campaign
+from pytest_dura.requirements.verdicts.campaigns import Spoilt
+from pytest_dura.requirements.verdicts.judging import CampaignJudge
 
 KEYS_OF_THE_RECORD = {
     "requirement", "case", "component", "verdict", "planned", "episodes", "violations", "invalid",

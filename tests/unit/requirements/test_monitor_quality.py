@@ -21,11 +21,11 @@ from pytest_dura import (
     SecurityAssessment,
     SecurityAssessor,
 )
-from pytest_dura.requirements.alarms import Watch, watch
-from pytest_dura.requirements.episodes import EpisodeVerdict, judge_episode
 from pytest_dura.requirements.model import Requirement
-from pytest_dura.requirements.monitor_quality import MonitorQuality
-from pytest_dura.requirements.monitors import judge_alerts, judge_monitor
+from pytest_dura.requirements.monitoring.alarms import Watch, watch
+from pytest_dura.requirements.monitoring.judging import judge_alerts, judge_monitor
+from pytest_dura.requirements.monitoring.quality import MonitorQuality
+from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict, judge_episode
 
 BIAS = {"id": "bias", "target": "thermometer", "activation": {"at": 0.5}, "duration": 0.3}
 
