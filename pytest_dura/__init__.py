@@ -54,11 +54,11 @@ if TYPE_CHECKING:
         StateManager,
         Tick,
     )
-    from pytest_dura.requirements.campaigns import CampaignVerdict
     from pytest_dura.requirements.checks import CheckResult
-    from pytest_dura.requirements.episodes import EpisodeVerdict, JudgedEpisode
     from pytest_dura.requirements.model import Paired, Requirement
-    from pytest_dura.requirements.monitor import StlSafetyMonitor
+    from pytest_dura.requirements.monitoring.stl_monitor import StlSafetyMonitor
+    from pytest_dura.requirements.verdicts.campaigns import CampaignVerdict
+    from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict, JudgedEpisode
 
 __version__ = "0.1.0"
 
@@ -139,11 +139,11 @@ _HOMES = {
     "pytest_dura.core.seeding": "derive_seed stream",
     "pytest_dura.core.simulator": "Simulator",
     "pytest_dura.core.state": "Event GeneratorView Lazy Percept RoleView StateManager Tick",
-    "pytest_dura.requirements.campaigns": "CampaignVerdict",
+    "pytest_dura.requirements.verdicts.campaigns": "CampaignVerdict",
     "pytest_dura.requirements.checks": "CheckResult",
-    "pytest_dura.requirements.episodes": "EpisodeVerdict JudgedEpisode",
+    "pytest_dura.requirements.verdicts.episodes": "EpisodeVerdict JudgedEpisode",
     "pytest_dura.requirements.model": "Paired Requirement",
-    "pytest_dura.requirements.monitor": "StlSafetyMonitor",
+    "pytest_dura.requirements.monitoring.stl_monitor": "StlSafetyMonitor",
 }
 _HOME_OF = {name: module for module, names in _HOMES.items() for name in names.split()}
 

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
+from pytest_dura.campaign.asked import asked
 from pytest_dura.campaign.cases import Case
 from pytest_dura.campaign.reasons import reasons
 from pytest_dura.campaign.references import check_formula
 from pytest_dura.core.errors import ConfigurationError, DuraError
-from pytest_dura.requirements.campaigns import CampaignVerdict
 from pytest_dura.requirements.checks import Check, check_name
-from pytest_dura.requirements.episodes import JudgedEpisode, judge_episode
-from pytest_dura.requirements.judging import CampaignJudge
 from pytest_dura.requirements.model import Method, Requirement
+from pytest_dura.requirements.verdicts.campaigns import CampaignVerdict
+from pytest_dura.requirements.verdicts.episodes import JudgedEpisode, judge_episode
+from pytest_dura.requirements.verdicts.judging import CampaignJudge
 
 if TYPE_CHECKING:
     from pytest_dura.campaign.paired import PairedCampaign
@@ -157,40 +158,37 @@ class Campaign:
         self,
         check: Check | None = None,
         at_most: float | None = None,
-        confidence: float = 0.95,
+        confidence: float | None = None,
         method: Method | None = None,
         p0: float | None = None,
     ) -> CampaignVerdict:
         """The verdict of a check, if the campaign supports it.
 
+        A requirement of a file is judged as its file defines it, and nothing that is given here
+        may differ from that.
+
         Args:
             check: Formula over signals, or a function of the episode or its import path. Without
-                one, the requirement in the test's marker is judged as its file defines it.
+                one, that of the requirement in the test's marker.
             at_most: Greatest acceptable rate of episodes that violate it; by default none may.
-            confidence: One-sided confidence of the bound on that rate.
+            confidence: One-sided confidence of the bound on that rate; by default 0.95.
             method: ``fixed`` for the planned number of runs; ``sprt`` or ``e-process`` to end the
                 runs once the rate is decided. Default: ``fixed``, unless runs go on until decided.
             p0: For ``sprt``, the rate below ``at_most`` up to which a component is rarely rejected.
 
         Raises:
             RequirementViolated: If it is violated or undecided.
-            ConfigurationError: For a check that cannot be read, and a rate or method that makes
-                no sense.
+            ConfigurationError: For a check that cannot be read, a rate or method that makes no
+                sense, and what is not as the requirement's file says.
         """
         __tracebackhide__ = True
-        if check is None:
-            requirement = self._own_requirement()
-        else:
-            requirement = replace(
-                self.requirement or Requirement(id=check_name(check)),
-                check=check_name(check),
-                at_most=at_most,
-                confidence=confidence,
-                method=method,
-                p0=p0,
-                paired=None,
-            )
+        given: dict[str, Any] = {"at_most": at_most, "confidence": confidence}
+        given |= {"method": method, "p0": p0}
+        if check is not None:
+            given |= {"check": check_name(check)}
         try:
+            own = self._own_requirement() if check is None else self.requirement
+            requirement = self.asked(own or Requirement(id=check_name(check or "")), given)
             verdict = self.judge(requirement, check)
         except ConfigurationError as error:
             raise error.with_traceback(None) from None
@@ -207,6 +205,15 @@ class Campaign:
                 remedy='call campaign.require("always (gap > 0)"), or add a `check` to the file',
             )
         return own
+
+    def asked(self, own: Requirement, given: Mapping[str, Any]) -> Requirement:
+        """The requirement with what a call gives, ``None`` apart; see :func:`asked`.
+
+        Raises:
+            ConfigurationError: For what is not as the requirement's file says.
+        """
+        told = {key: value for key, value in given.items() if value is not None}
+        return asked(own, self.bench.library().requirements, told)
 
     def decided(self, verdict: CampaignVerdict, requirement: Requirement) -> CampaignVerdict:
         """Tell of a verdict, and return it if it is "supported".

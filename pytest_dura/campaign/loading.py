@@ -15,6 +15,7 @@ from pytest_dura.campaign.problems import combine
 from pytest_dura.campaign.references import (
     applied,
     check_reference,
+    idle_globs,
     too_long,
     unused_requirements,
 )
@@ -90,7 +91,11 @@ def load_library(paths: Sequence[Path | str], *, builtin: bool = True) -> Librar
     theirs = {str(file) for path in own for file in _files(path)}
     plain = {name: one.requirement for name, one in requirements.items()}
     unused = unused_requirements(scenarios, requirements, theirs)
-    return Library(scenarios, plain, tuple(too_long(scenarios, requirements)), unused)
+    warnings = [
+        *too_long(scenarios, requirements),
+        *idle_globs(scenarios, requirements, theirs),
+    ]
+    return Library(scenarios, plain, tuple(warnings), unused)
 
 
 def load_scenarios(paths: Sequence[Path | str]) -> dict[str, Scenario]:

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from pytest_dura.core.episode import Episode
-from pytest_dura.requirements.alarms import watch
-from pytest_dura.requirements.episodes import judge_episode
 from pytest_dura.requirements.model import Requirement
-from pytest_dura.requirements.monitor_quality import MonitorQuality
-from pytest_dura.requirements.monitors import judge_alerts, judge_monitor
+from pytest_dura.requirements.monitoring.alarms import watch
+from pytest_dura.requirements.monitoring.judging import judge_alerts, judge_monitor
+from pytest_dura.requirements.monitoring.quality import MonitorQuality
+from pytest_dura.requirements.verdicts.episodes import judge_episode
 
 
 def monitor_qualities(

@@ -6,23 +6,24 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+from pytest_dura.campaign.asked import number
 from pytest_dura.campaign.cases import Case
 from pytest_dura.campaign.monitoring import monitor_qualities
 from pytest_dura.core.episode import Episode
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.requirements.campaigns import CampaignVerdict
-from pytest_dura.requirements.changes import Change
 from pytest_dura.requirements.checks import Check, check_name
-from pytest_dura.requirements.episodes import EpisodeVerdict, JudgedEpisode, judge_episode
 from pytest_dura.requirements.model import FAULTS, Method, Paired, Requirement
-from pytest_dura.requirements.monitor_quality import MonitorQuality
-from pytest_dura.requirements.pair_verdicts import (
+from pytest_dura.requirements.monitoring.quality import MonitorQuality
+from pytest_dura.requirements.pairs.changes import Change
+from pytest_dura.requirements.pairs.counts import Pair, PairCounts, judge_pairs
+from pytest_dura.requirements.pairs.verdicts import (
     change_verdict,
     check_comparison,
     measured,
     pair_verdict,
 )
-from pytest_dura.requirements.pairs import Pair, PairCounts, judge_pairs
+from pytest_dura.requirements.verdicts.campaigns import CampaignVerdict
+from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict, JudgedEpisode, judge_episode
 
 if TYPE_CHECKING:
     from pytest_dura.campaign.campaigns import Campaign
@@ -123,7 +124,7 @@ class PairedCampaign:
         self,
         check: Check = "",
         at_most: float | None = None,
-        confidence: float = 0.95,
+        confidence: float | None = None,
         method: Method | None = None,
         p0: float | None = None,
         *,
@@ -143,20 +144,23 @@ class PairedCampaign:
 
         Raises:
             RequirementViolated: If it is violated or undecided.
-            ConfigurationError: For a check or measure that cannot be used.
+            ConfigurationError: For a check or measure that cannot be used, and what is not as the
+                requirement's file says.
         """
         __tracebackhide__ = True
-        name = check_name(check) or measure
-        requirement = replace(
-            self.campaign.requirement or Requirement(id=name, kind="recovery"),
-            check=check_name(check),
-            at_most=at_most,
-            confidence=confidence,
-            method=method,
-            p0=p0,
-            paired=Paired(self.without, measure, change_at_most),
-        )
+        given: dict[str, Any] = {"at_most": at_most, "confidence": confidence}
+        given |= {"method": method, "p0": p0}
+        if check:
+            given |= {"check": check_name(check)}
+        own = self.campaign.requirement
+        own = own or Requirement(check_name(check) or measure, kind="recovery")
         try:
+            if change_at_most is not None:
+                change_at_most = number("change_at_most", change_at_most)
+            paired = Paired(self.without, measure, change_at_most)
+            if own.paired is not None and paired == Paired(self.without):
+                paired = replace(own.paired, without=self.without)
+            requirement = self.campaign.asked(own, given | {"paired": paired})
             verdict = self.judge(requirement, check or None)
         except ConfigurationError as error:
             raise error.with_traceback(None) from None

@@ -7,8 +7,8 @@ from dataclasses import asdict
 from typing import Any
 
 from pytest_dura.core.episode import Episode
-from pytest_dura.requirements.campaigns import CampaignVerdict
 from pytest_dura.requirements.model import Requirement
+from pytest_dura.requirements.verdicts.campaigns import CampaignVerdict
 
 
 def reasons(

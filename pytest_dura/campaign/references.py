@@ -15,8 +15,8 @@ from pytest_dura.core.loop_signals import LOOP_SIGNALS
 from pytest_dura.requirements.checks import Check, is_function_path
 from pytest_dura.requirements.methods import method_of
 from pytest_dura.requirements.model import FAULTS
-from pytest_dura.requirements.stl.checks import check_time_step
-from pytest_dura.requirements.stl.parsing import parse
+from pytest_dura.requirements.stl.language.checks import check_time_step
+from pytest_dura.requirements.stl.language.parsing import parse
 
 
 def applied(
@@ -31,6 +31,20 @@ def applied(
                     added = (*scenario.requirements, name)
                     found[scenario.name] = scenario.model_copy(update={"requirements": added})
     return found
+
+
+def idle_globs(
+    scenarios: Mapping[str, Scenario], requirements: Mapping[str, Located], theirs: set[str]
+) -> list[str]:
+    """Globs under ``applies_to`` in ``theirs`` files that match no scenario: a misspelt one."""
+    return [
+        f"{one.document.file}:{one.document.line_of(f'requirements.{one.index}.applies_to.{i}')}: "
+        f"the requirement {name!r} applies to {glob!r}, which matches no scenario"
+        for name, one in requirements.items()
+        if one.document.file in theirs
+        for i, glob in enumerate(one.requirement.applies_to)
+        if not any(fnmatchcase(scenario, glob) for scenario in scenarios)
+    ]
 
 
 def check_reference(scenario: Scenario, index: int, requirements: Mapping[str, Located]) -> None:

@@ -15,10 +15,10 @@ from pytest_dura.campaign.validation import validate
 from pytest_dura.campaign.yaml_source import Document
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.requirements.checks import is_function_path, load_function
-from pytest_dura.requirements.judging import CampaignJudge
 from pytest_dura.requirements.model import Kind, Method, Paired, Requirement
-from pytest_dura.requirements.pair_verdicts import check_comparison
-from pytest_dura.requirements.stl.parsing import parse
+from pytest_dura.requirements.pairs.verdicts import check_comparison
+from pytest_dura.requirements.stl.language.parsing import parse
+from pytest_dura.requirements.verdicts.judging import CampaignJudge
 
 
 class PairedEntry(Entry):

@@ -18,11 +18,11 @@ from pytest_dura.core.orchestrator import Orchestrator
 from pytest_dura.core.propagation import Divergence
 from pytest_dura.core.roles import RoleSpec
 from pytest_dura.core.state import NOTHING
-from pytest_dura.requirements.campaigns import CampaignVerdict
 from pytest_dura.requirements.judge import RequirementJudge
 from pytest_dura.requirements.model import Requirement
-from pytest_dura.requirements.monitor_quality import MonitorQuality
+from pytest_dura.requirements.monitoring.quality import MonitorQuality
 from pytest_dura.requirements.verdicts import JudgedEpisode
+from pytest_dura.requirements.verdicts.campaigns import CampaignVerdict
 
 Metrics = Mapping[str, Callable[[Episode], float]]
 

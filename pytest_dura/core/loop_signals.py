@@ -15,6 +15,9 @@ LOOP_SIGNALS = ("loop.recovering", "loop.recovering_for", "loop.fallback", "loop
 """0 or 1 for: recovery's action, or the simulator's fallback, was carried out; the proposal was
 unsafe. ``recovering_for`` is the time since recovery took over, in s, 0 while it does not act."""
 
+_DECIMALS = 9
+"""Of seconds, to which a difference of two ticks' times is given."""
+
 
 def loop_signals(episode: Episode) -> dict[str, NDArray[np.float64]]:
     """The columns by name, each of shape ``(ticks,)``."""
@@ -28,7 +31,8 @@ def loop_signals(episode: Episode) -> dict[str, NDArray[np.float64]]:
         lasting = episode.time - np.maximum.accumulate(started)
     return {
         "loop.recovering": recovering.astype(float),
-        "loop.recovering_for": np.where(recovering, lasting, 0.0),
+        # 12.3 s after 2.3 s is 10 s, whatever the float rounds to: a bound of 10 s holds there.
+        "loop.recovering_for": np.where(recovering, np.round(lasting, _DECIMALS), 0.0),
         "loop.fallback": (source == "fallback").astype(float),
         "loop.unsafe": (verdict == 2).astype(float),
     }

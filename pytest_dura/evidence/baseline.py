@@ -8,7 +8,6 @@ from typing import Any, Literal
 
 from pytest_dura.evidence.claims import Claim
 from pytest_dura.evidence.conditions import changed_conditions
-from pytest_dura.requirements.judging import MAX_INVALID_SHARE
 from pytest_dura.requirements.statistics import (
     ComparisonWord,
     compare_counts,
@@ -16,6 +15,7 @@ from pytest_dura.requirements.statistics import (
     comparison_word,
     holm,
 )
+from pytest_dura.requirements.verdicts.judging import MAX_INVALID_SHARE
 
 SEQUENTIAL = ("sprt", "e-process")
 """Methods under which the number of episodes depends on what they show."""

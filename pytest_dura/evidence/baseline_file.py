@@ -54,11 +54,11 @@ class Baseline:
                 sha256=digest,
                 created=str(record["created"]),
                 status=str(record["status"]),
-                base_seed=int(record["base_seed"]),
+                base_seed=_seed(record["base_seed"]),
                 component={"name": None, **record["component_under_test"]},
                 claims=tuple(claims_of(record)),
             )
-        except (AttributeError, KeyError, TypeError, ValueError) as error:
+        except (AttributeError, KeyError, TypeError, ValueError, RecursionError) as error:
             raise ConfigurationError(
                 "the baseline is damaged",
                 file=str(file),
@@ -95,3 +95,9 @@ class Baseline:
             "tests": sum(one.p_worse is not None for one in found),
             "comparisons": [one.to_json() for one in found],
         }
+
+
+def _seed(value: Any) -> int:
+    if isinstance(value, bool) or not isinstance(value, int):
+        raise TypeError(f"{value!r} is no seed")
+    return value

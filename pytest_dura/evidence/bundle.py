@@ -62,7 +62,7 @@ def load_record(file: Path, key: str = "--dura-evidence") -> tuple[dict[str, Any
         version = found["schema_version"]
     except FileNotFoundError:
         raise _unreadable("there is no evidence here", file, key) from None
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         problem = f"this is no evidence record ({type(error).__name__})"
         raise _unreadable(problem, file, key) from None
     if version != SCHEMA_VERSION:
@@ -90,7 +90,8 @@ def _unreadable(problem: str, file: Path, key: str) -> ConfigurationError:
 def _replace(file: Path, text: str) -> Path:
     handle, name = tempfile.mkstemp(dir=file.parent, prefix=f".{file.name}-")
     try:
-        with os.fdopen(handle, "w", encoding="utf-8") as stream:
+        # A name of a file need not be text; what UTF-8 cannot hold, JSON can, as \\udcff.
+        with os.fdopen(handle, "w", encoding="utf-8", errors="backslashreplace") as stream:
             stream.write(text)
             stream.flush()
             os.fsync(stream.fileno())

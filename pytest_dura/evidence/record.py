@@ -7,11 +7,11 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
+from pytest_dura.evidence.attempts import final_outcomes, test_of, worst_by_episode
 from pytest_dura.evidence.episodes import case_metrics
 from pytest_dura.evidence.faults import fault_metrics, with_chains
-from pytest_dura.requirements.episodes import EpisodeVerdict
-from pytest_dura.requirements.judging import judge_campaign
 from pytest_dura.requirements.model import Requirement
+from pytest_dura.requirements.verdicts.judging import judge_campaign
 
 SCHEMA_VERSION = "1"
 UNKNOWN = "unknown"
@@ -31,8 +31,11 @@ class ItemReport:
         cases: ``{id, scenario, faults, component, requirements, planned}``.
         requirements: ``Requirement.to_json()`` of each requirement involved.
         episodes: Of :func:`episode_record`.
-        verdicts: ``CampaignVerdict.to_json()``, and the ``check`` that was judged.
-        outcomes: ``EpisodeVerdict.to_json()`` of tests that look at one episode, with ``case``.
+        verdicts: ``CampaignVerdict.to_json()``, with the ``check`` and ``paired`` of the
+            requirement that was judged.
+        outcomes: ``EpisodeVerdict.to_json()`` of tests that look at one episode, with ``case``,
+            ``planned``, and the ``at_most`` and ``confidence`` of the requirement.
+        claims: ``{requirement, case, each_run}`` of what the item is to decide, told before it.
         monitors: ``MonitorQuality.to_json()``, with the ``case`` that it was measured on.
         chains: What came of each fault, with the ``episode`` and its ``case``.
     """
@@ -46,6 +49,7 @@ class ItemReport:
     outcomes: list[Data] = field(default_factory=list)
     monitors: list[Data] = field(default_factory=list)
     chains: list[Data] = field(default_factory=list)
+    claims: list[Data] = field(default_factory=list)
 
     def to_json(self) -> Data:
         """Plain data."""
@@ -70,21 +74,24 @@ class EvidenceRecord:
     _cases: dict[tuple[str, str], Data] = field(default_factory=dict)
     _episodes: dict[tuple[str, str, str], Data] = field(default_factory=dict)
     _verdicts: dict[tuple[str, ...], Data] = field(default_factory=dict)
-    _outcomes: dict[tuple[str, str, str], list[Data]] = field(default_factory=dict)
+    _outcomes: dict[tuple[str, ...], list[Data]] = field(default_factory=dict)
     _monitors: dict[tuple[str, ...], Data] = field(default_factory=dict)
     _chains: dict[tuple[str, str], dict[str, Data]] = field(default_factory=dict)
-    _expected: dict[str, Data] = field(default_factory=dict)
+    _expected: dict[tuple[str, str, str], Data] = field(default_factory=dict)
     _waivers: dict[str, Data] = field(default_factory=dict)
     _clashes: dict[tuple[str, str], str] = field(default_factory=dict)
 
     def expect(self, item: str, requirement: Data, case: Data) -> None:
         """A campaign's item that will run; if it never reports, its verdict is undecided."""
-        self._expected[item] = {"requirement": requirement["id"], "case": case}
+        self._expected[item, requirement["id"], case["id"]] = case
         self._requirements.setdefault(requirement["id"], requirement)
 
     def add(self, report: Mapping[str, Any]) -> None:
         """What an item told."""
         item = report["item"]
+        for claim in report["claims"]:
+            case, decides = claim["case"], test_of(item) if claim["each_run"] else item
+            self._expected.setdefault((decides, claim["requirement"], case["id"]), case)
         for component in report["components"]:
             self._components.setdefault(component["name"], component)
         for requirement in report["requirements"]:
@@ -98,11 +105,10 @@ class EvidenceRecord:
         for monitor in report["monitors"]:
             key = tuple(monitor[name] for name in ("case", "component", "target", "monitor"))
             self._monitors[key] = monitor
-        for chain in report["chains"]:
-            key = chain["component"], chain["episode"]
-            self._chains.setdefault(key, {})[chain["id"]] = chain
+        self._add_chains(report["chains"])
         for outcome in report["outcomes"]:
-            key = outcome["requirement"], outcome["case"], outcome["component"]
+            # What two tests make of one episode are two answers, and no attempts at one.
+            key = test_of(item), outcome["requirement"], outcome["case"], outcome["component"]
             told = self._outcomes.setdefault(key, [])
             if (outcome | {"item": item}) not in told:
                 told.append(outcome | {"item": item})
@@ -144,13 +150,18 @@ class EvidenceRecord:
         """All verdicts, also of campaigns that never reported, sorted by case and requirement."""
         found = [dict(verdict) for verdict in self._verdicts.values()]
         found += [self._of_outcomes(key, told) for key, told in self._outcomes.items()]
-        heard = {verdict["item"] for verdict in found}
-        for item, expected in self._expected.items():
-            if item not in heard:
-                found.append(self._not_run(item, expected))
+        heard = {(one["item"], one["requirement"], one["case"]) for one in found}
+        for claim, case in self._expected.items():
+            if claim not in heard:
+                found.append(self._not_run(*claim[:2], case))
         for verdict in found:
             self._qualify(verdict)
         return sorted(found, key=lambda one: (one["case"], one["requirement"], one["item"]))
+
+    def _add_chains(self, chains: Iterable[Data]) -> None:
+        for chain in chains:
+            key = chain["component"], chain["episode"]
+            self._chains.setdefault(key, {})[chain["id"]] = chain
 
     def _add_case(self, case: Data) -> None:
         known = self._cases.setdefault((case["id"], case["component"]), dict(case))
@@ -168,7 +179,11 @@ class EvidenceRecord:
         known["planned"] = known["planned"] or episode["planned"]
 
     def _add_verdict(self, item: str, verdict: Data) -> None:
-        key = item, verdict["requirement"], verdict["case"], verdict["component"], verdict["check"]
+        # The same item may ask several questions; what is asked again is another attempt.
+        asked = [verdict["check"], verdict["paired"], verdict["method"]]
+        asked += [verdict["bound"]["at_most"], verdict["bound"]["confidence"]]
+        names = ("requirement", "case", "component")
+        key = item, *(verdict[name] for name in names), json.dumps(asked, sort_keys=True)
         before = self._verdicts.get(key)
         new = {**verdict, "item": item, "waiver": None, "attempts": []}
         if before is None:
@@ -183,33 +198,44 @@ class EvidenceRecord:
             new = {**before, "attempts": [*before["attempts"], verdict]}
         self._verdicts[key] = new
 
-    def _of_outcomes(self, key: tuple[str, str, str], told: list[Data]) -> Data:
-        """The verdict of tests that look at one episode each."""
-        requirement, case, component = key
+    def _of_outcomes(self, key: tuple[str, ...], told: list[Data]) -> Data:
+        """The verdict of a test that looks at one episode at a time."""
+        test, requirement, case, component = key
         planned = max(one["planned"] for one in told)
-        names = EpisodeVerdict.__dataclass_fields__
-        verdicts = [EpisodeVerdict(**{name: one[name] for name in names}) for one in told]
         # Tests are a fixed number, and run in no fixed order: no sequential method applies.
-        judged_by = replace(self._requirement(requirement), method=None, p0=None)
+        judged_by = replace(
+            self._requirement(requirement),
+            at_most=told[0]["at_most"],
+            confidence=told[0]["confidence"],
+            method=None,
+            p0=None,
+        )
+        final = final_outcomes(told)
         verdict = judge_campaign(
-            judged_by, case, verdicts, planned=planned, component=component
+            judged_by, case, worst_by_episode(final), planned=planned, component=component
         ).to_json()
-        items = sorted({one["item"].partition("[")[0] for one in told})
-        waivers = [self._waivers[one["item"]] for one in told if one["item"] in self._waivers]
         return {
             **verdict,
             "check": "",
-            "item": ", ".join(items),
-            "waiver": waivers[0] if waivers else None,
+            "paired": None,
+            "item": test,
+            "waiver": self._waiver_of(final, verdict),
             "attempts": [],
         }
+
+    def _waiver_of(self, final: list[Data], verdict: Data) -> Data | None:
+        """What excuses the verdict: nothing, if there is more than what waived items told."""
+        waivers = [self._waivers[one["item"]] for one in final if one["item"] in self._waivers]
+        bad = {one["item"] for one in final if one["verdict"] != "satisfied"}
+        excused = bad <= set(self._waivers) and verdict["run"] >= verdict["planned"]
+        return waivers[0] if waivers and excused else None
 
     def _add_unheard_cases(self) -> None:
         """Cases that are expected, and of which nothing was heard."""
         heard = {case for case, _ in self._cases}
-        for expected in self._expected.values():
-            if expected["case"]["id"] not in heard:
-                self._add_case(self._with_component(expected["case"]))
+        for case in self._expected.values():
+            if case["id"] not in heard:
+                self._add_case(self._with_component(case))
 
     def _with_component(self, case: Data) -> Data:
         """An expected case with the component's name as far as the session has told it by now."""
@@ -219,16 +245,27 @@ class EvidenceRecord:
         names = names or list(self._components)
         return {**case, "component": names[0]} if len(names) == 1 else case
 
-    def _not_run(self, item: str, expected: Data) -> Data:
-        case = self._with_component(expected["case"])
+    def _not_run(self, item: str, requirement: str, case: Data) -> Data:
+        case = self._with_component(case)
         verdict = judge_campaign(
-            self._requirement(expected["requirement"]),
+            self._requirement(requirement),
             case["id"],
             [],
             planned=case["planned"],
             component=case["component"],
         ).to_json()
-        return {**verdict, "check": "", "item": item, "waiver": None, "attempts": []}
+        if item != f"{case['id']}::{requirement}":
+            # Its episodes may have run: what was not made is the verdict.
+            verdict["reason"] = "the test ended without a verdict on it"
+        waived = [one for name, one in self._waivers.items() if test_of(name) == item]
+        return {
+            **verdict,
+            "check": "",
+            "paired": None,
+            "item": item,
+            "waiver": waived[0] if waived else None,
+            "attempts": [],
+        }
 
     def _requirement(self, name: str) -> Requirement:
         return Requirement.from_json(self._requirements.get(name, {"id": name}))

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.plugin.overrides import root_conftest_with
 from pytest_dura.plugin.reporter import ATTRIBUTE, case_record
 
@@ -112,7 +113,13 @@ class SessionEvidence:
             return
         stopped = bool(session.shouldstop or session.shouldfail)
         interrupted = stopped or session.exitstatus not in REGULAR
-        self._write("interrupted" if interrupted else "complete")
+        try:
+            self._write("interrupted" if interrupted else "complete")
+        except ConfigurationError as error:
+            self.file = None
+            self.objections = str(error).splitlines()
+            session.exitstatus = session.exitstatus or pytest.ExitCode.TESTS_FAILED
+            return
         self.objections = [*self.record.problems, *self._worse()]
         if session.exitstatus == pytest.ExitCode.OK:
             self.objections += self._unsupported()

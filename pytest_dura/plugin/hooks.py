@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from pytest_dura.plugin.session import DuraSession
 
 
-def uses_bench(item: pytest.Item) -> bool:
+def uses_bench(item: pytest.Item | pytest.Metafunc) -> bool:
     """Whether the item runs episodes: our ``orchestrator`` alone asks for ``dura_metrics``.
 
     Names such as ``episode`` or ``generator`` may be fixtures of other people's own.
@@ -55,6 +55,10 @@ class SessionHooks:
             from pytest_dura.plugin.parametrize import parametrize
 
             parametrize(self.session, metafunc, marker)
+        elif uses_bench(metafunc):
+            from pytest_dura.plugin.parametrize import check_markers
+
+            check_markers(self.session, metafunc.definition)
 
     def pytest_itemcollected(self, item: pytest.Item) -> None:
         """Let the bench follow the role fixtures that the item sees, before any other fixture."""
@@ -87,6 +91,17 @@ class SessionHooks:
         from pytest_dura.plugin.terminal import unused
 
         return unused(self.session)
+
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_runtest_setup(self, item: pytest.Item) -> None:
+        """Refuse a marker that pytest does not let us see, which would run nothing and pass."""
+        own = any(marker.name == "dura" for marker in item.own_markers)
+        if own and not hasattr(item, "callspec"):
+            pytest.fail(
+                "the marker dura runs nothing here: a test of unittest.TestCase takes no fixtures; "
+                "write a function, or a class of its own",
+                pytrace=False,
+            )
 
     @pytest.hookimpl(wrapper=True)
     def pytest_pyfunc_call(self, pyfuncitem: pytest.Function) -> Generator[None, Any, Any]:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, get_args
 
@@ -36,16 +37,11 @@ def parametrize(session: DuraSession, metafunc: pytest.Metafunc, marker: pytest.
     """
     looked_at = [name for name in ("episode", "campaign") if name in metafunc.fixturenames]
     definition = metafunc.definition
-    try:
+    with _errors_at(definition):
         _check_use(definition, looked_at)
         requirements = marked_requirements(session, definition)
+        _check_decidable(requirements, each_run="episode" in looked_at)
         targets = _targets(session, marker, requirements, each_run="episode" in looked_at)
-    except ConfigurationError as error:
-        from pytest_dura.campaign.problems import placed
-
-        file, line, _ = definition.location
-        told = placed(error, file=file, line=None if line is None else line + 1)
-        raise pytest.Collector.CollectError(str(told)) from None
     if looked_at:
         metafunc.parametrize(
             ",".join(looked_at),
@@ -53,6 +49,31 @@ def parametrize(session: DuraSession, metafunc: pytest.Metafunc, marker: pytest.
             ids=[name for _, name in targets],
             indirect=True,
         )
+
+
+def check_markers(session: DuraSession, definition: pytest.Item) -> None:
+    """Check the requirements that a test names which chooses its episodes itself.
+
+    Raises:
+        pytest.Collector.CollectError: For one that does not exist, at the test's place.
+    """
+    with _errors_at(definition):
+        marked_requirements(session, definition)
+
+
+@contextmanager
+def _errors_at(definition: pytest.Item) -> Iterator[None]:
+    """Errors are told at the place of a test, unless it is another file that has to be mended."""
+    try:
+        yield
+    except ConfigurationError as error:
+        from pytest_dura.campaign.problems import placed
+
+        file, line, _ = definition.location
+        told = error
+        if error.file is None:
+            told = placed(error, file=file, line=None if line is None else line + 1)
+        raise pytest.Collector.CollectError(str(told)) from None
 
 
 def _check_use(definition: pytest.Item, looked_at: Sequence[str]) -> None:
@@ -73,6 +94,29 @@ def _check_use(definition: pytest.Item, looked_at: Sequence[str]) -> None:
             found="neither `episode` nor `campaign` among the test's arguments",
             expected="one of these fixtures",
             remedy="add `episode` or `campaign` to the arguments, or remove the marker",
+        )
+
+
+def _check_decidable(requirements: Sequence[Requirement], *, each_run: bool) -> None:
+    """What the test does not decide must not read as decided."""
+    names = list(dict.fromkeys(one.id for one in requirements))
+    if each_run:
+        paired = [one.id for one in requirements if one.paired is not None]
+        if paired:
+            raise ConfigurationError(
+                f"the requirement {paired[0]!r} is about pairs of runs, and the test looks at one",
+                key="pytest.mark.requirement",
+                found="episode",
+                expected="campaign",
+                remedy="take the fixture `campaign`, and call campaign.require()",
+            )
+    elif len(names) > 1:
+        raise ConfigurationError(
+            "a test on a campaign decides one requirement, and its markers name several",
+            key="pytest.mark.requirement",
+            found=", ".join(names),
+            expected="one requirement",
+            remedy="write a test for each",
         )
 
 
@@ -100,7 +144,8 @@ def _requirement(session: DuraSession, marker: pytest.Mark) -> Requirement:
             remedy="correct the id; several requirements take one marker each",
         )
     known = session.library().requirements
-    if name in known and given["text"] is None:
+    if name in known:
+        _check_same(known[name], given)
         return known[name]
     if given["text"] is None:
         raise ConfigurationError(
@@ -111,15 +156,39 @@ def _requirement(session: DuraSession, marker: pytest.Mark) -> Requirement:
             remedy=did_you_mean(name, known)
             + f' Or say what it asks for: requirement("{name}", text="...")',
         )
-    if given["kind"] not in get_args(Kind):
+    kind: Any = "safety" if given["kind"] is None else given["kind"]
+    if kind not in get_args(Kind):
         raise ConfigurationError(
-            f"there is no kind of requirement {given['kind']!r}",
+            f"there is no kind of requirement {kind!r}",
             key="pytest.mark.requirement",
-            found=given["kind"],
+            found=kind,
             expected="one of " + ", ".join(get_args(Kind)),
             remedy="correct the kind",
         )
-    return Requirement(name, str(given["text"]), given["kind"], str(given["source"]))
+    source = "" if given["source"] is None else str(given["source"])
+    requirement = Requirement(name, str(given["text"]), kind, source)
+    before = session.marked.setdefault(name, requirement)
+    if before != requirement:
+        raise _said_twice(name, "another marker", before.text, requirement.text)
+    return requirement
+
+
+def _check_same(known: Requirement, given: Mapping[str, Any]) -> None:
+    """Refuse a marker that gives a requirement of the files another meaning."""
+    for key in ("text", "kind", "source"):
+        own, value = getattr(known, key), given[key]
+        if value is not None and str(value).split() != own.split():
+            raise _said_twice(known.id, "a requirement file", own, value)
+
+
+def _said_twice(name: str, where: str, before: str, found: Any) -> ConfigurationError:
+    return ConfigurationError(
+        f"the marker gives the requirement {name!r} another meaning than {where}",
+        key="pytest.mark.requirement",
+        found=found,
+        expected=before,
+        remedy=f'name it alone, requirement("{name}"), or give the test an id of its own',
+    )
 
 
 def _targets(
@@ -199,8 +268,8 @@ def _dura_marker(scenario: Any, faults: Any = None, runs: Any = None) -> None:
 def _requirement_marker(
     id: Any,  # noqa: A002 - the marker is written so
     text: Any = None,
-    kind: Any = "safety",
-    source: Any = "",
+    kind: Any = None,
+    source: Any = None,
 ) -> None:
     """The signature of the marker ``requirement``."""
 

@@ -33,10 +33,10 @@ def replay(config: pytest.Config, options: Options) -> int:
     assert options.replay is not None
     equal = True
     try:
-        found = _episodes(record, options.replay)
-        specs = [EpisodeSpec.from_json(told["spec"]) for told in found]
-        digests = [str(told["digest"]) for told in found]
-    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        for told in _episodes(record, options.replay):
+            spec = _with_local_roles(config, EpisodeSpec.from_json(told["spec"]))
+            equal &= _show(str(told["digest"]), _run(record, spec))
+    except (AttributeError, LookupError, TypeError, ValueError, ArithmeticError) as error:
         raise ConfigurationError(
             f"the record is damaged ({type(error).__name__}: {error})",
             file=str(options.evidence / "evidence.json"),
@@ -45,10 +45,6 @@ def replay(config: pytest.Config, options: Options) -> int:
             expected="a record as pytest-dura wrote it",
             remedy="run the session again, or restore the file",
         ) from None
-    for digest, recorded in zip(digests, specs, strict=True):
-        spec = _with_local_roles(config, recorded)
-        episode = _run(record, spec)
-        equal &= _show(digest, episode)
     return 0 if equal else 1
 
 
@@ -76,7 +72,7 @@ def _run(record: Data, spec: EpisodeSpec) -> Episode:
 
     judge = None
     if spec.termination.violation:
-        case = next(one for one in record["cases"] if one["id"] == spec.case)
+        case = {one["id"]: one for one in record["cases"]}[spec.case]
         known = {one["id"]: Requirement.from_json(one) for one in record["requirements"]}
         judge = RequirementJudge([known[name] for name in case["requirements"]])
     return run_episode(spec, judge)

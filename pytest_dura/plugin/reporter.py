@@ -8,21 +8,22 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import pytest
 
-from pytest_dura.core.errors import ConfigurationError, DuraError
+from pytest_dura.core.errors import DuraError
 from pytest_dura.plugin.commands import replay_command
+from pytest_dura.plugin.episode_outcomes import judged_by_own_check, outcome_of_test
 
 if TYPE_CHECKING:
+    from pytest_dura.campaign.campaigns import Campaign
     from pytest_dura.campaign.cases import Case
     from pytest_dura.campaign.chains import CausalChain
     from pytest_dura.core.roles import RoleSpec
     from pytest_dura.evidence.record import ItemReport
     from pytest_dura.plugin.parametrize import Target
     from pytest_dura.plugin.session import DuraSession
-    from pytest_dura.requirements.campaigns import CampaignVerdict
-    from pytest_dura.requirements.episodes import EpisodeWord
     from pytest_dura.requirements.model import Requirement
-    from pytest_dura.requirements.monitor_quality import MonitorQuality
+    from pytest_dura.requirements.monitoring.quality import MonitorQuality
     from pytest_dura.requirements.verdicts import JudgedEpisode
+    from pytest_dura.requirements.verdicts.campaigns import CampaignVerdict
 
 ATTRIBUTE = "dura"
 """Of a test report. pytest and xdist carry further attributes along, and unlike
@@ -41,6 +42,7 @@ class Reporter:
         self._pending: ItemReport | None = None
         self._told: set[tuple[int, bool]] = set()
         self._used: dict[str, list[JudgedEpisode]] = {}
+        self._decided: set[tuple[str, str]] = set()
         self._components: dict[str, dict[str, Any]] = {}
 
     def episode_used(self, case: Case, episode: JudgedEpisode, planned: int) -> None:
@@ -60,7 +62,10 @@ class Reporter:
         """A campaign was judged, and what its episodes are worth along with it."""
         self._used.pop(verdict.case, None)
         self._used.pop((verdict.pairs or {}).get("case", verdict.case), None)
-        self._report.verdicts.append({**verdict.to_json(), "check": requirement.check})
+        asked = requirement.to_json()
+        question = {"check": asked["check"], "paired": asked["paired"]}
+        self._report.verdicts.append({**verdict.to_json(), **question})
+        self._decided.add((verdict.requirement, verdict.case))
         self._requirement_used(requirement)
         self._planned(verdict.case, verdict.component, verdict.planned)
 
@@ -96,27 +101,50 @@ class Reporter:
                 if one.failure is not None:
                     pytest.fail(f"{one.failure} (in {one.id})", pytrace=False)
         looked_at = item.funcargs.get("episode")
-        if isinstance(looked_at, JudgedEpisode) and looked_at.validity == "invalid":
-            self._undecided(f"invalid: {looked_at.id}: {looked_at.invalid_reason}")
+        if isinstance(looked_at, JudgedEpisode):
+            if looked_at.validity == "invalid":
+                self._undecided(f"invalid: {looked_at.id}: {looked_at.invalid_reason}")
+            self._check_own_checks(item, looked_at)
         campaign = item.funcargs.get("campaign")
         if isinstance(campaign, Campaign):
             self._check_share(self._used.get(campaign.case.id, []))
-            self._check_decided(item)
+            self._check_decided(item, campaign)
 
-    def _check_decided(self, item: pytest.Function) -> None:
+    def _check_own_checks(self, item: pytest.Function, episode: JudgedEpisode) -> None:
+        """A test on an episode passes by what its requirements say in their files, or not at all.
+
+        One that accepts a rate of violations is decided on all episodes, once they have run.
+        """
+        from pytest_dura.plugin.parametrize import marked_requirements
+
+        for requirement in marked_requirements(self.session, item):
+            judged = judged_by_own_check(requirement, episode)
+            if judged is None or judged.verdict == "satisfied":
+                continue
+            detail = "" if judged.detail == requirement.check else f": {judged.detail}"
+            told = f"{requirement.id} on {episode.id}: {requirement.check}{detail}"
+            if judged.verdict != "violated":
+                self._undecided(f"{judged.verdict}: {told}")
+            if requirement.at_most is None:
+                pytest.fail(f"violated: {told}", pytrace=False)
+
+    def _check_decided(self, item: pytest.Function, campaign: Campaign) -> None:
         """A test on a campaign that claims to decide a requirement must ask for its verdict."""
         from pytest_dura.plugin.parametrize import marked_requirements
 
-        claimed = [requirement.id for requirement in marked_requirements(self.session, item)]
-        if claimed and not self._report.verdicts:
+        if "episode" in item.funcargs:
+            return  # it decides them
+        claimed = [one.id for one in marked_requirements(self.session, item)]
+        left = [name for name in claimed if (name, campaign.case.id) not in self._decided]
+        if left:
             self._undecided(
-                f"undecided: the test never asked for a verdict on {', '.join(claimed)}; "
+                f"undecided: the test never asked for a verdict on {', '.join(left)}; "
                 "call campaign.require(check)"
             )
 
     def _check_share(self, used: Sequence[JudgedEpisode]) -> None:
         """Too many invalid episodes leave a campaign undecided that no verdict was asked of."""
-        from pytest_dura.requirements.judging import MAX_INVALID_SHARE
+        from pytest_dura.requirements.verdicts.judging import MAX_INVALID_SHARE
 
         episodes = {one.id: one for one in used}.values()
         invalid = [one for one in episodes if one.validity == "invalid"]
@@ -137,6 +165,9 @@ class Reporter:
         """Put what the item told on its report, as JSON."""
         if call.when == "teardown":
             self._used.clear()
+            self._decided.clear()
+        if call.when == "setup":
+            self._claim(item)
         if call.when == "call" and self._target(item) is not None:
             self._test_outcome(item, call, report)
         if self._pending is None:
@@ -186,10 +217,29 @@ class Reporter:
         if requirement.to_json() not in self._report.requirements:
             self._report.requirements.append(requirement.to_json())
 
-    def _target(self, item: pytest.Item) -> Target | None:
-        """The run that a test looks at, if it looks at one."""
+    def _claim(self, item: pytest.Item) -> None:
+        """Say what a test is to decide: if it ends before it does, that is undecided."""
+        run = self._target(item)
+        target = run or self._target(item, "campaign")
+        if target is None:
+            return
+        from pytest_dura.plugin.parametrize import marked_requirements
+
+        campaign = getattr(item, "funcargs", {}).get("campaign")
+        from pytest_dura.evidence.record import UNKNOWN
+
+        component = getattr(campaign, "component", None) or UNKNOWN
+        override = self.session.options.runs
+        case = case_record(target.case, component, target.planned, override)
+        for requirement in marked_requirements(self.session, item):
+            self._requirement_used(requirement)
+            claim = {"requirement": requirement.id, "case": case, "each_run": run is not None}
+            self._report.claims.append(claim)
+
+    def _target(self, item: pytest.Item, fixture: str = "episode") -> Target | None:
+        """The run that a test looks at, or the case, if it looks at one."""
         parameters = getattr(getattr(item, "callspec", None), "params", {})
-        target = parameters.get("episode")
+        target = parameters.get(fixture)
         return target if hasattr(target, "planned") else None
 
     def _test_outcome(
@@ -208,9 +258,15 @@ class Reporter:
             report.sections.append(("dura", f"{episode.id}, replay: {command}"))
         for requirement in marked_requirements(self.session, item):
             self._requirement_used(requirement)
-            told = _episode_verdict(requirement, episode, error)
+            told = outcome_of_test(requirement, episode, error)
             self._report.outcomes.append(
-                {**told, "case": target.case.id, "planned": target.planned}
+                {
+                    **told,
+                    "case": target.case.id,
+                    "planned": target.planned,
+                    "at_most": requirement.at_most,
+                    "confidence": requirement.confidence,
+                }
             )
 
 
@@ -228,47 +284,3 @@ def case_record(
         "planned": planned,
         "runs_override": runs_override,
     }
-
-
-def _episode_verdict(
-    requirement: Requirement, episode: JudgedEpisode, error: BaseException | None
-) -> dict[str, Any]:
-    """The verdict of a test on an episode: by its outcome, and by the requirement's own check."""
-    word, detail = _word(episode, error)
-    margin = time = None
-    vacuous = False
-    if requirement.check:
-        from pytest_dura.requirements.episodes import judge_episode
-
-        try:
-            judged = judge_episode(requirement, episode)
-        except ConfigurationError:  # the check is about signals of another domain
-            judged = None
-        if judged is not None and judged.verdict == "violated" and error is not None:
-            word, margin, time = "violated", judged.margin, judged.time
-        vacuous = word == "satisfied" and judged is not None and judged.vacuous
-    return {
-        "requirement": requirement.id,
-        "episode": episode.id,
-        "component": episode.spec.component,
-        "verdict": word,
-        "margin": margin,
-        "time": time,
-        "detail": detail,
-        "proposals": episode.metrics.proposals,
-        "valid_proposals": episode.metrics.valid_proposals,
-        "vacuous": vacuous,
-    }
-
-
-def _word(episode: JudgedEpisode, error: BaseException | None) -> tuple[EpisodeWord, str]:
-    first = str(error).partition("\n")[0] if error is not None else ""
-    if episode.failure is not None:
-        return "missing", episode.failure
-    if error is None:
-        return "satisfied", ""
-    if first.startswith("invalid: ") or isinstance(error, pytest.skip.Exception):
-        return "invalid", first
-    if isinstance(error, (AssertionError, pytest.fail.Exception)):
-        return "violated", first
-    return "missing", f"infrastructure: the test raised {type(error).__name__}: {first}"

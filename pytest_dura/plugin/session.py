@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from pytest_dura.campaign.loading import Library
     from pytest_dura.campaign.runner import Bench
     from pytest_dura.core.roles import RoleSpec
+    from pytest_dura.requirements.model import Requirement
 
 
 @dataclass(frozen=True)
@@ -48,6 +49,8 @@ class DuraSession:
         self.evidence = SessionEvidence(self)
         self.named_requirements: set[str] = set()
         """Ids that the markers of collected tests name."""
+        self.marked: dict[str, Requirement] = {}
+        """Requirements that are defined by markers alone."""
         self._own_arguments: set[str] = set()
         self._library: Library | ConfigurationError | None = None
         self._defaults: dict[str, RoleSpec] = {}

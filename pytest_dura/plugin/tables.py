@@ -98,11 +98,14 @@ def pair_table(verdicts: Sequence[Data], cases: Sequence[Data]) -> list[str]:
             continue
         names.append(f"{verdict['requirement']} on {verdict['case']}")
         key = verdict["case"], verdict["component"]
-        rows.append(_pair_row(pairs, metrics[key]["switching"]))
+        rows.append(_pair_row(verdict, metrics[key]["switching"]))
     return [*aligned("recovery", PAIR_COLUMNS, names, rows), *PAIR_LEGEND] if rows else []
 
 
-def _pair_row(pairs: Data, switching: Data | None) -> list[str]:
+def _pair_row(verdict: Data, switching: Data | None) -> list[str]:
+    pairs = verdict["pairs"]
+    # The test's level holds for a number of pairs that does not depend on what they show.
+    fixed = verdict["method"] not in ("sprt", "e-process")
     incomplete = f" (+{pairs['incomplete']} inc)" if pairs["incomplete"] else ""
     row = [
         f"{pairs['pairs'] - pairs['incomplete']}{incomplete}",
@@ -110,7 +113,7 @@ def _pair_row(pairs: Data, switching: Data | None) -> list[str]:
         str(pairs["only_with"]),
         str(pairs["acted_both"]),
         str(pairs["acted_neither"]),
-        f"{pairs['p_value']:.2g}",
+        f"{pairs['p_value']:.2g}" if fixed else "-",
     ]
     if switching is None:
         return [*row, "-", "-", "-"]

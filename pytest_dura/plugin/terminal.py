@@ -71,7 +71,8 @@ def summary(session: DuraSession, terminal: Any) -> None:
     for objection in session.evidence.objections:
         terminal.line(objection, red=True)
     terminal.line("")
-    terminal.line(f"evidence: {_relative(session, session.evidence.file)}")
+    if session.evidence.file is not None:
+        terminal.line(f"evidence: {_relative(session, session.evidence.file)}")
 
 
 def _show_cases(session: DuraSession, terminal: Any, record: Data) -> None:

@@ -86,27 +86,7 @@ def _show_failure(
     check = first["check"] or _check_of(record, first["requirement"])
     if check and len(verdicts) == 1 and check != first["requirement"]:
         terminal.line(f"  check:  {check}")
-    episode = None
-    if first["counterexamples"]:
-        from pytest_dura.campaign.reasons import describe_counterexample
-
-        episode = first["counterexamples"][0]["episode"]
-        terminal.line(f"  worst:  {describe_counterexample(first['counterexamples'][0])}")
-        for event in _critical(record, episode):
-            terminal.line(f"  event:  at t = {event['time']:.2f} s {event['detail']}")
-    else:
-        spoilt = first["spoilt"]
-        if spoilt is not None:
-            episode = spoilt["episode"]
-            told = str(spoilt["detail"])
-            if spoilt["verdict"] == "invalid" and not told.startswith("invalid: "):
-                told = f"invalid: {told}"
-            terminal.line(f"  {told}")
-    for fault in _faults(record, episode):
-        for line in textwrap.wrap(chain_line(fault), WIDTH - 10, break_on_hyphens=False):
-            terminal.line(f"  fault:  {line}")
-    if episode is not None:
-        terminal.line(f"  replay: {replay_command(session, episode)}")
+    _show_episode(session, terminal, record, first)
     items = list(dict.fromkeys(item for one in verdicts for item in one["item"].split(", ")))
     if len(items) > 1 and all(item.startswith(f"{first['case']}::") for item in items):
         items = [first["case"]]
@@ -118,7 +98,29 @@ def _check_of(record: Data, requirement: str) -> str:
     return next((one["check"] for one in record["requirements"] if one["id"] == requirement), "")
 
 
-def _faults(record: Data, episode: str | None) -> list[Data]:
+def _show_episode(session: DuraSession, terminal: Any, record: Data, verdict: Data) -> None:
+    """The worst episode, or one that spoilt the campaign, and how to see it again."""
+    if verdict["counterexamples"]:
+        from pytest_dura.campaign.reasons import describe_counterexample
+
+        episode = verdict["counterexamples"][0]["episode"]
+        terminal.line(f"  worst:  {describe_counterexample(verdict['counterexamples'][0])}")
+        for event in _critical(record, episode):
+            terminal.line(f"  event:  at t = {event['time']:.2f} s {event['detail']}")
+    elif verdict["spoilt"] is not None:
+        episode, told = verdict["spoilt"]["episode"], str(verdict["spoilt"]["detail"])
+        if verdict["spoilt"]["verdict"] == "invalid" and not told.startswith("invalid: "):
+            told = f"invalid: {told}"
+        terminal.line(f"  {told}")
+    else:
+        return
+    for fault in _faults(record, episode):
+        for line in textwrap.wrap(chain_line(fault), WIDTH - 10, break_on_hyphens=False):
+            terminal.line(f"  fault:  {line}")
+    terminal.line(f"  replay: {replay_command(session, episode)}")
+
+
+def _faults(record: Data, episode: str) -> list[Data]:
     """What came of each fault of an episode."""
     found = [one["faults"] for one in record["episodes"] if one["id"] == episode]
     return list(found[0]) if found else []

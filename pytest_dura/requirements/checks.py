@@ -49,7 +49,8 @@ def check_name(check: Check) -> str:
     """The text under which a check stands in reports."""
     if isinstance(check, str):
         return check
-    return f"{check.__module__}:{check.__qualname__}"
+    named = check if hasattr(check, "__qualname__") else type(check)
+    return f"{named.__module__}:{named.__qualname__}"
 
 
 @lru_cache(maxsize=256)
@@ -83,6 +84,9 @@ def check_result(value: Any) -> CheckResult:
     """
     if isinstance(value, CheckResult):
         return _plain(value)
+    if hasattr(value, "item"):
+        # An array of one truth value has a number too, and as a margin False would satisfy.
+        value = value.item()
     if _is_truth_value(value):
         return CheckResult(bool(value))
     if isinstance(value, (int, float)) or hasattr(value, "__float__"):
@@ -99,9 +103,12 @@ def _plain(result: CheckResult) -> CheckResult:
         value = getattr(result, name)
         if not _is_truth_value(value):
             raise TypeError(f"its `{name}` is {value!r}, not a truth value")
+    margin = None if result.margin is None else _number(result.margin)
+    if result.holds and margin is not None and margin < 0:
+        raise ValueError(f"it holds, and its margin is negative ({margin:g})")
     return CheckResult(
         bool(result.holds),
-        None if result.margin is None else _number(result.margin),
+        margin,
         None if result.time is None else _number(result.time, "time"),
         str(result.detail),
         bool(result.vacuous),

@@ -8,8 +8,8 @@ from pytest_dura.core.simulator import Simulator
 from pytest_dura.core.state import Tick
 from pytest_dura.requirements.checks import is_function_path
 from pytest_dura.requirements.model import Requirement
-from pytest_dura.requirements.stl.evaluation import evaluate
-from pytest_dura.requirements.stl.parsing import parse
+from pytest_dura.requirements.stl.language.parsing import parse
+from pytest_dura.requirements.stl.offline.evaluation import evaluate
 
 LATER = ("percept.", "loop.")
 """Beginnings of the names of signals that are there only once the episode is complete."""

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.requirements.campaigns import EVERY_EPISODE
 from pytest_dura.requirements.model import Requirement
 from pytest_dura.requirements.statistics import SequentialTest, make_test
+from pytest_dura.requirements.verdicts.campaigns import EVERY_EPISODE
 
 
 def method_of(requirement: Requirement, *, until_decided: bool = False) -> str:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from pytest_dura.requirements.stl.grammar import rtamt_modules
+from pytest_dura.requirements.stl.language.grammar import rtamt_modules
 
 # In-process runs forget what they imported, and numpy and its like cannot be imported twice.
 for module in (

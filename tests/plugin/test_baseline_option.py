@@ -14,7 +14,7 @@ RATE = """
 import pytest
 
 @pytest.mark.dura(scenario="corridor/free", runs=20)
-@pytest.mark.requirement("GAP-1")
+@pytest.mark.requirement("OWN-1", text="Rarely touches anything.")
 def test_rate(campaign):
     campaign.require("always (gap > 0)", at_most=0.9)
 """
@@ -77,10 +77,10 @@ def test_a_rate_that_got_worse_fails_the_gate_or_is_told(rates, choice, code):
         [
             f"dura: compared with the baseline old/evidence.json (Careful, {baseline['created']})",
             "baseline old/evidence.json: 1 comparison, 1 worse, 0 better",
-            f"worse  {n}/20*0/20*{p}*{p}*McNemar*GAP-1 on corridor/free",
+            f"worse  {n}/20*0/20*{p}*{p}*McNemar*OWN-1 on corridor/free",
         ]
     )
-    told = "the gate fails: GAP-1 on corridor/free is worse than in the baseline"
+    told = "the gate fails: OWN-1 on corridor/free is worse than in the baseline"
     assert (told in result.outlines) is (code == 1)
 
 
@@ -100,7 +100,7 @@ def test_the_last_session_can_be_the_baseline_that_this_one_replaces(rates, dist
     assert (found["word"], found["p_worse"], found["p_better"]) == (
         "no evidence of a change", 1.0, 1.0,
     )  # fmt: skip
-    told = "no evidence of a change, violated in 0/20 now, 0/20 then: GAP-1 on corridor/free"
+    told = "no evidence of a change, violated in 0/20 now, 0/20 then: OWN-1 on corridor/free"
     result.stdout.fnmatch_lines(["*1 comparison, 0 worse, 0 better", told])
 
 

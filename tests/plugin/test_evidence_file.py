@@ -164,7 +164,7 @@ def test_different_digests_of_one_episode_fail_the_session(project):
             f"test_{name}.py",
             "import pytest\n"
             "@pytest.mark.dura(scenario='corridor/unsteady')\n"
-            "@pytest.mark.requirement('GO-1')\n"
+            "@pytest.mark.requirement('OWN-1', text='As it should be.')\n"
             "def test_it(campaign): campaign.require('always (gap >= 0)')\n",
         )
     text = (project.path / "scenarios/corridor/tight.yaml").read_text()
@@ -215,3 +215,38 @@ def test_the_record_of_an_earlier_session_is_gone_before_the_first_test_runs(pro
         "    assert (record['status'], record['verdicts']) == ('running', [])\n",
     )
     project.run("test_it.py", "-p", "no:xdist").assert_outcomes(passed=1)
+
+
+def test_evidence_that_cannot_be_written_in_the_end_fails_the_session(project):
+    project.write(
+        "test_it.py",
+        "import shutil, pathlib, pytest\n"
+        "@pytest.mark.dura(scenario='corridor/tight')\n"
+        "@pytest.mark.requirement('GAP-1')\n"
+        "def test_it(campaign):\n"
+        "    campaign.require()\n"
+        "    shutil.rmtree('ev')\n"
+        "    pathlib.Path('ev').write_text('')\n",
+    )
+    result = project.run("test_it.py", "--dura-evidence=ev")
+    result.assert_outcomes(passed=1)
+    assert result.ret == 1
+    text = result.stdout.str() + result.stderr.str()
+    assert "the evidence cannot be written: File exists" in text
+    assert "Traceback" not in text
+
+
+def test_a_name_that_is_no_text_is_kept(project):
+    project.write(
+        "test_it.py",
+        "import pytest\n"
+        "@pytest.mark.dura(scenario='corridor/tight', runs=1)\n"
+        "@pytest.mark.requirement('OWN-1', text='t')\n"
+        "def test_it(campaign):\n"
+        "    campaign.require(check)\n"
+        "def check(episode):\n"
+        "    raise OSError('no file \\udcff')\n",
+    )
+    result = project.run("test_it.py")
+    assert result.ret == 1
+    assert "no file \udcff" in project.verdict("OWN-1", "corridor/tight")["spoilt"]["detail"]

@@ -120,6 +120,8 @@ def test_an_episode_that_may_end_at_a_violation(project):
         lambda record: record["episodes"][0].pop("spec"),
         lambda record: record["episodes"][0].pop("digest"),
         lambda record: record["episodes"][0]["spec"].update(roles=3),
+        lambda record: record["episodes"][0]["spec"].update(faults=[{"type": "none"}]),
+        lambda record: record["episodes"][0]["spec"]["termination"].update(time_limit=1e308),
     ],
 )
 def test_a_damaged_record(project, damage):

@@ -44,7 +44,7 @@ CAMPAIGN_TEST = """
 import pytest
 
 @pytest.mark.dura(scenario="corridor/it", runs=3)
-@pytest.mark.requirement("GAP-1")
+@pytest.mark.requirement("OWN-1", text="As it should be.")
 def test_it(campaign):
     campaign.require({check}{rate})
 """
@@ -63,7 +63,7 @@ def test_an_undecided_campaign_test_is_relaxed_to_a_skip(project, check, rate, r
     project.write("test_it.py", CAMPAIGN_TEST.format(check=check, rate=rate))
     result = project.run("test_it.py", "--dura-undecided=warn")
     result.assert_outcomes(skipped=1)
-    expect(project, result, "undecided", reason, requirement="GAP-1", ret=0)
+    expect(project, result, "undecided", reason, requirement="OWN-1", ret=0)
     project.run("test_it.py").assert_outcomes(failed=1)
 
 
@@ -74,7 +74,7 @@ def test_a_partial_run_is_relaxed_but_recorded(project):
     result = project.run("test_it.py", "-k", "it and 0", "--dura-undecided=warn")
     result.assert_outcomes(passed=1, deselected=2)
     reason = "only 1 of 3 planned episodes were run"
-    expect(project, result, "undecided", reason, requirement="GAP-1", ret=0)
+    expect(project, result, "undecided", reason, requirement="OWN-1", ret=0)
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -86,6 +86,27 @@ def test_a_skip_inside_a_test_on_an_episode_is_no_pass(project):
     assert "the gate fails: GAP-1 on corridor/it is undecided, though" in result.stdout.str()
 
 
+@pytest.mark.parametrize("word", ["skip('too cold')", "exit('enough', returncode=0)"])
+def test_a_test_on_a_campaign_that_ends_before_its_verdict_is_no_pass(project, word):
+    scenario(project)
+    text = CAMPAIGN_TEST.replace("campaign.require()", f"pytest.{word}")
+    project.write("test_it.py", text.replace('@pytest.mark.xfail(reason="ticket 7"{strict})\n', ""))
+    result = project.run("test_it.py")
+    expect(project, result, "undecided", requirement="GAP-1", ret=1)
+    assert "the gate fails: GAP-1 on corridor/it is undecided, though" in result.stdout.str()
+
+
+@pytest.mark.parametrize("text", [CAMPAIGN_TEST, EPISODE_TEST], ids=["campaign", "episode"])
+def test_a_test_that_is_skipped_is_recorded_as_a_waiver(project, text):
+    scenario(project)
+    text = text.replace("{strict}", "").replace("xfail(reason", "skip(reason")
+    project.write("test_it.py", text)
+    result = project.run("test_it.py")
+    found = expect(project, result, "undecided", requirement="GAP-1", ret=0)
+    assert found["waiver"] == {"kind": "skip", "reason": "Skipped: ticket 7"}
+    assert (found["planned"], found["run"]) == (2, 0)
+
+
 def test_a_skip_after_a_verdict_does_not_hide_it(project):
     scenario(project, **RECKLESS)
     body = "try: campaign.require()\n    except Exception: pytest.skip('never mind')"
@@ -107,7 +128,7 @@ def test_a_rerun_keeps_every_attempt_of_a_campaign(project, first, second):
         "import pytest\n"
         "LIMITS = []\n"
         "@pytest.mark.dura(scenario='corridor/it')\n"
-        "@pytest.mark.requirement('GAP-1')\n"
+        "@pytest.mark.requirement('OWN-1', text='Keeps away.')\n"
         "def test_it(campaign):\n"
         f"    LIMITS.append({first} if not LIMITS else {second})\n"
         "    campaign.require(lambda one: one.signals['gap'].min() - LIMITS[-1])\n"
@@ -115,7 +136,7 @@ def test_a_rerun_keeps_every_attempt_of_a_campaign(project, first, second):
     )
     result = project.run("test_it.py", *RERUN)
     rerun = {"kind": "rerun", "reason": "the item was run again"}
-    found = expect(project, result, "violated", requirement="GAP-1", ret=0 if first else 1)
+    found = expect(project, result, "violated", requirement="OWN-1", ret=0 if first else 1)
     assert found["waiver"] == rerun
     assert {one["verdict"] for one in found["attempts"]} == {"supported", "violated"} - {
         found["verdict"]

@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from stl_oracle import robustness, satisfaction
 
 from pytest_dura import ConfigurationError
-from pytest_dura.requirements.stl.checks import check_time_step
-from pytest_dura.requirements.stl.formula import Formula
-from pytest_dura.requirements.stl.nodes import Signal, walk
-from pytest_dura.requirements.stl.parsing import parse
-from pytest_dura.requirements.stl.reference import rtamt_robustness
+from pytest_dura.requirements.stl.language.checks import check_time_step
+from pytest_dura.requirements.stl.language.formula import Formula
+from pytest_dura.requirements.stl.language.nodes import Signal, walk
+from pytest_dura.requirements.stl.language.parsing import parse
+from pytest_dura.requirements.stl.offline.reference import rtamt_robustness
 
 STEP = 0.1
 NAMES = ("gap", "percept.gap", "F", "s", "prev", "true")

@@ -32,7 +32,7 @@ def verdict(runs, violating=(), case="a/b", component="C", requirement="R", **ch
         Requirement(requirement), case, found, planned=runs, component=component
     )
     item = f"{case}::{requirement}"
-    return {**judged.to_json(), "check": "gap > 0", "item": item} | changes
+    return {**judged.to_json(), "check": "gap > 0", "paired": None, "item": item} | changes
 
 
 def record(*verdicts, seed=0, walls=None, **changes):

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 from hypothesis import strategies as st
 
-from pytest_dura.requirements.stl.formula import Formula
-from pytest_dura.requirements.stl.nodes import (
+from pytest_dura.requirements.stl.language.formula import Formula
+from pytest_dura.requirements.stl.language.nodes import (
     Arithmetic,
     Boolean,
     Comparison,
@@ -22,7 +22,7 @@ from pytest_dura.requirements.stl.nodes import (
     TemporalPair,
     Window,
 )
-from pytest_dura.requirements.stl.rendering import node_text
+from pytest_dura.requirements.stl.language.rendering import node_text
 
 # Few distinct values, so that samples often lie on the bound.
 VALUES = st.integers(-3, 3).map(float)

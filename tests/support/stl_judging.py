@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from pytest_dura.requirements.stl.evaluation import Evaluation, evaluate
-from pytest_dura.requirements.stl.parsing import parse
+from pytest_dura.requirements.stl.language.parsing import parse
+from pytest_dura.requirements.stl.offline.evaluation import Evaluation, evaluate
 
 
 def judge(

@@ -12,7 +12,7 @@ import operator
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from pytest_dura.requirements.stl.nodes import (
+from pytest_dura.requirements.stl.language.nodes import (
     Arithmetic,
     Boolean,
     Comparison,

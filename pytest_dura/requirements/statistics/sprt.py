@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from fractions import Fraction
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import islice
 
 from pytest_dura.requirements.statistics.characteristics import walk
@@ -91,13 +91,7 @@ class Sprt(CountingTest):
     def _rule(self) -> _Ratio:
         alpha = as_written(self.alpha)
         beta = alpha if self.beta is None else as_written(self.beta)
-        rates = as_written(self.limit), as_written(self.p0)
-        wald = _Ratio(*rates, alpha / (1 - beta), (1 - alpha) / beta)
-        if _keeps(wald, self.limit, "supported", float(alpha)) and _keeps(
-            wald, self.p0, "violated", float(beta)
-        ):
-            return wald
-        return _Ratio(*rates, alpha, 1 / beta)
+        return _boundaries(as_written(self.limit), as_written(self.p0), alpha, beta)
 
 
 @dataclass(frozen=True)
@@ -127,6 +121,17 @@ class _Ratio:
         worse = math.log(self.limit / self.p0)
         better = math.log1p(-self.limit) - math.log1p(-self.p0)
         return worse, better, math.log(self.accept), math.log(self.reject)
+
+
+@lru_cache(maxsize=64)
+def _boundaries(limit: Fraction, p0: Fraction, alpha: Fraction, beta: Fraction) -> _Ratio:
+    """Wald's where they keep both levels, and Ville's elsewhere; rates that are close take long."""
+    wald = _Ratio(limit, p0, alpha / (1 - beta), (1 - alpha) / beta)
+    if _keeps(wald, float(limit), "supported", float(alpha)) and _keeps(
+        wald, float(p0), "violated", float(beta)
+    ):
+        return wald
+    return _Ratio(limit, p0, alpha, 1 / beta)
 
 
 def _keeps(rule: _Ratio, rate: float, wrong: Decision, level: float) -> bool:

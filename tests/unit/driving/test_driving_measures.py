@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from roads import run, spec_of_drive
+from roads import always, drive, run, spec_of_drive
 
 from pytest_dura import ConfigurationError, DependabilityMetrics, Episode, EpisodeSpec, RoleSpec
 from pytest_dura.core.roles import Generator, Proposal
 from pytest_dura.core.state import GeneratorView
+from pytest_dura.driving.junction import route
 from pytest_dura.driving.maneuvers import Command, Maneuver
 from pytest_dura.driving.measures import (
     clearance_time,
@@ -92,3 +93,12 @@ def test_they_measure_a_real_drive() -> None:
     at = round(clearance_time(found) / 0.1)
     assert found.signal("cleared")[at - 1 : at + 1].tolist() == [0.0, 1.0]
     assert minimum_gap(found) == found.signal("gap").min()
+
+
+def test_who_has_cleared_the_junction_has_cleared_it_wherever_it_is_pushed_to() -> None:
+    simulator, ticks = drive({"ego": {"distance": 10.0, "speed": 8.0}}, 70, always("proceed"))
+    there = simulator.signals(ticks)["cleared"]
+    assert (there[0], there[-1]) == (0.0, 1.0)
+    assert (simulator.signals(ticks[::-1])["cleared"] == 1.0).all()
+    first = ticks[int(np.argmax(there))].truth["ego"].s
+    assert 0.0 <= first - 2.5 - route(0, "straight").exit < 1.5, "its rear has left"

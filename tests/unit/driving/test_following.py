@@ -107,6 +107,11 @@ def test_a_car_that_is_lost_and_found_gets_no_second_grace() -> None:
     assert found[2] == pytest.approx(MARGIN, abs=0.01)
 
 
+def test_a_car_that_another_one_hid_gets_no_second_grace() -> None:
+    found = margins([UNSAFE] * 4, ["V1", "V2", "V1", "V2"])
+    assert found == [0.0, 0.0, *[pytest.approx(MARGIN, abs=0.01)] * 2]
+
+
 def test_contact_is_excused_by_nothing() -> None:
     assert margins([UNSAFE, 0.0], ["V1", "V1"], [0, 1])[1] < -8.0
 

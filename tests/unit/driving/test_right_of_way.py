@@ -7,11 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from roads import always, drive
+from roads import always, car_on, drive
 
 from pytest_dura.core.state import Tick
+from pytest_dura.driving.bodies import BodyList
+from pytest_dura.driving.junction import ARM_LENGTH, conflict, route
 from pytest_dura.driving.maneuvers import Command, Maneuver
-from pytest_dura.driving.right_of_way import BRAKING_CAP, CAP, demanded_braking
+from pytest_dura.driving.right_of_way import BRAKING_CAP, CAP, demanded_braking, right_of_way
 
 
 def crossing(
@@ -40,6 +42,20 @@ def test_a_car_that_would_stand_before_that_stops_before_the_conflict() -> None:
     braking = demanded_braking(20.0, 8.0, math.inf)
     assert 8.0 * 0.4 + 8.0**2 / (2 * braking) == pytest.approx(20.0)
     assert demanded_braking(20.0, 8.0, 100.0) == pytest.approx(braking)
+
+
+@pytest.mark.parametrize("left", [2.0, 3.5, 3.7, 5.7, 7.5, 20.0])
+def test_under_the_demanded_braking_the_car_keeps_off_and_under_less_it_does_not(
+    left: float,
+) -> None:
+    def arrives(braking: float) -> float:
+        """Metres that the car drives until a second after the ego has left; 20 m are there."""
+        time = min(left + 0.6, 8.0 / braking)
+        return 8.0 * 0.4 + 8.0 * time - braking * time**2 / 2
+
+    braking = demanded_braking(20.0, 8.0, left)
+    assert arrives(braking) <= 20.0 + 1e-9
+    assert arrives(0.999 * braking) > 20.0
 
 
 def test_who_cannot_stop_any_more_is_asked_for_the_cap() -> None:
@@ -113,3 +129,38 @@ def test_arrival_counts_down_while_the_ego_has_to_decide() -> None:
     assert found[0] == CAP, "the ego is still far from its line"
     begins = int(np.argmax(found < CAP))
     assert found[begins + 1] < found[begins] < 6.5
+
+
+@pytest.mark.parametrize("behind", [0.4, 1.3, 3.0, -0.6])
+def test_the_gap_time_is_from_when_the_ego_has_left_to_when_the_other_arrives(
+    behind: float,
+) -> None:
+    mine, theirs, dt, speed = route(0, "straight"), route(1, "straight"), 0.1, 8.0
+    meeting = conflict(mine, theirs)
+    assert meeting is not None
+    _, ends, other_begins, _ = meeting
+    s = 80.0 + speed * dt * np.arange(80)
+    line, left = (int(np.argmax(s + half > at)) for half, at in ((2.5, ARM_LENGTH), (-2.5, ends)))
+    arrives = left * dt + behind
+    other = other_begins - 2.5 - speed * (arrives - dt * np.arange(80))
+    bodies = [BodyList.of([car_on(1, "straight", float(at), speed)]) for at in other]
+    found = right_of_way(mine, s, np.full(80, speed), bodies, [(theirs.number,)] * 80, dt=dt)
+    assert found.gap_time[line:left] == pytest.approx(behind)
+    assert (found.gap_time[:line] == CAP).all()
+    assert (found.gap_time[left:] == CAP).all()
+    assert (found.braking[line:left] > 0.0).all() == (behind < 1.0)
+    assert not found.braking[:line].any()
+    assert not found.braking[left:].any()
+
+
+def test_of_a_car_that_stands_nothing_is_demanded() -> None:
+    mine, theirs = route(0, "straight"), route(1, "straight")
+    meeting = conflict(mine, theirs)
+    assert meeting is not None
+    s = 80.0 + 0.8 * np.arange(80)
+    for speed, demanded in ((0.0, False), (0.4, False), (8.0, True)):
+        bodies = [BodyList.of([car_on(1, "straight", meeting[2] - 4.5, speed)])] * 80
+        found = right_of_way(mine, s, np.full(80, 8.0), bodies, [(theirs.number,)] * 80, dt=0.1)
+        assert bool(found.braking.any()) == demanded
+        assert bool((found.gap_time < CAP).any()) == demanded
+        assert bool((found.arrival < CAP).any()) == demanded

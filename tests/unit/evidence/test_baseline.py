@@ -116,9 +116,7 @@ def test_pairs_without_the_same_are_compared():
 def test_another_bound_on_the_change_of_a_measure_is_another_question():
     def with_bound(value):
         paired = {"without": "faults", "measure": "m:f", "change_at_most": value}
-        requirements = [{"id": "R", "check": "", "paired": paired}]
-        told = verdict(10, check="", pairs=pairs_without("faults"))
-        return record(told, requirements=requirements)
+        return record(verdict(10, check="", paired=paired, pairs=pairs_without("faults")))
 
     assert one_compared(with_bound(0.0), with_bound(0.0)).word == "no evidence of a change"
     assert "change_at_most 0.5" in one_compared(with_bound(0.0), with_bound(0.5)).reason

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import hashlib
 import json
+import math
 
 import pytest
 from baseline_records import record, verdict
@@ -34,6 +35,19 @@ def test_a_baseline_is_a_file_or_the_directory_that_holds_it(tmp_path, given):
     assert baseline.to_json()["comparisons"] == []
 
 
+def nested(depth):
+    found = []
+    for _ in range(depth):
+        found = [found]
+    return found
+
+
+def test_a_file_that_is_nested_too_deeply_is_no_record(tmp_path):
+    (tmp_path / "evidence.json").write_text("[" * 100_000)
+    with pytest.raises(ConfigurationError, match="this is no evidence record"):
+        Baseline.read(".", tmp_path)
+
+
 def damaged(change):
     told = copy.deepcopy(record(verdict(3, {0})))
     change(told)
@@ -52,7 +66,10 @@ def damaged(change):
     (lambda told: told["episodes"][0]["spec"].update(seed="7"), "TypeError"),
     (lambda told: told["episodes"].append(None), "TypeError"),
     (lambda told: told.update(component_under_test=None), "TypeError"),
-    (lambda told: told.update(base_seed="none"), "ValueError"),
+    (lambda told: told.update(base_seed="none"), "TypeError"),
+    (lambda told: told.update(base_seed=math.inf), "TypeError"),
+    (lambda told: told["verdicts"][0].update(run=10**400, episodes=10**400), "TypeError"),
+    (lambda told: told["episodes"][0]["spec"].update(scenario=nested(900)), "RecursionError"),
 ])  # fmt: skip
 def test_a_damaged_baseline_is_refused(tmp_path, change, found):
     file = written(tmp_path, damaged(change))

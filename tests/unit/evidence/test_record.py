@@ -36,7 +36,7 @@ def verdict(word="satisfied", run=0, component="C"):
 def campaign(*words):
     verdicts = [verdict(word, run) for run, word in enumerate(words)]
     made = judge_campaign(Requirement("R"), "a/b", verdicts, planned=len(words), component="C")
-    return {**made.to_json(), "check": "x"}
+    return {**made.to_json(), "check": "x", "paired": None}
 
 
 def report(item="a/b::R", **parts):
@@ -50,9 +50,15 @@ def report(item="a/b::R", **parts):
             "verdicts",
             "outcomes",
             "monitors",
+            "claims",
         )
     }
     return {"item": item, **empty, **parts}
+
+
+def looked_at(told, planned=2):
+    rate = {"at_most": None, "confidence": 0.95}
+    return {**told.to_json(), "case": "a/b", "planned": planned, **rate}
 
 
 def record():
@@ -141,12 +147,85 @@ def test_an_expected_item_takes_the_components_name_when_it_is_known():
 def test_tests_on_single_episodes_make_one_verdict():
     made = record()
     for run, word in enumerate(["satisfied", "violated"]):
-        told = {**verdict(word, run).to_json(), "case": "a/b", "planned": 3}
+        told = looked_at(verdict(word, run), planned=3)
         made.add(report(f"t.py::f[a/b#{run}]", cases=[case(planned=3)], outcomes=[told]))
     (found,) = made.to_json("complete")["verdicts"]
     assert (found["verdict"], found["planned"], found["run"]) == ("violated", 3, 2)
     assert found["item"] == "t.py::f"
     assert [one["episode"] for one in found["counterexamples"]] == ["a/b#1"]
+
+
+def told_by(made, item, word, run=0):
+    made.add(report(f"{item}[a/b#{run}]", cases=[case()], outcomes=[looked_at(verdict(word, run))]))
+
+
+def test_what_two_tests_make_of_an_episode_is_told_apart():
+    """One that was skipped is no earlier attempt of the one that passed."""
+    made = record()
+    for run in range(2):
+        told_by(made, "t.py::skips", "invalid", run)
+        told_by(made, "t.py::passes", "satisfied", run)
+    words = {one["item"]: one["verdict"] for one in made.to_json("complete")["verdicts"]}
+    assert words == {"t.py::skips": "undecided", "t.py::passes": "supported"}
+
+
+def test_of_several_looks_at_an_episode_the_worst_counts_and_of_attempts_the_last():
+    for words in (("invalid", "satisfied"), ("satisfied", "invalid")):
+        looks, attempts = record(), record()
+        for parameter, word in enumerate(words):
+            outcomes = [looked_at(verdict(word), planned=1)]
+            looks.add(report(f"t.py::f[a/b#0-{parameter}]", cases=[case()], outcomes=outcomes))
+            attempts.add(report("t.py::f[a/b#0]", cases=[case()], outcomes=outcomes))
+        assert looks.to_json("complete")["verdicts"][0]["verdict"] == "undecided"
+        last = "supported" if words[-1] == "satisfied" else "undecided"
+        assert attempts.to_json("complete")["verdicts"][0]["verdict"] == last
+
+
+def test_a_waiver_of_one_run_does_not_excuse_another():
+    for second, excused in (("satisfied", True), ("invalid", False), (None, False)):
+        made = record()
+        told_by(made, "t.py::f", "violated", 0)
+        if second is not None:
+            told_by(made, "t.py::f", second, 1)
+        made.waive("t.py::f[a/b#0]", "xfail", "ticket 7")
+        (found,) = made.to_json("complete")["verdicts"]
+        assert found["verdict"] == "violated"
+        assert (found["waiver"] is not None) is excused
+
+
+def test_several_questions_of_an_item_are_no_attempts_at_one():
+    made = record()
+    one = campaign("satisfied")
+    others = [
+        one | {"paired": {"without": "faults", "measure": "", "change_at_most": None}},
+        one | {"bound": one["bound"] | {"at_most": 0.5}},
+        one | {"method": "sprt"},
+    ]
+    for told in (one, *others):
+        made.add(report(cases=[case()], verdicts=[told]))
+    found = made.to_json("complete")["verdicts"]
+    assert [verdict["attempts"] for verdict in found] == [[], [], [], []]
+
+
+def test_what_a_test_was_to_decide_and_did_not_is_undecided():
+    made = record()
+    claims = [
+        {"requirement": "R", "case": case(), "each_run": False},
+        {"requirement": "S", "case": case(), "each_run": False},
+    ]
+    made.add(report("t.py::f[a/b]", claims=claims, requirements=[REQUIREMENT]))
+    made.add(report("t.py::f[a/b]", cases=[case()], verdicts=[campaign("satisfied")]))
+    single = {"requirement": "R", "case": case(), "each_run": True}
+    made.add(report("t.py::g[a/b#0]", claims=[single]))
+    made.waive("t.py::g[a/b#0]", "skip", "too cold")
+    found = made.to_json("complete")["verdicts"]
+    assert [(one["item"], one["requirement"], one["verdict"]) for one in found] == [
+        ("t.py::f[a/b]", "R", "supported"),
+        ("t.py::g", "R", "undecided"),
+        ("t.py::f[a/b]", "S", "undecided"),
+    ]
+    assert found[1]["waiver"] == {"kind": "skip", "reason": "too cold"}
+    assert found[2]["reason"] == "the test ended without a verdict on it"
 
 
 def test_waivers_are_recorded_beside_the_verdict():

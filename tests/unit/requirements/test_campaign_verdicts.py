@@ -8,8 +8,9 @@ from typing import Any
 import pytest
 
 from pytest_dura import ConfigurationError, Requirement
-from pytest_dura.requirements.campaigns import Spoilt
 from pytest_dura.requirements.verdicts import CampaignVerdict, EpisodeVerdict, judge_campaign
+from pytest_dura.requirements.verdicts.campaigns import Spoilt
+from pytest_dura.requirements.verdicts.judging import CampaignJudge
 
 KEYS_OF_THE_RECORD = {
     "requirement", "case", "component", "verdict", "planned", "episodes", "violations", "invalid",
@@ -203,3 +204,62 @@ def test_the_first_spoilt_episode_is_named_a_missing_one_before_an_invalid_one()
     assert judge(verdicts[:2]).spoilt == Spoilt("case#1", "invalid", verdicts[1].detail)
     assert judge(verdicts[:1]).spoilt is None
     assert CampaignVerdict.from_json(found.to_json()) == found
+
+
+def test_one_violation_shows_that_the_condition_held() -> None:
+    vacuous = [one(run, vacuous=True) for run in range(1, 93)]
+    found = judge([*vacuous, one(0, "violated", -1.0)], at_most=0.05)
+    assert (found.verdict, found.vacuous, found.violations) == ("supported", 92, 1)
+
+
+def test_nothing_is_saved_where_runs_ended_for_want_of_an_answer() -> None:
+    verdicts = some(satisfied=3, missing=1)
+    rule = Requirement("R", at_most=0.05)
+    found = judge_campaign(rule, "case", verdicts, planned=100, until_decided=True)
+    assert (found.verdict, found.saved) == ("undecided", 0)
+
+
+def test_what_is_run_after_the_decision_is_counted_and_changes_nothing() -> None:
+    verdicts = some(satisfied=74, violated=3)
+    rule = Requirement("R", at_most=0.05, method="e-process")
+    found = judge_campaign(rule, "case", verdicts, planned=100)
+    assert (found.verdict, found.episodes, found.violations) == ("supported", 77, 3)
+    assert (found.run, found.saved) == (77, 23)
+
+
+@pytest.mark.parametrize("method", ["e-process", "sprt", "fixed"])
+def test_runs_go_on_while_a_rate_is_decided_and_invalid_episodes_are_too_many(method: Any) -> None:
+    rule = Requirement("R", at_most=0.3, method=method, p0=0.01 if method == "sprt" else None)
+    judge = CampaignJudge(rule, "case", planned=60 if method != "fixed" else 20, until_decided=True)
+    for run, word in enumerate(["invalid"] * 5 + ["satisfied"] * 19):
+        judge.add(one(run, word))
+    assert judge.test is not None
+    assert judge.test.decision == "supported"
+    assert (judge.decided, judge.verdict().verdict) == (False, "undecided")
+    judge.add(one(30))
+    assert (judge.decided, judge.verdict().verdict) == (True, "supported")
+
+
+def test_runs_go_on_until_the_condition_has_held() -> None:
+    rule = Requirement("R", at_most=0.3, method="e-process")
+    judge = CampaignJudge(rule, "case", planned=60, until_decided=True)
+    for run in range(30):
+        judge.add(one(run, vacuous=True))
+        assert not judge.decided
+    judge.add(one(30))
+    assert judge.decided
+    assert (judge.verdict().verdict, judge.verdict().saved) == ("supported", 29)
+
+
+def test_runs_until_decided_end_at_a_missing_episode_and_take_an_e_process_by_default() -> None:
+    judge = CampaignJudge(Requirement("R", at_most=0.3), "case", planned=60, until_decided=True)
+    assert judge.method == "e-process"
+    judge.add(one(0))
+    assert not judge.decided
+    judge.add(one(1, "missing"))
+    assert judge.decided
+
+
+def test_without_a_valid_episode_a_sequential_test_bounds_nothing() -> None:
+    assert judge(some(invalid=3), at_most=0.3, method="e-process").bound.upper is None
+    assert judge(some(satisfied=3), at_most=0.3, method="e-process").bound.upper is not None

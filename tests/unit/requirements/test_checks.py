@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import asdict
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
 
 from pytest_dura import CheckResult
-from pytest_dura.requirements.checks import check_result
+from pytest_dura.requirements.checks import check_name, check_result
 
 
 @pytest.mark.parametrize(
@@ -23,6 +24,9 @@ from pytest_dura.requirements.checks import check_result
         (-0.25, False, -0.25),
         (np.float32(1.5), True, 1.5),
         (np.array(-2.0), False, -2.0),
+        (np.array(False), False, None),
+        (np.array([False]), False, None),
+        (np.array([0.5]), True, 0.5),
         (math.inf, True, math.inf),
     ],
 )
@@ -47,6 +51,29 @@ def test_a_result_is_made_plain_so_that_the_record_can_hold_it() -> None:
 def test_what_is_neither_is_refused(value: Any) -> None:
     with pytest.raises(TypeError, match="not a truth value"):
         check_result(value)
+
+
+def test_a_result_that_contradicts_itself_is_refused() -> None:
+    with pytest.raises(ValueError, match="it holds, and its margin is negative"):
+        check_result(CheckResult(True, margin=-0.5))
+    assert not check_result(CheckResult(False, margin=0.5)).holds
+
+
+class Callable:
+    def __call__(self, episode: Any) -> bool:
+        return True
+
+
+@pytest.mark.parametrize(
+    "check, name",
+    [
+        (partial(max, 0), "functools:partial"),
+        (Callable(), f"{__name__}:Callable"),
+        (Callable, f"{__name__}:Callable"),
+    ],
+)
+def test_whatever_can_be_called_has_a_name(check: Any, name: str) -> None:
+    assert check_name(check) == name
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ import pytest
 from episodes import episode, idle, manifested
 
 from pytest_dura import ConfigurationError, Episode, FaultRecord
+from pytest_dura.requirements.checks import CheckResult
 from pytest_dura.requirements.model import Requirement
 from pytest_dura.requirements.verdicts import EpisodeVerdict, JudgedEpisode, judge_episode
 
@@ -145,3 +146,14 @@ def test_a_judged_episode_fails_closed() -> None:
 def test_a_formula_that_cannot_be_read_is_pointed_at() -> None:
     with pytest.raises(ConfigurationError, match="at column 14"):
         JudgedEpisode.of(episode()).robustness("always (gap >> 0)")
+
+
+@pytest.mark.parametrize("faults", [(), (idle(),)], ids=["valid", "no fault manifested"])
+def test_a_violation_that_a_function_tells_counts_in_an_invalid_episode_too(
+    faults: tuple[FaultRecord, ...],
+) -> None:
+    rule, one = Requirement("R", check="given by the test"), episode(faults=faults)
+    found = judge_episode(rule, one, lambda _: CheckResult(False, -1.0, 2.0, vacuous=True))
+    assert (found.verdict, found.margin, found.time) == ("violated", -1.0, 2.0)
+    assert not found.vacuous, "only what is satisfied is"
+    assert judge_episode(rule, one, lambda _: 1.0).verdict == ("invalid" if faults else "satisfied")

@@ -39,6 +39,7 @@ def test_it_ends_at_the_first_violation() -> None:
         "eventually (temperature > 1000)",
         "always[0:3.5] (temperature < 1000)",
         "always (percept.temperature < 18)",
+        "always (loop.recovering < 1)",
         "",
     ],
 )

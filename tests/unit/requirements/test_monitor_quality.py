@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -20,11 +21,11 @@ from pytest_dura import (
     SecurityAssessment,
     SecurityAssessor,
 )
-from pytest_dura.requirements.alarms import Watch, watch
-from pytest_dura.requirements.episodes import EpisodeVerdict, judge_episode
 from pytest_dura.requirements.model import Requirement
-from pytest_dura.requirements.monitor_quality import MonitorQuality
-from pytest_dura.requirements.monitors import judge_alerts, judge_monitor
+from pytest_dura.requirements.monitoring.alarms import Watch, watch
+from pytest_dura.requirements.monitoring.judging import judge_alerts, judge_monitor
+from pytest_dura.requirements.monitoring.quality import MonitorQuality
+from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict, judge_episode
 
 BIAS = {"id": "bias", "target": "thermometer", "activation": {"at": 0.5}, "duration": 0.3}
 
@@ -68,7 +69,7 @@ def test_each_monitor_has_its_own_alarms() -> None:
         )
     )
     assert found.alarms["safety_monitor"] == seconds((2, 4), (7, 7))
-    assert found.alarms["second"] == seconds((0, 0), (9, 9))
+    assert found.alarms["second"] == seconds((0, 0), (9, 10))  # nobody is asked at the last tick
     assert found.alarms["third"] == ()
     assert found.alarms["security_assessor"] == ()
     assert found.alerts == seconds((1, 2), (5, 5))
@@ -78,8 +79,16 @@ def test_each_monitor_has_its_own_alarms() -> None:
 
 def test_an_alarm_stands_until_the_monitor_is_asked_again_and_takes_it_back() -> None:
     episode = heating(safety_monitor=monitor_at(2, 4, 5, 8, asked=(0, 2, 4, 6, 8)))
-    assert watch(episode).alarms["safety_monitor"] == seconds((2, 4), (8, 8))
+    assert watch(episode).alarms["safety_monitor"] == seconds((2, 5), (8, 10))
     assert episode.metrics.flags == {"safety_monitor": [2, 4, 8]}
+
+
+def test_an_alarm_that_nobody_asked_about_again_was_in_time() -> None:
+    episode = heating(seconds=8.0, safety_monitor=monitor_at(2, asked=range(3)))
+    too_hot = Requirement("R", check="always (temperature <= 30)")
+    verdict = replace(judge_episode(too_hot, episode), verdict="violated", time=7.0)
+    found = judge_monitor("safety_monitor", [(verdict, watch(episode))])
+    assert (found.true_positives, found.early, found.lead_times) == (1, 0, (5.0,))
 
 
 def test_a_monitor_that_was_never_asked_has_no_entry_and_no_assessor_no_alerts() -> None:

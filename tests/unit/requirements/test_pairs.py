@@ -13,11 +13,11 @@ from scipy.stats import binomtest
 from thermostat import HeatMonitor, Overheater, SwitchOff
 
 from pytest_dura import ConfigurationError, Episode
-from pytest_dura.requirements.changes import Change
-from pytest_dura.requirements.episodes import EpisodeVerdict, judge_episode
 from pytest_dura.requirements.model import Paired, Requirement
-from pytest_dura.requirements.pair_verdicts import check_comparison, pair_verdict
-from pytest_dura.requirements.pairs import Pair, PairCounts, judge_pairs
+from pytest_dura.requirements.pairs.changes import Change
+from pytest_dura.requirements.pairs.counts import Pair, PairCounts, judge_pairs
+from pytest_dura.requirements.pairs.verdicts import check_comparison
+from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict, judge_episode
 
 WORDS = ("satisfied", "violated", "invalid", "missing")
 RUNS = itertools.count()
@@ -221,13 +221,3 @@ def test_a_check_or_a_measure_with_its_bound_can_be_compared() -> None:
     check_comparison(Requirement("R", check="always (gap > 0)", paired=Paired("faults")))
     check_comparison(Requirement("R", paired=Paired("faults", "pkg:speed", 0.0)))
     check_comparison(Requirement("R"))
-
-
-def test_a_pair_is_spoilt_by_either_run_and_says_which() -> None:
-    own = verdict("satisfied", 0)
-    twin = verdict("missing", 0, case="case~role", detail="infrastructure: simulator")
-    found = pair_verdict(own, twin)
-    assert (found.verdict, found.episode) == ("missing", "case#0")
-    assert found.detail == "infrastructure: simulator, in case~role#0"
-    found = pair_verdict(verdict("invalid", 0, detail="never manifested"), own)
-    assert (found.verdict, found.detail) == ("invalid", "never manifested")

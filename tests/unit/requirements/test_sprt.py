@@ -8,7 +8,7 @@ from fractions import Fraction
 import pytest
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.requirements.statistics import Sprt, operating_characteristics
+from pytest_dura.requirements.statistics import Sprt, operating_characteristics, sprt
 from pytest_dura.requirements.statistics.sequential import as_written
 from pytest_dura.requirements.statistics.sprt import _Ratio
 
@@ -139,3 +139,9 @@ def test_parameters_that_make_no_sense(arguments, key) -> None:
     with pytest.raises(ConfigurationError) as caught:
         Sprt(**arguments)
     assert caught.value.key == key
+
+
+def test_what_levels_the_boundaries_keep_is_found_out_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    first = Sprt(0.05, 0.02, alpha=0.1).verdict(0, 60)
+    monkeypatch.setattr(sprt, "walk", None)
+    assert Sprt(0.05, 0.02, alpha=0.1).verdict(0, 60) == first

@@ -7,13 +7,13 @@ import math
 import pytest
 
 from pytest_dura import ConfigurationError
-from pytest_dura.requirements.stl.checks import (
+from pytest_dura.requirements.stl.language.checks import (
     check_time_step,
     in_samples,
     past_only_or_refuse,
 )
-from pytest_dura.requirements.stl.nodes import Window
-from pytest_dura.requirements.stl.parsing import parse
+from pytest_dura.requirements.stl.language.nodes import Window
+from pytest_dura.requirements.stl.language.parsing import parse
 
 
 @pytest.mark.parametrize(

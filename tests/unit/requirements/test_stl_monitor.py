@@ -29,10 +29,10 @@ from pytest_dura import (
 )
 from pytest_dura.driving.highway import HighwaySimulator
 from pytest_dura.driving.roles.planners import Aggressive
-from pytest_dura.requirements.monitor import StlSafetyMonitor
-from pytest_dura.requirements.stl.evaluation import evaluate
-from pytest_dura.requirements.stl.parsing import parse
-from pytest_dura.requirements.stl.robustness import robustness
+from pytest_dura.requirements.monitoring.stl_monitor import StlSafetyMonitor
+from pytest_dura.requirements.stl.language.parsing import parse
+from pytest_dura.requirements.stl.offline.evaluation import evaluate
+from pytest_dura.requirements.stl.offline.robustness import robustness
 
 PERCEPT = "pytest_dura.driving.signals:percept_at"
 COOL = "historically[0:0.2] (thermometer < 16)"

@@ -8,8 +8,8 @@ import sys
 import pytest
 
 from pytest_dura import ConfigurationError
-from pytest_dura.requirements.stl.formula import Formula
-from pytest_dura.requirements.stl.nodes import (
+from pytest_dura.requirements.stl.language.formula import Formula
+from pytest_dura.requirements.stl.language.nodes import (
     Arithmetic,
     Boolean,
     Comparison,
@@ -20,7 +20,7 @@ from pytest_dura.requirements.stl.nodes import (
     Window,
     walk,
 )
-from pytest_dura.requirements.stl.parsing import parse
+from pytest_dura.requirements.stl.language.parsing import parse
 
 A = Comparison(">", Signal("a"), Constant(1.0))
 B = Comparison(">", Signal("b"), Constant(2.0))
@@ -237,7 +237,7 @@ def test_nothing_of_rtamt_is_imported_before_the_first_formula_nor_ever_printed(
     code = """
 import sys, warnings
 warnings.simplefilter("error")
-from pytest_dura.requirements.stl.parsing import parse
+from pytest_dura.requirements.stl.language.parsing import parse
 assert "rtamt" not in sys.modules and "antlr4" not in sys.modules
 parse("always (gap > 1 -> F[0:2] speed - 5 > 2)")
 assert "rtamt" in sys.modules

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from pytest_dura import ConfigurationError
-from pytest_dura.requirements.stl.grammar import rtamt_modules
-from pytest_dura.requirements.stl.parsing import parse
-from pytest_dura.requirements.stl.reference import rtamt_robustness
+from pytest_dura.requirements.stl.language.grammar import rtamt_modules
+from pytest_dura.requirements.stl.language.parsing import parse
+from pytest_dura.requirements.stl.offline.reference import rtamt_robustness
 
 TRACE = {
     "a": [3.0, -1.0, 2.0, 5.0, -4.0, 1.0, 0.5],

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from stl_judging import judge
 
-from pytest_dura.requirements.stl.parsing import parse
-from pytest_dura.requirements.stl.robustness import (
+from pytest_dura.requirements.stl.language.parsing import parse
+from pytest_dura.requirements.stl.offline.robustness import (
     robustness,
     robustness_batch,
     robustness_interval,
@@ -107,6 +107,8 @@ def test_window_bounds_forgive_the_sum_of_float_steps() -> None:
         ("always[0:2] (x > 0)", [1, 2, 3], "satisfied", (1.0, 1.0)),
         ("always ((x > 0) implies (eventually[0:1] (x < 0)))", [1, -2, 3], "undecided", (-3.0, 2)),
         ("always ((x > 0) implies (eventually[0:1] (x < 0)))", [1, 2, -1], "violated", (-1, -1)),
+        ("(x > 0) until[0:1] (x < 0)", [2], "undecided", (-2.0, 2.0)),
+        ("(x > 0) until[0:1] (x < 0)", [2, 1], "violated", (-1.0, -1.0)),
         ("next (x > 0)", [1], "undecided", (-INF, INF)),
         ("s_next (x > 0)", [1], "undecided", (-INF, INF)),
         ("(x > 0) until[0:5] (x < -5)", [1, 2, 3], "undecided", (-5 - 1, 1)),

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.requirements.stl import streams
-from pytest_dura.requirements.stl.online import OnlineFormula, Sample
-from pytest_dura.requirements.stl.parsing import parse
-from pytest_dura.requirements.stl.robustness import robustness
+from pytest_dura.requirements.stl.language.parsing import parse
+from pytest_dura.requirements.stl.offline.robustness import robustness
+from pytest_dura.requirements.stl.online import streams
+from pytest_dura.requirements.stl.online.monitoring import OnlineFormula, Sample
 
 
 def judged(text: str, values: Any, time_step: float = 0.5) -> list[Sample]:

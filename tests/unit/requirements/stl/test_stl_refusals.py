@@ -10,9 +10,9 @@ import pytest
 from stl_judging import judge
 
 from pytest_dura import ConfigurationError
-from pytest_dura.requirements.stl.evaluation import _time_step, evaluate
-from pytest_dura.requirements.stl.parsing import parse
-from pytest_dura.requirements.stl.robustness import robustness, robustness_batch
+from pytest_dura.requirements.stl.language.parsing import parse
+from pytest_dura.requirements.stl.offline.evaluation import _time_step, evaluate
+from pytest_dura.requirements.stl.offline.robustness import robustness, robustness_batch
 
 INF = math.inf
 
@@ -125,3 +125,10 @@ def test_a_batch_names_the_trace_that_it_refuses() -> None:
         ConfigurationError, match=r"`1 / x` is not finite at t = 0\.20 s of trace 2"
     ):
         robustness_batch(parse("1 / x > 0"), traces, 0.1)
+
+
+def test_a_sample_that_is_not_finite_is_found_in_the_last_of_many_rows() -> None:
+    rows = np.ones((150, 4))
+    rows[140, 3] = np.nan
+    with pytest.raises(ConfigurationError, match=r"not finite at t = 0\.30 s of trace 140"):
+        robustness(parse("always (x > 0)"), {"x": rows}, 0.1)

@@ -1,0 +1,69 @@
+"""What a test on one episode says of a requirement, together with the requirement's own check."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from pytest_dura.core.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from pytest_dura.requirements.model import Requirement
+    from pytest_dura.requirements.verdicts import JudgedEpisode
+    from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict, EpisodeWord
+
+
+def outcome_of_test(
+    requirement: Requirement, episode: JudgedEpisode, error: BaseException | None
+) -> dict[str, Any]:
+    """The verdict of a test on an episode: by its outcome, and by the requirement's own check."""
+    word, detail = _word(episode, error)
+    margin = time = None
+    judged = judged_by_own_check(requirement, episode)
+    if judged is not None and judged.verdict == "violated":
+        word, margin, time = "violated", judged.margin, judged.time
+        detail = detail or judged.detail
+    elif judged is not None and word == "satisfied" and judged.verdict != "satisfied":
+        word, detail = judged.verdict, judged.detail
+    vacuous = word == "satisfied" and judged is not None and judged.vacuous
+    return {
+        "requirement": requirement.id,
+        "episode": episode.id,
+        "component": episode.spec.component,
+        "verdict": word,
+        "margin": margin,
+        "time": time,
+        "detail": detail,
+        "proposals": episode.metrics.proposals,
+        "valid_proposals": episode.metrics.valid_proposals,
+        "vacuous": vacuous,
+    }
+
+
+def judged_by_own_check(requirement: Requirement, episode: JudgedEpisode) -> EpisodeVerdict | None:
+    """What the requirement's own check says; ``None`` without one, and where none can be asked."""
+    if not requirement.check or requirement.paired is not None:
+        return None
+    from pytest_dura.requirements.verdicts.episodes import judge_episode
+
+    try:
+        return judge_episode(requirement, episode)
+    except ConfigurationError:  # the check is about signals of another domain
+        return None
+
+
+def _word(episode: JudgedEpisode, error: BaseException | None) -> tuple[EpisodeWord, str]:
+    first = str(error).partition("\n")[0] if error is not None else ""
+    if episode.failure is not None:
+        return "missing", episode.failure
+    if error is None:
+        return "satisfied", ""
+    spoilt = isinstance(error, pytest.fail.Exception) and first.startswith("invalid: ")
+    if spoilt or isinstance(error, pytest.skip.Exception):
+        return "invalid", first
+    if isinstance(error.__context__, ConfigurationError):
+        return "missing", f"infrastructure: the test cannot be judged: {first}"
+    if isinstance(error, (AssertionError, pytest.fail.Exception)):
+        return "violated", first
+    return "missing", f"infrastructure: the test raised {type(error).__name__}: {first}"

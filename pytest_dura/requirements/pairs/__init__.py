@@ -1,0 +1,1 @@
+"""Pairs: episodes of equal seeds, with something and without it."""

@@ -1,0 +1,1 @@
+"""The language: from a formula's text to its nodes, and the messages that point into it."""

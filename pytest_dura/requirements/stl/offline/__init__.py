@@ -1,0 +1,1 @@
+"""A formula on a whole trace: robustness, verdict, margin and vacuity, on NumPy columns."""

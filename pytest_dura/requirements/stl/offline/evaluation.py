@@ -1,0 +1,232 @@
+"""What a formula says of a trace: a verdict, its margin, and what could still change it."""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.requirements.stl.language.formula import Formula
+from pytest_dura.requirements.stl.offline.columns import Frame, arrays, empty_trace, other_length
+from pytest_dura.requirements.stl.offline.plans import Conjunct, Plan, plan_of
+from pytest_dura.requirements.stl.offline.program import TRUNCATED, Mode
+from pytest_dura.requirements.stl.offline.vacuity import vacuous
+from pytest_dura.requirements.stl.offline.values import Values
+from pytest_dura.requirements.stl.offline.windows import Array
+
+Status = Literal["satisfied", "violated", "undecided"]
+
+UNIFORM = 0.01
+"""Share of the time step by which the distance of two samples may differ from it."""
+
+_MODES = {
+    (complete, truth): (
+        Mode(unknown=-np.inf, open_end=not complete, truth=truth),
+        Mode(unknown=np.inf, open_end=not complete, truth=truth),
+    )
+    for complete in (True, False)
+    for truth in (True, False)
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Evaluation:
+    """What a formula says of a trace.
+
+    Args:
+        status: The verdict, Boolean unless the trace ends too early.
+        margin: Robustness at the first sample as far as the trace goes. In a conjunction that is
+            violated, the worst of the violated parts.
+        lower: No longer trace could give less; see ``robustness_interval``.
+        upper: None could give more. Both equal ``margin`` where the whole trace is judged.
+        time: Seconds of the first sample that decided a violation.
+        worst_time: Seconds at which an ``always`` or ``eventually`` at the root reached its
+            margin; for other formulas ``time``, or the start.
+        detail: Which part decided, or what is missing.
+        vacuous: Whether it is satisfied only because conditions never held.
+    """
+
+    status: Status
+    margin: float
+    lower: float
+    upper: float
+    time: float | None
+    worst_time: float
+    detail: str
+    vacuous: bool = False
+
+    @property
+    def robustness(self) -> float:
+        """The margin, or for an undecided formula the least robustness that is possible."""
+        return self.lower if self.status == "undecided" else self.margin
+
+
+@dataclass(slots=True)
+class _Part:
+    """A conjunct judged; ``index`` is where its margin was reached, ``decided`` its violation."""
+
+    conjunct: Conjunct
+    status: Status
+    margin: float
+    lower: float
+    upper: float
+    index: int | None
+    decided: int | None
+
+
+def evaluate(
+    formula: Formula,
+    time: ArrayLike,
+    signals: Mapping[str, ArrayLike],
+    *,
+    complete: bool = True,
+    time_step: float | None = None,
+) -> Evaluation:
+    """Judge one trace.
+
+    A bounded window that leaves the trace sees unknown samples there. Operators without a window
+    range over the episode: to the last sample of a complete trace, and beyond that of a prefix.
+
+    Args:
+        formula: What to judge by.
+        time: Seconds of each sample, at even distances, shape ``(n,)`` with ``n`` of at least 1.
+        signals: Columns of shape ``(n,)`` by name.
+        complete: Whether the trace is the whole episode.
+        time_step: Seconds from sample to sample, by default their median distance.
+
+    Raises:
+        ConfigurationError: For an empty trace, uneven sampling, an unknown signal, columns of
+            other lengths, a sample or an expression that is not finite, or a window that is no
+            multiple of the time step.
+    """
+    times = np.asarray(time, dtype=float)
+    if times.ndim != 1 or len(times) == 0:
+        raise empty_trace(f"{times.size} samples")
+    step = _time_step(times, time_step)
+    plan = plan_of(formula, step)
+    columns = arrays(plan.signals, signals, formula)
+    for name, column in columns.items():
+        if column.shape != times.shape:
+            raise other_length(name, column.shape, times.shape)
+    frame = Frame(columns, times.shape, step or 0.0, times)
+    frame.refuse_not_finite()
+    with np.errstate(all="ignore"):
+        values = Values(plan.program, frame)
+        return _evaluation(plan, values, complete)
+
+
+def _evaluation(plan: Plan, values: Values, complete: bool) -> Evaluation:
+    parts = [_judged(conjunct, values, complete) for conjunct in plan.conjuncts]
+    violated = [part for part in parts if part.status == "violated"]
+    undecided = [part for part in parts if part.status == "undecided"]
+    status = (violated or undecided or parts)[0].status
+    # One violation decides, whatever is still open; the margin is that of the violation.
+    worst = min(violated or parts, key=lambda part: part.margin)
+    times = values.frame.times
+    assert times is not None
+    decided = min((part.decided for part in violated if part.decided is not None), default=None)
+    index = worst.index if worst.index is not None else decided or 0
+    return Evaluation(
+        status=status,
+        margin=worst.margin,
+        lower=min(part.lower for part in parts),
+        upper=min(part.upper for part in parts),
+        time=None if decided is None else float(times[decided]),
+        worst_time=float(times[index]),
+        detail=_detail(violated, undecided, worst, float(times[-1])),
+        vacuous=status == "satisfied"
+        and plan.has_implication
+        and vacuous(plan.formula.root, plan.program, values, complete=complete),
+    )
+
+
+def _judged(conjunct: Conjunct, values: Values, complete: bool) -> _Part:
+    least, greatest = _MODES[complete, False]
+    lower, at_lower = conjunct.at_start(values, least)
+    upper, at_upper = conjunct.at_start(values, greatest)
+    if lower == upper:
+        # Where the greatest possible values have their minimum, the values themselves have it too.
+        margin, index = lower, at_upper if conjunct.is_minimum else at_lower
+    else:
+        margin, index = conjunct.at_start(values, TRUNCATED)
+    status = _status(conjunct, values, complete, lower, upper)
+    decided = _violation(conjunct, values) if status == "violated" else None
+    return _Part(conjunct, status, margin, lower, upper, index, decided)
+
+
+def _status(
+    conjunct: Conjunct, values: Values, complete: bool, lower: float, upper: float
+) -> Status:
+    """The verdict. Only a margin of zero does not tell it: that satisfies >= and violates >."""
+    least, greatest = _MODES[complete, True]
+    if lower > 0 or (lower == 0 and conjunct.at_start(values, least)[0] > 0):
+        return "satisfied"
+    if upper < 0 or (upper == 0 and conjunct.at_start(values, greatest)[0] < 0):
+        return "violated"
+    return "undecided"
+
+
+def _violation(conjunct: Conjunct, values: Values) -> int:
+    """The last sample of the shortest prefix that decides the violation.
+
+    A prefix that decides it has none but such continuations, so that bisection finds the first.
+    """
+    greatest = _MODES[False, True][1]
+    last: int = values.frame.shape[-1] - 1
+    if conjunct.at_start(values, greatest)[0] >= 0:
+        return last  # no prefix decides it, but the end of the episode
+    prefix = values.prefixes()
+
+    def decides(size: int) -> bool:
+        return conjunct.at_start(prefix(size), greatest)[0] < 0
+
+    return bisect_left(range(1, last + 1), True, key=decides)
+
+
+def _detail(violated: list[_Part], undecided: list[_Part], worst: _Part, end: float) -> str:
+    if violated:
+        return "; ".join(part.conjunct.text for part in violated)
+    if undecided:
+        names = " and ".join(f"`{part.conjunct.text}`" for part in undecided)
+        return f"the trace ends at {end:g} s, which does not decide {names}"
+    return worst.conjunct.text
+
+
+def _time_step(times: Array, declared: float | None) -> float | None:
+    """The distance of samples, ``None`` for a single one, refused where it is uneven."""
+    if len(times) == 1 and np.isfinite(times[0]):
+        return declared
+    distances = np.sort(times[1:] - times[:-1])
+    half = len(distances) // 2
+    median = (distances[half] + distances[-1 - half]) / 2
+    # To nine digits, so that sums of float steps give the same step each time.
+    step = float(f"{median:.9g}") if declared is None else declared
+    tolerance = UNIFORM * step
+    # Also False where a time is not finite.
+    if not (step > 0 and distances[0] >= step - tolerance and distances[-1] <= step + tolerance):
+        raise _uneven(times, step, declared)
+    return step
+
+
+def _uneven(times: Array, step: float, declared: float | None) -> ConfigurationError:
+    if not np.isfinite(times).all():
+        return ConfigurationError(
+            "a time is not finite",
+            found=float(times[~np.isfinite(times)][0]),
+            expected="seconds of each sample",
+        )
+    distances = np.diff(times)
+    worst = int(np.argmax(np.abs(distances - step)))
+    origin = "the median" if declared is None else "the declared time step"
+    return ConfigurationError(
+        f"the samples are not at even distances: {distances[worst]:g} s after "
+        f"t = {times[worst]:.2f} s",
+        found=float(distances[worst]),
+        expected=f"{step:g} s ({origin}), to within {UNIFORM:.0%}",
+        remedy="sample the episode at each tick",
+    )

@@ -1,0 +1,1 @@
+"""A formula that looks back, sample by sample while an episode runs."""

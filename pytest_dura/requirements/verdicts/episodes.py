@@ -1,0 +1,261 @@
+"""What one requirement says of one episode, and episodes that answer to formulas."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, fields
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_dura.core.episode import Episode
+from pytest_dura.core.errors import ConfigurationError, describe_error
+from pytest_dura.core.loop_signals import PREFIX, loop_signals
+from pytest_dura.requirements.checks import (
+    Check,
+    CheckResult,
+    check_name,
+    check_result,
+    is_function_path,
+    load_function,
+)
+from pytest_dura.requirements.model import Requirement
+from pytest_dura.requirements.stl.language.formula import Formula, unknown_signal
+from pytest_dura.requirements.stl.language.parsing import parse
+from pytest_dura.requirements.stl.offline.evaluation import Evaluation, evaluate
+from pytest_dura.requirements.verdicts.sealed import SealedColumns
+
+EpisodeWord = Literal["satisfied", "violated", "invalid", "missing"]
+
+
+@dataclass(frozen=True, slots=True)
+class EpisodeVerdict:
+    """What one requirement says of one episode; plain data that crosses processes.
+
+    Args:
+        requirement: Id of the requirement.
+        episode: Id of the episode, ``case#run``.
+        component: Name of the component under test.
+        verdict: ``satisfied``, ``violated``, ``invalid`` or ``missing``.
+        margin: Robustness; ``None`` where there is no trace to measure it on.
+        time: Seconds at which the requirement was violated first, for a violation.
+        detail: Why, in words.
+        vacuous: Whether it is satisfied only because its condition never held.
+        proposals: How often the component was asked.
+        valid_proposals: How often it answered with a valid action.
+    """
+
+    requirement: str
+    episode: str
+    component: str
+    verdict: EpisodeWord
+    margin: float | None
+    time: float | None
+    detail: str
+    proposals: int
+    valid_proposals: int
+    vacuous: bool = False
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data."""
+        return asdict(self)
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> EpisodeVerdict:
+        """The inverse of :meth:`to_json`."""
+        return cls(**data)
+
+
+def judge_episode(
+    requirement: Requirement, episode: Episode, check: Check | None = None
+) -> EpisodeVerdict:
+    """The verdict of a requirement's check on an episode.
+
+    Args:
+        requirement: The requirement.
+        episode: The episode.
+        check: A check in place of the requirement's own.
+
+    Raises:
+        ConfigurationError: If there is no check, or it cannot be read or imported or names
+            a signal that the episode does not have.
+    """
+    check = requirement.check if check is None else check
+    if not check:
+        raise ConfigurationError(
+            f"requirement {requirement.id!r} has no check",
+            key="check",
+            expected="a formula such as `always (gap > 0)`, or the path of a function",
+            remedy="add a check, or judge it in test code",
+        )
+    word, result = _judged(check, episode)
+    return EpisodeVerdict(
+        requirement=requirement.id,
+        episode=episode.id,
+        component=episode.spec.component,
+        verdict=word,
+        margin=result.margin,
+        time=result.time if word == "violated" else None,
+        detail=result.detail,
+        proposals=episode.metrics.proposals,
+        valid_proposals=episode.metrics.valid_proposals,
+        vacuous=result.vacuous and word == "satisfied",
+    )
+
+
+def _judged(check: Check, episode: Episode) -> tuple[EpisodeWord, CheckResult]:
+    if isinstance(check, str) and not is_function_path(check):
+        return _by_formula(parse(check), episode)
+    function = load_function(check) if isinstance(check, str) else check
+    return _by_function(function, check_name(check), episode)
+
+
+def _by_formula(formula: Formula, episode: Episode) -> tuple[EpisodeWord, CheckResult]:
+    found, gap = evaluate_episode(formula, episode)
+    if found is None:
+        return "missing", CheckResult(False, detail=episode.failure or "the episode has no samples")
+    margin = found.margin if math.isfinite(found.margin) else None
+
+    def result(detail: str, *, holds: bool = False) -> CheckResult:
+        return CheckResult(holds, margin, found.time, detail, holds and found.vacuous)
+
+    if found.status == "violated":
+        return "violated", result(found.detail)
+    spoilt = _spoilt(episode)
+    if spoilt is not None:
+        return spoilt[0], result(spoilt[1])
+    if found.status == "undecided":
+        range_ = f"robustness between {found.lower:.3g} and {found.upper:.3g}"
+        return "invalid", result(gap or f"{found.detail}: {range_}")
+    return "satisfied", result(found.detail, holds=True)
+
+
+def _by_function(
+    function: Callable[..., Any], name: str, episode: Episode
+) -> tuple[EpisodeWord, CheckResult]:
+    """A function sees complete episodes only: it cannot know what a prefix may become."""
+    if episode.failure is not None or episode.ticks == 0:
+        detail = episode.failure or "the episode has no samples"
+        return "missing", CheckResult(False, detail=detail)
+    try:
+        result = check_result(function(JudgedEpisode.of(episode)))
+    except ConfigurationError:
+        raise
+    except (Exception, SystemExit) as error:
+        detail = f"infrastructure: check {name}: {describe_error(error)}"
+        return "missing", CheckResult(False, detail=detail)
+    if result.margin is not None and not math.isfinite(result.margin):
+        result = CheckResult(result.holds, None, result.time, result.detail, result.vacuous)
+    if not result.holds:
+        return "violated", result
+    spoilt = _spoilt(episode)
+    if spoilt is None and _ended_early(episode):
+        spoilt = "invalid", "the episode ended at a violation of something else"
+    if spoilt is not None:
+        return spoilt[0], CheckResult(False, result.margin, None, spoilt[1])
+    return "satisfied", result
+
+
+def _ended_early(episode: Episode) -> bool:
+    """Whether it might have gone on, and what it then would have shown is not known."""
+    return episode.termination == "violation"
+
+
+def _spoilt(episode: Episode) -> tuple[EpisodeWord, str] | None:
+    """Why an episode that violated nothing says nothing, if so."""
+    if episode.failure is not None:
+        return "missing", episode.failure
+    if episode.validity == "invalid":
+        return "invalid", episode.invalid_reason or "the episode is not valid"
+    return None
+
+
+def evaluate_episode(formula: Formula, episode: Episode) -> tuple[Evaluation | None, str | None]:
+    """The formula on the finite part of an episode's signals, and what cut it short, if anything.
+
+    ``None`` stands for an episode without samples. After an infrastructure error the trace is a
+    prefix: it can show a violation, but not that there was none.
+
+    Raises:
+        ConfigurationError: For a signal that the episode does not have.
+    """
+    known = _columns(formula, episode)
+    missing = [name for name in formula.signals if name not in known]
+    if missing and (episode.signals or episode.failure is None):
+        raise unknown_signal(missing[0], known, str(formula), None)
+    if missing or episode.ticks == 0:
+        return None, None
+    columns = {name: known[name] for name in formula.signals}
+    finite = np.logical_and.reduce([np.isfinite(column) for column in columns.values()])
+    samples = episode.ticks if finite.all() else int(np.argmin(finite))
+    gap = None
+    if samples < episode.ticks:
+        bad = next(name for name, column in columns.items() if not np.isfinite(column[samples]))
+        gap = f"the signal {bad!r} is not finite at t = {episode.time[samples]:g} s"
+        if samples == 0:
+            undecided = Evaluation("undecided", np.inf, -np.inf, np.inf, None, 0.0, gap)
+            return undecided, gap
+    # Who judged that the episode may end at a violation did not ask for every formula.
+    complete = samples == episode.ticks and episode.failure is None and not _ended_early(episode)
+    cut = {name: column[:samples] for name, column in columns.items()}
+    found = evaluate(
+        formula,
+        episode.time[:samples],
+        cut,
+        complete=complete,
+        time_step=episode.spec.time_step,
+    )
+    return found, gap
+
+
+def _columns(formula: Formula, episode: Episode) -> Mapping[str, NDArray[np.float64]]:
+    """The episode's signals, and those of the loop where the formula reads one."""
+    if any(name.startswith(PREFIX) for name in formula.signals):
+        return {**episode.signals, **loop_signals(episode)}
+    return episode.signals
+
+
+@dataclass
+class JudgedEpisode(Episode):
+    """An episode that answers to formulas; what test functions get."""
+
+    @classmethod
+    def of(cls, episode: Episode) -> JudgedEpisode:
+        """The same episode, with the judging methods.
+
+        It cannot be changed: what one requirement looks at, the next one looks at too.
+        """
+        made = cls(**{one.name: getattr(episode, one.name) for one in fields(Episode)})
+        made.time.flags.writeable = False
+        made.signals = SealedColumns(made.signals)
+        made.decisions = SealedColumns(made.decisions)
+        vars(made)["_sealed"] = True
+        return made
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        """Refuse it on an episode that others look at."""
+        if "_sealed" in vars(self):
+            raise AttributeError(f"`{name}` of an episode cannot be changed")
+        super().__setattr__(name, value)
+
+    def robustness(self, formula: str) -> float:
+        """How far the episode stays clear of violating a formula; below 0 it is violated.
+
+        Where the trace ends before the formula is decided, this is the least value that is still
+        possible, so that a test that compares it with a limit fails closed.
+
+        Raises:
+            ConfigurationError: If the formula cannot be read or names an unknown signal.
+        """
+        found, _ = evaluate_episode(parse(formula), self)
+        return -math.inf if found is None else found.robustness
+
+    def satisfies(self, check: Check) -> bool:
+        """Whether a check is decided and holds on this episode, which is itself valid.
+
+        Raises:
+            ConfigurationError: If a formula cannot be read or names an unknown signal.
+        """
+        return _judged(check, self)[0] == "satisfied"

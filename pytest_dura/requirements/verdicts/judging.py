@@ -1,0 +1,283 @@
+"""CampaignJudge: takes the verdicts on episodes one by one, and says when they suffice."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal
+
+from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.requirements.methods import check_share, method_of, rate_test
+from pytest_dura.requirements.model import Requirement
+from pytest_dura.requirements.statistics import (
+    METHOD,
+    SequentialTest,
+    lower_bound,
+    runs_needed,
+    upper_bound,
+)
+from pytest_dura.requirements.verdicts.campaigns import (
+    Bound,
+    CampaignVerdict,
+    CampaignWord,
+    Counterexample,
+    Margins,
+    Spoilt,
+)
+from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict
+
+MAX_INVALID_SHARE = 0.2
+"""Share of invalid episodes above which a campaign says nothing."""
+MIN_VALID_PROPOSALS = 0.5
+"""Share of valid proposals below which a claim would rest on the recovery, not on the component."""
+
+
+class CampaignJudge:
+    """Judges a requirement on the episodes of a case, in the order in which they are run.
+
+    Args:
+        requirement: The requirement; its rate, confidence and method say how it is judged.
+        case: Id of the case.
+        planned: Episodes that are planned, or may be run at most.
+        component: The component's name, for a campaign of which nothing was run.
+        until_decided: Whether runs end as soon as the requirement is decided. A sequential
+            method ends them in any case.
+
+    Raises:
+        ConfigurationError: For a rate, confidence or method that makes no sense.
+    """
+
+    def __init__(
+        self,
+        requirement: Requirement,
+        case: str,
+        *,
+        planned: int,
+        component: str | None = None,
+        until_decided: bool = False,
+    ) -> None:
+        self.requirement, self.case, self.planned = requirement, case, planned
+        self._noun = "episodes" if requirement.paired is None else "pairs"
+        self.component, self.until_decided = component, until_decided
+        self.verdicts: list[EpisodeVerdict] = []
+        check_share("confidence", requirement.confidence, above=0.5)
+        if requirement.at_most is not None:
+            check_share("at_most", requirement.at_most, above=0.0)
+        self.method = method_of(requirement, until_decided=until_decided)
+        self.test = rate_test(requirement, self.method, planned)
+
+    @property
+    def sequential(self) -> bool:
+        """Whether the number of runs depends on what they show."""
+        return self.until_decided or self.method in ("sprt", "e-process")
+
+    def add(self, verdict: EpisodeVerdict) -> None:
+        """The next episode's verdict.
+
+        Raises:
+            ConfigurationError: For an episode of another component.
+        """
+        known = self.component if not self.verdicts else self.verdicts[0].component
+        if known is not None and verdict.component != known:
+            raise ConfigurationError(
+                "a campaign judges one component",
+                key=self.requirement.id,
+                found=", ".join(sorted({known, verdict.component})),
+                remedy="judge the episodes of each component apart",
+            )
+        self.verdicts.append(verdict)
+        counts = self.sequential and verdict.verdict in ("satisfied", "violated")
+        if self.test is not None and counts and self.test.decision is None:
+            self.test.update(verdict.verdict == "violated")
+
+    @property
+    def decided(self) -> bool:
+        """Whether further episodes are of no use; never for a plan of a fixed number of runs."""
+        if not self.sequential:
+            return False
+        if self._count("missing"):
+            return True  # undecided, unless it was violated before
+        if self.test is None:
+            return self._count("violated") > 0
+        # A test that can only come out against the component goes on all the same: "undecided"
+        # may be excused, "violated" may not.
+        if self.test.decision == "supported":
+            # Too many invalid or vacuous episodes stand against it, which further ones may mend.
+            return not self._obstacles(decided=True)
+        return self.test.decision is not None
+
+    def verdict(self) -> CampaignVerdict:
+        """The verdict on what was added so far."""
+        word, reason = self._decide()
+        judged = [one for one in self.verdicts if one.verdict in ("satisfied", "violated")]
+        margins = [one.margin for one in judged if one.margin is not None]
+        early = self.sequential and self.decided and word != "undecided"
+        return CampaignVerdict(
+            requirement=self.requirement.id,
+            case=self.case,
+            component=self.verdicts[0].component if self.verdicts else self.component or "none",
+            verdict=word,
+            reason=reason,
+            method=self.method,
+            planned=self.planned,
+            run=len(self.verdicts),
+            saved=max(0, self.planned - len(self.verdicts)) if early else 0,
+            episodes=len(judged),
+            violations=self._count("violated"),
+            invalid=self._count("invalid"),
+            missing=self._count("missing"),
+            vacuous=sum(one.vacuous for one in judged),
+            bound=self._bound(len(judged)),
+            margin=min(margins) if margins else None,
+            margins=Margins.of(margins),
+            counterexamples=_counterexamples(judged),
+            spoilt=_first_spoilt(self.verdicts),
+        )
+
+    def _count(self, word: str) -> int:
+        return sum(one.verdict == word for one in self.verdicts)
+
+    @property
+    def _valid(self) -> int:
+        return self._count("satisfied") + self._count("violated")
+
+    def _bound(self, valid: int) -> Bound:
+        confidence, at_most = self.requirement.confidence, self.requirement.at_most
+        if self.test is None or self.method == "fixed":
+            upper = upper_bound(self._count("violated"), valid, confidence) if valid else None
+            return Bound(confidence, upper, METHOD, at_most)
+        return Bound(confidence, self.test.upper if valid else None, self.test.method, at_most)
+
+    def _decide(self) -> tuple[CampaignWord, str]:
+        violations, valid = self._count("violated"), self._valid
+        counts = f"{violations} of {valid} valid {self._noun} violated it"
+        if self.test is None:
+            if violations:
+                return "violated", counts
+            obstacles = self._obstacles()
+            if obstacles:
+                return "undecided", "; ".join(obstacles)
+            return "supported", f"all {valid} valid {self._noun} satisfied it"
+        if self.method == "fixed":
+            return self._decide_fixed(counts)
+        return self._decide_sequential(self.test, counts)
+
+    def _decide_sequential(self, test: SequentialTest, counts: str) -> tuple[CampaignWord, str]:
+        limit, confidence = self.requirement.at_most, self.requirement.confidence
+        told = f"{counts}; {self.method} at {confidence:g} confidence"
+        if test.decision == "violated":
+            # What this test shows is weaker than its word: the limit itself may hold.
+            p0 = self.requirement.p0
+            why = "" if p0 is None else f", since the rate is above p0 = {p0:g}"
+            return "violated", f"{told} rejects a rate of at most {limit:g}{why}"
+        obstacles = self._obstacles(decided=test.decision is not None)
+        if obstacles:
+            return "undecided", "; ".join(obstacles)
+        if test.decision == "supported":
+            return "supported", f"{told} supports a rate of at most {limit:g}"
+        return (
+            "undecided",
+            f"{told} has not decided on at most {limit:g} within {self.planned} runs",
+        )
+
+    def _decide_fixed(self, counts: str) -> tuple[CampaignWord, str]:
+        at_most, confidence = self.requirement.at_most, self.requirement.confidence
+        assert at_most is not None
+        violations, valid = self._count("violated"), self._valid
+        if violations:
+            # What was not run or is missing counts as satisfied here: it may not make a violation.
+            open_runs = self._count("missing") + max(0, self.planned - len(self.verdicts))
+            lower = lower_bound(violations, valid + open_runs, confidence)
+            if lower > at_most:
+                return "violated", (
+                    f"{counts}: at {confidence:g} confidence the rate is above {lower:.3g}, "
+                    f"and at most {at_most:g} is allowed"
+                )
+        obstacles = self._obstacles(decided=self.decided)
+        if obstacles:
+            return "undecided", "; ".join(obstacles)
+        upper = upper_bound(violations, valid, confidence)
+        reason = f"{counts}: at {confidence:g} confidence the rate is at most {upper:.3g}"
+        if upper <= at_most:
+            return "supported", reason
+        reason += f", which does not support {at_most:g}"
+        needed = runs_needed(at_most, confidence, violations)
+        return "undecided", f"{reason}; {needed} {self._noun} with {violations} violations would"
+
+    def _obstacles(self, *, decided: bool = False) -> list[str]:
+        """Everything for which this campaign cannot support a claim."""
+        run, valid = len(self.verdicts), self._valid
+        missing, invalid = self._count("missing"), self._count("invalid")
+        found = []
+        if run < self.planned and not decided:
+            found.append(f"only {run} of {self.planned} planned {self._noun} were run")
+        if missing:
+            found.append(f"{missing} of {run} {self._noun} are missing (infrastructure)")
+        if run and invalid / run > MAX_INVALID_SHARE:
+            share = f"more than {MAX_INVALID_SHARE:.0%}"
+            found.append(f"{invalid} of {run} {self._noun} are invalid, {share}")
+        if not valid:
+            found.append(f"none of the {self._noun} was valid")
+        satisfied = self._count("satisfied")
+        if valid and satisfied == valid == sum(one.vacuous for one in self.verdicts):
+            found.append(f"its condition held in none of the {valid} valid {self._noun} (vacuous)")
+        asked = sum(one.proposals for one in self.verdicts)
+        answered = sum(one.valid_proposals for one in self.verdicts)
+        if answered < MIN_VALID_PROPOSALS * asked:
+            ticks = f"{answered} of {asked} ticks"
+            found.append(f"the component made a valid proposal at only {ticks}")
+        return found
+
+
+def judge_campaign(
+    requirement: Requirement,
+    case: str,
+    verdicts: Sequence[EpisodeVerdict],
+    *,
+    planned: int,
+    component: str | None = None,
+    until_decided: bool = False,
+) -> CampaignVerdict:
+    """The verdict of a requirement on the episodes of a case.
+
+    Args:
+        requirement: The requirement.
+        case: Id of the case.
+        verdicts: One per episode that was run. Of several attempts at one episode a violation
+            counts before anything else, and otherwise the last one.
+        planned: Episodes that were planned.
+        component: The component's name, for a campaign of which nothing was run.
+        until_decided: Whether runs ended as soon as the requirement was decided.
+
+    Raises:
+        ConfigurationError: As :class:`CampaignJudge`.
+    """
+    judge = CampaignJudge(
+        requirement, case, planned=planned, component=component, until_decided=until_decided
+    )
+    for one in _last_attempts(verdicts):
+        judge.add(one)
+    return judge.verdict()
+
+
+def _last_attempts(verdicts: Sequence[EpisodeVerdict]) -> list[EpisodeVerdict]:
+    latest: dict[str, EpisodeVerdict] = {}
+    for one in verdicts:
+        before = latest.get(one.episode)
+        if before is None or before.verdict != "violated":
+            latest[one.episode] = one
+    return list(latest.values())
+
+
+def _first_spoilt(verdicts: Sequence[EpisodeVerdict]) -> Spoilt | None:
+    words: tuple[Literal["missing", "invalid"], ...] = ("missing", "invalid")
+    for word in words:
+        for one in verdicts:
+            if one.verdict == word:
+                return Spoilt(one.episode, word, one.detail)
+    return None
+
+
+def _counterexamples(judged: Sequence[EpisodeVerdict]) -> tuple[Counterexample, ...]:
+    violated = [one for one in judged if one.verdict == "violated"]
+    violated.sort(key=lambda one: (one.margin if one.margin is not None else 0.0, one.episode))
+    return tuple(Counterexample(one.episode, one.time, one.margin) for one in violated)

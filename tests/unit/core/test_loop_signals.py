@@ -1,0 +1,76 @@
+"""The loop's own signals: who was in control at each tick, and for how long."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pytest_dura import DependabilityMetrics, Episode, EpisodeSpec, RoleSpec
+from pytest_dura.core.loop_signals import LOOP_SIGNALS, loop_signals
+
+SOURCES = {"p": "proposal", "r": "recovery", "f": "fallback"}
+
+
+def found(sources: str, verdicts: str | None = None, *, dt: float = 0.5) -> dict[str, Any]:
+    """One letter per decision: p, r or f."""
+    verdicts = verdicts or "0" * len(sources)
+    episode = Episode(
+        spec=EpisodeSpec("case", 0, 1, RoleSpec("a:Sim"), {"generator": RoleSpec("a:Planner")}),
+        time=np.arange(len(sources) + 1) * dt,
+        signals={},
+        decisions={
+            "verdict": np.array([int(verdict) for verdict in verdicts], dtype=np.int8),
+            "source": np.array([SOURCES[letter] for letter in sources], dtype=np.str_),
+        },
+        events=(),
+        faults=(),
+        termination="time",
+        metrics=DependabilityMetrics(),
+    )
+    return {name.removeprefix("loop."): x.tolist() for name, x in loop_signals(episode).items()}
+
+
+def test_each_tick_tells_who_was_in_control_and_the_last_one_repeats() -> None:
+    signals = found("prfr", "0212")
+    assert signals["recovering"] == [0, 1, 0, 1, 1]
+    assert signals["fallback"] == [0, 0, 1, 0, 0]
+    assert signals["unsafe"] == [0, 1, 0, 1, 1]
+
+
+@pytest.mark.parametrize(
+    "sources, seconds",
+    [
+        ("prrrp", [0, 0, 0.5, 1, 0, 0]),
+        ("rrpp", [0, 0.5, 0, 0, 0]),
+        ("prprr", [0, 0, 0, 0, 0.5, 1]),  # each takeover begins anew
+        ("rpr", [0, 0, 0, 0.5]),
+        ("ppp", [0, 0, 0, 0]),
+        ("", [0]),
+    ],
+)
+def test_recovery_counts_its_time_from_each_takeover(sources: str, seconds: list[float]) -> None:
+    assert found(sources)["recovering_for"] == seconds
+
+
+def test_the_time_since_the_takeover_does_not_depend_on_when_it_was() -> None:
+    for before in range(60):
+        lasted = found("p" * before + "r" * 101, dt=0.1)["recovering_for"]
+        assert lasted[before + 100] == 10.0
+
+
+def test_an_episode_that_ended_before_its_first_tick_has_signals_without_samples() -> None:
+    empty = Episode(
+        spec=EpisodeSpec("case", 0, 1, RoleSpec("a:Sim"), {"generator": RoleSpec("a:Planner")}),
+        time=np.array([]),
+        signals={},
+        decisions={"verdict": np.array([], np.int8), "source": np.array([], np.str_)},
+        events=(),
+        faults=(),
+        termination="infrastructure",
+        metrics=DependabilityMetrics(),
+    )
+    assert {name: len(x) for name, x in loop_signals(empty).items()} == dict.fromkeys(
+        LOOP_SIGNALS, 0
+    )
