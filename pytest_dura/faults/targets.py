@@ -111,14 +111,14 @@ def with_part(value: Any, path: str, part: Any) -> Any:
     head, _, rest = path.partition(".")
     if type(value) is Lazy:
         value = value.get()
-    new = with_part(part_of(value, head), rest, part) if rest else part
+    old = part_of(value, head)  # tells what is wrong
+    new = with_part(old, rest, part) if rest else part
     if isinstance(value, Mapping):
         return {**value, head: new}
     if head in _field_names(value):
         if is_dataclass(value) and not isinstance(value, type):
             return replace(value, **{head: new})
         return value._replace(**{head: new})
-    part_of(value, head)  # tells what is wrong
     if isinstance(value, np.ndarray):
         whole = value.dtype.kind in "biu" and np.asarray(new).dtype.kind == "f"
         copy = value.astype(float if whole else value.dtype)
