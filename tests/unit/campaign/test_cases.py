@@ -218,13 +218,34 @@ def test_roles_given_come_before_the_scenarios_before_the_domains() -> None:
         case.spec(0, 1, {**mine, "wach": None})
 
 
-def test_short_names_of_generators() -> None:
-    case = only(make())
-    for name, path in DOMAINS["driving"].generators.items():
-        assert case.spec(0, 1, {"generator": RoleSpec(name)}).roles["generator"].path == path
-    with pytest.raises(ConfigurationError) as caught:
-        case.spec(0, 1, {"generator": RoleSpec("agressive")})
-    assert caught.value.remedy == "did you mean 'aggressive'?"
+@pytest.mark.parametrize("role", ["generator", "recovery_planner"])
+def test_short_names_of_roles(role: str) -> None:
+    names = DOMAINS["driving"].short_names(role)
+    assert len(names) >= 4
+    for name, path in names.items():
+        given = only(make()).spec(0, 1, {role: RoleSpec(name)})
+        assert given.roles[role].path == path
+        in_a_file = only(make(roles={role: name})).spec(0, 1)
+        assert in_a_file.roles[role].path == path
+
+
+@pytest.mark.parametrize(
+    "role, slip, meant",
+    [
+        ("generator", "agressive", "did you mean 'aggressive'?"),
+        ("recovery_planner", "safestop", "did you mean 'safe_stop'?"),
+        (
+            "recovery_planner",
+            "aggressive",
+            "use one of: alert, emergency_brake, ignore_untrusted, replan, safe_stop",
+        ),
+        ("safety_monitor", "safe_stop", "write package.module:Name"),
+    ],
+)
+def test_a_short_name_is_of_one_role(role: str, slip: str, meant: str) -> None:
+    with pytest.raises(ConfigurationError, match=f"unknown {role} {slip!r}") as caught:
+        only(make()).spec(0, 1, {role: RoleSpec(slip)})
+    assert caught.value.remedy == meant
 
 
 def test_a_misspelt_role_given_from_outside() -> None:
@@ -258,5 +279,6 @@ def test_a_simulator_given_from_outside_replaces_the_scenarios() -> None:
 def test_everything_that_a_domain_names_can_be_built(domain: Any) -> None:
     assert RoleSpec(domain.simulator).create()
     paths = [*domain.roles.values(), *domain.generators.values()]
+    paths += domain.recovery_planners.values()
     for path in paths:
         assert RoleSpec(path).create()

@@ -8,8 +8,21 @@ from dataclasses import FrozenInstanceError, fields
 from typing import Any
 
 import pytest
+from loops import doing, run_loop
 
-from pytest_dura import Event, GeneratorView, Lazy, Percept, RoleView, StateManager, Tick
+from pytest_dura import (
+    Event,
+    GeneratorView,
+    Lazy,
+    Percept,
+    Proposal,
+    Role,
+    RoleView,
+    SecurityAssessor,
+    StateManager,
+    Tick,
+)
+from pytest_dura.core.roles import Alert, SecurityAssessment
 from pytest_dura.core.state import NOTHING, History
 
 
@@ -117,3 +130,23 @@ def test_nothing_is_an_empty_mapping_that_can_be_pickled() -> None:
     event = Event(1, 0.1, "alert", "V1")
     assert pickle.loads(pickle.dumps(event)) == event
     assert event.to_json()["data"] == {}
+
+
+def test_a_role_sees_all_alerts_that_were_raised_before() -> None:
+    alert = Alert("leap", "V1")
+    raised = {1: (alert,), 3: (alert, Alert("leap", "V2"))}
+    assessor = doing(
+        SecurityAssessor, lambda view: SecurityAssessment(alerts=raised.get(view.index, ()))
+    )
+    seen: list[Any] = []
+    watch = doing(
+        Role,
+        lambda view: seen.append(list(view.alerts)),
+        name="watch",
+        after=("security_assessor",),
+    )
+    run_loop(lambda _: Proposal(0.0), security_assessor=assessor, watch=watch, seconds=0.5)
+    times = [[(round(time, 6), one.subject) for time, one in found] for found in seen]
+    first = [(0.1, "V1")]
+    assert times == [[], first, first, [*first, (0.3, "V1"), (0.3, "V2")], times[3]]
+    assert state_with({"a": 1.0}).role_view().alerts[:] == []

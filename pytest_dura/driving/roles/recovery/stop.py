@@ -21,8 +21,16 @@ from pytest_dura.driving.scene import HALF, Scene, time_to_cover
 
 BEFORE_LINE = 0.5
 """m; what it leaves to the stop line, where there is room for it."""
-BEHIND_LEADER = 1.0
-"""m; what it leaves to a leader who brakes as hard as it can."""
+BEHIND_LEADER = 1.5
+"""m; what it leaves to a leader who brakes as hard as it can. The discs that stand for two cars in
+the prediction take 0.9 m of it."""
+OVERRUN = 1.0
+"""m; who can stop with its front no farther past the line than this does so: the crossing lanes
+begin 7 m behind it."""
+BUILD_UP = 0.1
+"""s; half the time in which the brake builds up to its full force."""
+STANDING = 0.1
+"""m/s; slower is a standstill."""
 _SPENT = 0.05
 """m; room below this is none."""
 
@@ -70,7 +78,8 @@ class SafeStop(RecoveryPlanner):
 
     @staticmethod
     def _stops_in_time(scene: Scene) -> bool:
-        return braking_distance(scene.speed, MAX_BRAKING) <= scene.to_stop_line
+        needed = braking_distance(scene.speed, MAX_BRAKING) + scene.speed * BUILD_UP
+        return needed <= scene.to_stop_line + OVERRUN
 
     def _way_out(self, scene: Scene, dt: float) -> float | None:
         """The greatest acceleration in m/s2 with which it gets out unhindered, if there is one."""
@@ -113,7 +122,7 @@ class SafeStop(RecoveryPlanner):
         if leader is not None:
             stops_after = braking_distance(max(leader.speed, 0.0), MAX_BRAKING)
             rooms.append(leader.distance - BEHIND_LEADER + stops_after)
-        if scene.speed == 0.0:
+        if scene.speed < STANDING:
             return 0.0
-        room = min(rooms, default=math.inf)
+        room = min(rooms, default=math.inf) - scene.speed * BUILD_UP
         return scene.speed**2 / (2.0 * room) if room > _SPENT else MAX_BRAKING
