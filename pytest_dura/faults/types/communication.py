@@ -43,11 +43,9 @@ class Latency(ReceiverFault):
         late = self.parameters.latency_ms * _MS
         if self.parameters.jitter_ms:
             late += self.parameters.jitter_ms * _MS * moment.rng.random()
-        arrival = moment.time + late
-        if receiver.queue:  # no message overtakes another
-            arrival = max(arrival, receiver.queue[-1][0])
-        receiver.queue.append((arrival, value))
+        receiver.queue.append((moment.time + late, value))
         shown = receiver.shown
+        # Whoever is at the head holds up the others: no message overtakes another.
         while receiver.queue and receiver.queue[0][0] <= moment.time + TOLERANCE:
             shown = receiver.queue.pop(0)[1]
         return shown

@@ -12,10 +12,12 @@ import pytest
 from fault_runs import CHANNEL, commanded, fault, through
 
 from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.roles import RoleContext
 from pytest_dura.core.state import Lazy
 from pytest_dura.driving.bodies import Body, BodyList
 from pytest_dura.driving.maneuvers import Command, Maneuver
 from pytest_dura.faults.catalogue import load_fault
+from pytest_dura.faults.injector import CampaignInjector
 from pytest_dura.faults.types.numbers import count_numbers, flip_bits, with_changed_number
 
 
@@ -214,6 +216,17 @@ def test_lazy_pictures_that_come_late_are_those_of_then() -> None:
     ):
         frames[:] = [Lazy(lambda: now[0]) for _ in range(5)]
         assert through(advancing(), kind) == expected
+
+
+@pytest.mark.parametrize("kind", ["freeze", "masquerade", "slow", "denial", "replay"])
+def test_what_nobody_has_read_is_kept_as_it_was_all_the_same(kind: str) -> None:
+    injector, now = CampaignInjector(), [0]
+    injector.reset(RoleContext(1, 0.1, {}, (fault(kind, at=0.2),)))
+    for index in range(5):
+        now[0] = index
+        shown = injector.corrupt({CHANNEL: Lazy(lambda: now[0])}, index * 0.1)[0][CHANNEL]
+    now[0] = 99
+    assert shown in (0, 1, 2)
 
 
 @pytest.mark.parametrize(
