@@ -19,6 +19,7 @@ class Domain:
         roles: Of the default roles, by role name.
         generators: Of Generators that have a short name.
         recovery_planners: Of RecoveryPlanners that have a short name.
+        residual_monitors: The same for a role `residual_monitor`, which no scenario has by default.
         world: Of the pydantic model of ``world``, for editors and for messages.
         signals: Of the names of the ground-truth signals.
         percept_signals: Of the names of the percept signals, without the prefix ``percept.``.
@@ -30,6 +31,7 @@ class Domain:
     roles: Mapping[str, str] = field(default_factory=dict)
     generators: Mapping[str, str] = field(default_factory=dict)
     recovery_planners: Mapping[str, str] = field(default_factory=dict)
+    residual_monitors: Mapping[str, str] = field(default_factory=dict)
     world: str | None = None
     signals: str | None = None
     percept_signals: str | None = None
@@ -38,7 +40,11 @@ class Domain:
 
     def short_names(self, role: str) -> Mapping[str, str]:
         """Import paths by short name of what can serve as a role; none for most roles."""
-        known = {"generator": self.generators, "recovery_planner": self.recovery_planners}
+        known = {
+            "generator": self.generators,
+            "recovery_planner": self.recovery_planners,
+            "residual_monitor": self.residual_monitors,
+        }
         return known.get(role, {})
 
 
@@ -69,6 +75,7 @@ DOMAINS: dict[str, Domain] = {
             "ignore_untrusted": f"{_RECOVERY}:IgnoreUntrusted",
             "alert": f"{_RECOVERY}:AlertOnly",
         },
+        residual_monitors={"cusum": "pytest_dura.driving.roles.residuals:ResidualMonitor"},
         world="pytest_dura.driving.scenario:DrivingWorld",
         signals="pytest_dura.driving.signals:NAMES",
         percept_signals="pytest_dura.driving.signals:PERCEPT_NAMES",
