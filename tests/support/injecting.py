@@ -43,6 +43,25 @@ class Add(Fault):
         return changed
 
 
+class Drawing(Add):
+    """Adds a number that it draws, and notes each draw as ``(id, tick, number)``."""
+
+    noted: ClassVar[list[tuple[str, int, float]]] = []
+
+    def begin(self, value: Any, moment: Moment) -> Any:
+        """A number that stays."""
+        return self._draw(moment)
+
+    def apply(self, memory: Any, value: Any, moment: Moment) -> Any:
+        """The sum."""
+        return float(value + memory + self._draw(moment))
+
+    def _draw(self, moment: Moment) -> float:
+        number = float(moment.rng.random())
+        self.noted.append((self.id, round(moment.time / moment.dt), number))
+        return number
+
+
 class Recall(Fault):
     """Shows what stood there half a second ago; waits until there is that much."""
 

@@ -111,6 +111,23 @@ def test_at_is_the_first_tampered_tick_whoever_activates_it(by: str, at: float) 
     assert np.flatnonzero(tampered)[-1] <= first + 9
 
 
+@pytest.mark.parametrize("by", ["fault_injector", "security_assessor"])
+def test_a_command_is_attacked_at_its_time_whoever_begins_it(by: str) -> None:
+    attack = {
+        "type": "bias",
+        "target": "command.acceleration",
+        "activation": {"at": 1.0, "every": 2.0, "by": by},
+        "duration": 0.5,
+        "parameters": {"offset": -2.0},
+    }
+    attacked = episode(attack, duration=6.0)
+    activated = [event.tick for event in attacked.events if event.kind == "fault_activated"]
+    assert activated == [10, 30, 50]
+    clean = episode(duration=6.0)
+    speeds = [found.signals["speed"] for found in (clean, attacked)]
+    assert np.flatnonzero(speeds[0] != speeds[1])[0] == 11, "it shows in the state that follows"
+
+
 def test_a_planned_fault_at_the_very_beginning() -> None:
     attacked = episode({**GHOST, "activation": {"at": 0.0}, "duration": 0.5})
     (record,) = attacked.faults
