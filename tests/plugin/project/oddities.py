@@ -105,7 +105,7 @@ class Push(RecoveryPlanner):
 
 
 class Nudge(FaultInjector):
-    """Adds a millimetre to the gap that is perceived, while the planned fault is due."""
+    """Adds a millimetre to the gap that is perceived, once the time of the planned fault is past."""
 
     def reset(self, context):
         self.faults = context.faults
@@ -114,7 +114,7 @@ class Nudge(FaultInjector):
         return Injection()
 
     def corrupt(self, channels, time):
-        due = [fault["id"] for fault in self.faults if time >= fault["activation"]["at"]]
+        due = [fault["id"] for fault in self.faults if time > fault["activation"]["at"] + 1e-9]
         if not due:
             return channels, {}
         return {**channels, "gap": channels["gap"] + 0.001}, {"gap": tuple(due)}
@@ -123,17 +123,17 @@ class Nudge(FaultInjector):
 class Drizzle(Fault):
     """A fault that is there by chance, and never is."""
 
-    type: Literal["drizzle"]
-    target: Literal["gap"] = "gap"
-    by_chance: bool = True
+    type: Literal["oddities:Drizzle"]
+    acts_on: ClassVar[str] = "any"
     default_target: ClassVar[str] = "gap"
 
     @classmethod
     def example(cls) -> dict[str, Any]:
         return {"activation": {"at": 0.0}}
 
-    def begin(self, channels, rng):
-        return None
+    @property
+    def hits_by_chance(self) -> bool:
+        return True
 
-    def apply(self, memory, channels, elapsed):
-        return channels["gap"]
+    def apply(self, memory, value, moment):
+        return value
