@@ -35,6 +35,8 @@ def show_list(session: DuraSession) -> int:
         lines += [f"  {role}: {path}" for role, path in domain.roles.items()]
         lines += ["", f"generators of the domain {alias} (for --dura-generator)"]
         lines += [f"  {name}: {path}" for name, path in domain.generators.items()]
+        lines += ["", f"recovery planners of the domain {alias} (for `roles` in a scenario)"]
+        lines += [f"  {name}: {path}" for name, path in domain.recovery_planners.items()]
     lines += ["", f"would run with --dura-scenarios, base seed {options.seed}"]
     episodes = 0
     for planned in session.plan:

@@ -18,6 +18,7 @@ SMALLEST = {
     "loop_cost.py": ["--runs", "1", "--repeats", "1"],
     "paper_table.py": ["--runs", "2", "--jobs", "1"],
     "plugin_cost.py": ["--repeats", "1"],
+    "recoveries.py": ["--runs", "1", "--jobs", "1", "--select", "*/nominal"],
     "stl_speed.py": ["--repeats", "1", "--traces", "3"],
     "sequential_cost.py": ["--campaigns", "20", "--budget", "100"],
 }
@@ -28,6 +29,7 @@ HEADERS = {
     "loop_cost.py": ["ratio without Generator", "part of the loop"],
     "paper_table.py": ["gridlock", "flagged only attacked / only free", "prevented"],
     "plugin_cost.py": ["cost of the unused plugin"],
+    "recoveries.py": ["unnecessary", "us/call"],
     "stl_speed.py": ["with verdict", "us per sample"],
     "sequential_cost.py": [
         "mean runs, SPRT",

@@ -43,6 +43,7 @@ from pytest_dura.driving.roles.recovery import (
     Replan,
     SafeStop,
 )
+from pytest_dura.driving.roles.recovery.outlook import SecondOpinion
 from pytest_dura.driving.roles.safety import SeparationMonitor
 
 PLANNERS = DOMAINS["driving"].recovery_planners
@@ -151,6 +152,11 @@ def test_who_drives_off_behind_the_ego_blocks_no_way_out() -> None:
     assert stop(passed).name == "clear_zone"
 
 
+def test_what_comes_behind_the_zone_does_not_matter_for_leaving_it() -> None:
+    beyond = car("V1", 2.0, -36.0, NORTH)  # 5 s would lead into it, 2 s lead out
+    assert stop(channels_of(beyond, s=105.0, speed=8.0)).name == "clear_zone"
+
+
 def test_a_way_out_that_takes_longer_than_is_predicted_is_not_taken() -> None:
     percept = channels_of(s=101.0, speed=0.0)
     assert answer(SafeStop(horizon=5.0), percept).name == "clear_zone"
@@ -174,8 +180,9 @@ def test_it_brakes_as_hard_as_a_pedestrian_on_the_path_asks_for_and_no_harder() 
 
 
 def test_where_nothing_helps_it_brakes_as_hard_as_it_can() -> None:
-    percept = channels_of(walker("P1", 2.0, 57.0), s=50.0, speed=8.0)
-    assert stop(percept).action == Command(Maneuver.EMERGENCY_BRAKE, -MAX_BRAKING)
+    for someone in (walker("P1", 2.0, 57.0), walker("P1", 1.0, 55.0, 1.5)):
+        percept = channels_of(someone, s=50.0, speed=8.0)
+        assert stop(percept).action == Command(Maneuver.EMERGENCY_BRAKE, -MAX_BRAKING)
 
 
 class Refuses(SafetyMonitor):
@@ -253,6 +260,11 @@ def test_of_equal_gaps_the_greater_progress_wins_and_of_unequal_ones_the_greater
     assert far in (Maneuver.EMERGENCY_BRAKE, Maneuver.WAIT, Maneuver.YIELD)
 
 
+def test_where_contact_is_predicted_whatever_it_does_it_brakes() -> None:
+    percept = channels_of(walker("P1", 1.0, 55.0, 1.5), s=50.0, speed=8.0)
+    assert answer(Replan(), percept).action == Command(Maneuver.EMERGENCY_BRAKE)
+
+
 def test_it_sees_turns_though_it_is_not_asked_at_every_tick() -> None:
     first, second = (
         channels_of(Body("V1", x, 2.0, turned, 6.0, 0.0, 5.0, 2.0), s=92.0, speed=5.0)
@@ -264,6 +276,25 @@ def test_it_sees_turns_though_it_is_not_asked_at_every_tick() -> None:
     asked_twice = planner.run(views.role(second, "proceed"))
     assert answer(Replan(), second, before=first) == asked_twice
     assert answer(Replan(), second) != asked_twice, "without the tick before it turns nowhere"
+
+
+def test_the_second_opinion_is_the_monitor_s_own_with_turns_and_all() -> None:
+    first, second = (
+        channels_of(Body("V1", x, 2.0, turned, 6.0, 0.0, 5.0, 2.0), s=92.0, speed=5.0)
+        for x, turned in ((-9.6, 0.0), (-9.0, 0.06))
+    )
+    views, monitor = Views(), SeparationMonitor()
+    monitor.reset(RoleContext(1, 0.1))
+    unturned = monitor.run(views.role(second, "accelerate"))
+    views = Views()
+    monitor.reset(RoleContext(1, 0.1))
+    monitor.run(views.role(first, "accelerate"))
+    view = views.role(second, "wait")
+    own = monitor.run(views.again("accelerate"))
+    assert own != unturned
+    assert SecondOpinion().judge(view, Command(Maneuver.ACCELERATE)) == own
+    careful = SecondOpinion({"unsafe": 9.0}).judge(view, Command(Maneuver.ACCELERATE))
+    assert careful.verdict is Assessed.UNSAFE
 
 
 # --- IgnoreUntrusted

@@ -18,11 +18,13 @@ class Replan(RecoveryPlanner):
     """Rolls out each maneuver for a few seconds and takes the one that ends best.
 
     What the SeparationMonitor would refuse again comes last. Of the rest, the least predicted
-    separation from anybody decides, in steps of 0.1 m and up to ``enough``; then the way made. The
-    ego follows its route and the maneuver's own law of speed; others keep the speed and yaw rate
-    that two successive percepts show. They do not react, and who turns is seen to turn for ever, so
-    that the end of a rollout says less than its beginning. Each call rolls out six maneuvers over
-    ``horizon / STEP`` instants, whatever the traffic; the cost is in ``benchmarks/README.md``.
+    separation from anybody decides, in steps of 0.1 m and up to ``enough``; then the way made, or
+    where contact is predicted whatever it does, the way not made. The ego follows its route and the
+    maneuver's own law of speed; others keep the speed and yaw rate that two successive percepts
+    show. They do not react, and who turns is seen to turn for ever, so that the end of a rollout
+    says less than its beginning. It believes its percept: away from an object that is not there, it
+    may well accelerate. Each call rolls out six maneuvers over ``horizon / STEP`` instants,
+    whatever the traffic; the cost is in ``benchmarks/README.md``.
 
     Args:
         horizon: Seconds of a rollout.
@@ -60,10 +62,12 @@ class Replan(RecoveryPlanner):
             Maneuver, least.tolist(), driven[:, -1].tolist(), strict=True
         ):
             refused = self._opinion.judge(view, Command(maneuver)).verdict is Assessed.UNSAFE
-            scores.append((not refused, round(gap, 1), way))
+            kept = max(round(gap, 1), 0.0)  # of contact there is no more or less
+            scores.append((not refused, kept, way if kept > 0.0 else -way))
         best = max(range(len(scores)), key=scores.__getitem__)  # the first of equal ones
         maneuver, (_, gap, way) = list(Maneuver)[best], scores[best]
-        why = f"predicts a gap of {gap:.1f} m and {way:.0f} m of way ({'; '.join(view.reasons)})"
+        reasons = "; ".join(view.reasons)
+        why = f"predicts a gap of {gap:.1f} m and {abs(way):.0f} m of way ({reasons})"
         return Recovery(Command(maneuver), "replan", f"{maneuver}: {why}")
 
     def _rollout(self, scene: Scene, command: Command) -> list[float]:

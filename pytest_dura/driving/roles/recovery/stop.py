@@ -109,8 +109,8 @@ class SafeStop(RecoveryPlanner):
         for deceleration, separation in zip(tried, nearest, strict=True):
             if separation >= self.separation:
                 return deceleration
-        # Of equal help, the hardest: less happens at a lower speed.
-        return max(zip(nearest, tried, strict=True))[1]
+        # Below 0 there is contact, of which there is no more or less, but a slower one is better.
+        return max((max(one, 0.0), braking) for one, braking in zip(nearest, tried, strict=True))[1]
 
     def _needed(self, scene: Scene) -> float:
         """The deceleration in m/s2 that the stop line and the leader ask for."""
