@@ -7,13 +7,20 @@ import shlex
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from pytest_dura.plugin.session import DuraSession
 
 
-def replay_command(session: DuraSession, episode: str) -> str:
-    """The command that runs one episode of the evidence again."""
+def replay_command(session: DuraSession, episode: str, evidence: Path | None = None) -> str:
+    """The command that runs one episode of the evidence again, or of another evidence."""
     options = [f"--dura-replay={episode}"]
-    options += [f"{name}={value}" for name, value in session.options.given if "evidence" in name]
+    if evidence is not None:
+        here = session.config.invocation_params.dir
+        options.append(f"--dura-evidence={os.path.relpath(evidence, here)}")
+    else:
+        given = session.options.given
+        options += [f"{name}={value}" for name, value in given if "evidence" in name]
     # The same arguments load the same conftest files, where a component may be defined.
     return _command(session, [*options, *_places(session)])
 

@@ -72,6 +72,12 @@ def add_options(parser: pytest.Parser) -> None:
         help="run an episode of the evidence again (case#run) and compare the digests",
     )
     add(
+        "--dura-reduce",
+        metavar="EPISODE",
+        help="find the smallest set of faults with which an episode of the evidence (case#run) "
+        "still violates its requirement; --dura-runs limits the runs (default: 100)",
+    )
+    add(
         "--dura-undecided",
         choices=("fail", "warn"),
         default="fail",
@@ -118,6 +124,7 @@ class Options:
     seed: int
     evidence: Path
     replay: str | None
+    reduce: str | None
     warn_undecided: bool
     twins: bool
     baseline: str | None
@@ -180,6 +187,7 @@ class Options:
             seed=DEFAULT_SEED if seed is None else seed,
             evidence=_evidence(config),
             replay=get("dura_replay"),
+            reduce=get("dura_reduce"),
             twins=not get("dura_no_twins"),
             warn_undecided=get("dura_undecided") == "warn",
             baseline=baseline,

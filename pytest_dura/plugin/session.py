@@ -80,12 +80,17 @@ class DuraSession:
         return bool(reporter.isatty) and self.config.getoption("verbose") >= 0
 
     def run_command(self) -> int | None:
-        """The exit code of ``--dura-list`` or ``--dura-replay``, ``None`` without either."""
+        """The exit code of ``--dura-list``, ``--dura-replay`` or ``--dura-reduce``, if given."""
         if self.options.replay is not None:
             from pytest_dura.plugin.replay import replay
 
             with usage_errors():
                 return replay(self.config, self.options)
+        if self.options.reduce is not None:
+            from pytest_dura.plugin.reduce import reduce
+
+            with usage_errors():
+                return reduce(self)
         if self.options.list_only:
             from pytest_dura.plugin.listing import show_list
 

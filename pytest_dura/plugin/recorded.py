@@ -1,0 +1,147 @@
+"""Episodes of the evidence, found again: what they were run from, and by which requirements."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.plugin.overrides import defined_in_conftest
+
+if TYPE_CHECKING:
+    import pytest
+
+    from pytest_dura.core.episode import Episode, EpisodeSpec
+    from pytest_dura.core.roles import RoleSpec
+    from pytest_dura.plugin.options import Options
+    from pytest_dura.requirements.model import Requirement
+
+Data = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """One episode of a record.
+
+    Args:
+        spec: What it was run from, with classes of conftest files where pytest has loaded them.
+        digest: As it was recorded.
+        requirements: Those of its case.
+        violated: Ids of those whose verdict names it as a counterexample.
+    """
+
+    spec: EpisodeSpec
+    digest: str
+    requirements: tuple[Requirement, ...]
+    violated: tuple[str, ...]
+
+    def run(self, spec: EpisodeSpec | None = None) -> Episode:
+        """The episode again, or one of another spec that ends as this one would."""
+        from pytest_dura.campaign.runner import run_episode
+        from pytest_dura.requirements.judge import RequirementJudge
+
+        judge = RequirementJudge(self.requirements) if self.spec.termination.violation else None
+        return run_episode(spec or self.spec, judge)
+
+
+def recorded_episodes(
+    config: pytest.Config, options: Options, name: str, option: str
+) -> tuple[Data, list[Recorded]]:
+    """The record, and its episodes of this id: several, with several seeds or components.
+
+    Args:
+        config: Of the session, for what conftest files define.
+        options: Where the evidence is.
+        name: ``case#run``.
+        option: That named the episode, for messages.
+
+    Raises:
+        ConfigurationError: For an unknown episode, a damaged record, and an episode that cannot be
+            built again.
+    """
+    from pytest_dura.evidence.bundle import read_record
+
+    record = read_record(options.evidence)
+    with damage_told(options, name, option):
+        return record, [_found(config, record, one, option) for one in _named(record, name, option)]
+
+
+@contextmanager
+def damage_told(options: Options, name: str, option: str) -> Iterator[None]:
+    """What a record makes impossible that is not as it was written, as one error.
+
+    Raises:
+        ConfigurationError: In place of whatever reading the record, or running what it says, met.
+    """
+    try:
+        yield
+    except (AttributeError, LookupError, TypeError, ValueError, ArithmeticError) as error:
+        raise ConfigurationError(
+            f"the record is damaged ({type(error).__name__}: {error})",
+            file=str(options.evidence / "evidence.json"),
+            key=option,
+            found=name,
+            expected="a record as pytest-dura wrote it",
+            remedy="run the session again, or restore the file",
+        ) from None
+
+
+def _named(record: Data, name: str, option: str) -> list[Data]:
+    found = [one for one in record["episodes"] if one["id"] == name]
+    if found:
+        return found
+    known = sorted({one["id"] for one in record["episodes"]})
+    near = difflib.get_close_matches(name, known, n=3, cutoff=0.4)
+    expected = ", ".join(near or known[:3]) or "an episode; this evidence has none"
+    raise ConfigurationError(
+        f"the evidence has no episode {name!r}",
+        key=option,
+        found=name,
+        expected=f"case#run, such as {expected}" if known else expected,
+        remedy="name an episode of this session, or another evidence with --dura-evidence",
+    )
+
+
+def _found(config: pytest.Config, record: Data, episode: Data, option: str) -> Recorded:
+    from pytest_dura.core.episode import EpisodeSpec
+    from pytest_dura.requirements.model import Requirement
+
+    spec = EpisodeSpec.from_json(episode["spec"])
+    roles = {name: _local(config, role, option) for name, role in spec.roles.items()}
+    spec = replace(spec, roles=roles, simulator=_local(config, spec.simulator, option))
+    case = {(one["id"], one["component"]): one for one in record["cases"]}
+    known = {one["id"]: Requirement.from_json(one) for one in record["requirements"]}
+    names = case[episode["case"], episode["component"]]["requirements"]
+    violated = [
+        verdict["requirement"]
+        for verdict in record["verdicts"]
+        for one in verdict["counterexamples"]
+        if one["episode"] == episode["id"] and verdict["component"] == episode["component"]
+    ]
+    return Recorded(
+        spec,
+        str(episode["digest"]),
+        tuple(known[name] for name in names),
+        tuple(dict.fromkeys(violated)),
+    )
+
+
+def _local(config: pytest.Config, role: RoleSpec, option: str) -> RoleSpec:
+    from pytest_dura.campaign.components import LocalRole
+
+    file, _, name = role.path.rpartition(":")
+    if not file.endswith("conftest.py"):
+        return role
+    target = defined_in_conftest(config, file, name)
+    if callable(target):
+        return LocalRole(role.path, target)
+    raise ConfigurationError(
+        f"{name} is defined in {file}, which is not loaded here",
+        key=option,
+        found=role.path,
+        expected="the arguments of the session, which load the same conftest files",
+        remedy=f"add the folder of {file} to the command",
+    )
