@@ -85,7 +85,13 @@ HEADERS += ["in control %"]
 
 
 def row(planner: str, pairs: Pairs) -> list[str]:
-    """One planner's cells, in the order of ``HEADERS``."""
+    """One planner's cells, in the order of ``HEADERS``.
+
+    Raises:
+        RuntimeError: If a pair differs although recovery never acted: equal seeds make equal runs.
+    """
+    if any(not on.acted and off.collided != on.collided for off, on in pairs):
+        raise RuntimeError(f"{planner}: a pair differs although recovery never acted")
     prevented = sum(off.collided and not on.collided for off, on in pairs)
     introduced = sum(on.collided and not off.collided for off, on in pairs)
     futile = sum(off.collided and on.collided and on.acted for off, on in pairs)
