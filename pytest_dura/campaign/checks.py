@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable
+from itertools import islice, product
 from typing import Any
 
 from pytest_dura.campaign import variation
@@ -46,6 +47,9 @@ def problems_of(scenario: Scenario) -> list[ConfigurationError]:
         for path in scenario.variation:
             key = f"variation.{path}"
             attempt(key, _check_variation, scenario, simulator, world, faults, path)
+        if not found:
+            for fault in faults.values():
+                attempt("variation", _check_together, scenario, fault)
     return found
 
 
@@ -59,17 +63,10 @@ def _faults(scenario: Scenario, attempt: Callable[..., Any]) -> dict[str, dict[s
         return None
     # With campaigns, the faults act in those combinations only.
     if not scenario.campaigns:
-        attempt("faults", _check_chains, found)
+        attempt("faults", check_chains, list(found.values()))
     for index, campaign in enumerate(scenario.campaigns):
         attempt(f"campaigns.{index}", alternatives, scenario, tuple(found.values()), campaign)
     return found
-
-
-def _check_chains(faults: dict[str, dict[str, Any]]) -> None:
-    try:
-        check_chains(list(faults.values()))
-    except ConfigurationError as error:
-        raise placed(error, file="", line=None, key=f"faults.{error.key}") from None
 
 
 def _place(scenario: Scenario, error: ConfigurationError, key: str) -> ConfigurationError:
@@ -159,6 +156,28 @@ def _check_variation(
             checked_world(scenario, simulator, varied)
         except ConfigurationError as error:
             raise _impossible(path, value, error) from None
+
+
+def _check_together(scenario: Scenario, fault: dict[str, Any]) -> None:
+    """Refuse values of one fault that are possible each and contradict each other."""
+    mark = f"faults.{fault['id']}."
+    paths = [path for path in scenario.variation if path.startswith(mark)]
+    corners = product(*(variation.extremes(scenario.variation[path]) for path in paths))
+    for values in islice(corners, 256) if len(paths) > 1 else ():
+        varied = fault
+        for path, value in zip(paths, values, strict=True):
+            varied = variation.replaced(varied, path.removeprefix(mark), value)
+        try:
+            parsed(scenario, varied)
+        except ConfigurationError as error:
+            chosen = ", ".join(f"{p} = {v!r}" for p, v in zip(paths, values, strict=True))
+            raise ConfigurationError(
+                f"values that may be drawn contradict each other: {error.problem.splitlines()[0]}",
+                key=f"variation.{paths[-1]}",
+                found=chosen,
+                expected=error.expected,
+                remedy="choose ranges of which all values fit together",
+            ) from None
 
 
 def _try_fault(scenario: Scenario, fault: dict[str, Any], path: str, value: Any) -> None:

@@ -102,7 +102,7 @@ def check_chains(faults: Sequence[Mapping[str, Any]]) -> None:
     That is: a fault that is not there, the end of one that has none, or each other.
 
     Raises:
-        ConfigurationError: With the key ``<index>.activation.after.fault``, or ``.event``.
+        ConfigurationError: With the key ``faults.<index>.activation.after.fault``, or ``.event``.
     """
     by_id = {fault["id"]: fault for fault in faults}
     after = {name: fault["activation"].get("after") for name, fault in by_id.items()}
@@ -110,7 +110,7 @@ def check_chains(faults: Sequence[Mapping[str, Any]]) -> None:
     for index, name in enumerate(by_id):
         if name not in waits:
             continue
-        first, key = waits[name], f"{index}.activation.after"
+        first, key = waits[name], f"faults.{index}.activation.after"
         if first not in by_id:
             others = [one for one in by_id if one != name]
             near = did_you_mean(first, others) if others else ""

@@ -9,6 +9,7 @@ from typing import Any, get_args
 from pydantic import BaseModel, ValidationError
 
 from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.faults.activation import TRIGGERS
 from pytest_dura.faults.duration import DURATIONS
 from pytest_dura.faults.model import Fault
 from pytest_dura.faults.parts import RefusedError
@@ -97,7 +98,8 @@ def _missing(
         problem = f"it has no target, and nothing says where a fault of type {kind.__name__} acts"
         return problem, meaning, "add `target: <channel>` or `target: <channel>.<field>`"
     if list(path) == ["activation"]:
-        return "nothing activates it", meaning or None, "add `activation: {at: 2.0}`, for example"
+        expected = f"one of {', '.join(TRIGGERS)}"
+        return "nothing activates it", expected, "add `activation: {at: 2.0}`, for example"
     return f"the key {name!r} is missing", meaning or None, f"add `{name}: ...`"
 
 
