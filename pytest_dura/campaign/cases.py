@@ -233,7 +233,7 @@ def expand_cases(
                     expected="an id of its own for each fault",
                     remedy="give one of the faults another `id`",
                 )
-    return _selected(list(cases.values()), select)
+    return selected(list(cases.values()), select)
 
 
 def one_case(scenario: Scenario, faults: FaultCampaign) -> Case:
@@ -279,7 +279,12 @@ def _may_match(scenario: str, globs: Sequence[str]) -> bool:
     return any(fnmatchcase(scenario, re.split(r"[+~]", glob, maxsplit=1)[0]) for glob in globs)
 
 
-def _selected(cases: list[Case], globs: Sequence[str]) -> list[Case]:
+def selected(cases: list[Case], globs: Sequence[str]) -> list[Case]:
+    """The cases whose id or scenario any of the globs matches; all of them without a glob.
+
+    Raises:
+        ConfigurationError: For a glob that matches nothing.
+    """
     if not globs:
         return cases
     kept: set[str] = set()

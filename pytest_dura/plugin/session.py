@@ -232,19 +232,16 @@ class DuraSession:
         self._own_arguments = set(chosen)
         if not (self.options.scenarios or self.options.list_only or chosen):
             return
-        from pytest_dura.campaign.cases import expand_cases
+        from pytest_dura.campaign.cases import expand_cases, selected
 
         library = self.library()
-        scenarios, faults, select = library.scenarios, self.options.faults, self.options.select
-        cases = {
-            case.id: case for case in expand_cases(scenarios, faults, select if faults else ())
-        }
-        # A case of our own arguments may have other faults than its scenario.
-        wanted = dict.fromkeys(name for name, _ in chosen.values())
-        cases |= {name: self.bench.case(name) for name in wanted if name not in cases}
-        if select:
-            kept = {case.id for case in expand_cases(scenarios, faults, select)}
-            cases = {name: case for name, case in cases.items() if name in kept}
+        if chosen:
+            # A case of our own arguments may have other faults than its scenario.
+            named = {name: self.bench.case(name) for name, _ in chosen.values()}
+            found = selected(list(named.values()), self.options.select)
+        else:
+            found = expand_cases(library.scenarios, self.options.faults, self.options.select)
+        cases = {case.id: case for case in found}
         for name in sorted(cases):
             case = cases[name]
             if not (case.requirements or chosen or self.options.list_only):

@@ -115,8 +115,10 @@ def _show_episode(session: DuraSession, terminal: Any, record: Data, verdict: Da
     else:
         return
     for fault in _faults(record, episode):
-        for line in textwrap.wrap(chain_line(fault), WIDTH - 10, break_on_hyphens=False):
-            terminal.line(f"  fault:  {line}")
+        first, *rest = textwrap.wrap(chain_line(fault), WIDTH - 12, break_on_hyphens=False)
+        terminal.line(f"  fault:  {first}")
+        for line in rest:
+            terminal.line(f"            {line}")
     terminal.line(f"  replay: {replay_command(session, episode)}")
 
 

@@ -1,0 +1,211 @@
+"""Faults from the command line, their causal chains, and the smallest set that does harm."""
+
+from __future__ import annotations
+
+import pytest
+from corridors import scenario
+
+INJECTOR = "pytest_dura.faults.injector:CampaignInjector"
+BIAS = "{type: bias, target: gap, activation: {at: 0.5}, parameters: {offset: 5.0}}"
+NOISE = "{type: noise, target: gap, activation: {at: 0.0}, parameters: {sigma: 0.001}}"
+DRIFT = "{type: drift, target: gap, activation: {at: 1.0}, parameters: {rate: 0.01}}"
+LATE = "{type: gain, target: gap, activation: {when: 'time > 99'}, parameters: {factor: 2.0}}"
+
+
+def near_the_wall(project, **given):
+    """Careful stays where it is, 1.5 m before the wall, unless it sees another gap."""
+    given = {"fault_injector": INJECTOR, "requirements": "[GAP-1]"} | given
+    scenario(project, world="{wall: 1.5}", duration=3.0, **given)
+
+
+def campaigns(project, *entries):
+    project.write("campaigns.yaml", "campaigns:\n" + "".join(f"  - {one}\n" for one in entries))
+
+
+def words(project):
+    return {one["case"]: one["verdict"] for one in project.evidence()["verdicts"]}
+
+
+@pytest.mark.parametrize("mode", [[], ["-n", "2"]], ids=["plain", "n2"])
+def test_campaigns_of_a_file_are_cases_of_their_own(project, mode):
+    near_the_wall(project)
+    grid = f"{{fault: {BIAS}, grid: {{parameters.offset: [0.1, 5.0], activation.at: [0, 1]}}}}"
+    campaigns(project, "none", NOISE, grid)
+    result = project.scenarios("--dura-faults=campaigns.yaml", *mode, select="corridor/it")
+    assert result.ret == 1
+    assert words(project) == {
+        "corridor/it": "supported",
+        "corridor/it+noise": "supported",
+        "corridor/it+bias-offset=0.1-at=0": "supported",
+        "corridor/it+bias-offset=0.1-at=1": "supported",
+        "corridor/it+bias-offset=5-at=0": "violated",
+        "corridor/it+bias-offset=5-at=1": "violated",
+    }
+    item = "corridor/it+bias-offset=5-at=1::GAP-1"
+    assert f"  rerun:  pytest {item} --dura-faults=campaigns.yaml" in result.outlines
+    again = project.run(item, "--dura-faults=campaigns.yaml")
+    assert (again.ret, list(words(project))) == (1, ["corridor/it+bias-offset=5-at=1"])
+
+
+def test_a_scenario_holds_its_own_campaigns(project):
+    near_the_wall(project, faults=f"[{BIAS}, {NOISE}]\ncampaigns: [none, noise, bias+noise]")
+    result = project.scenarios(select="corridor/it*")
+    assert words(project) == {
+        "corridor/it+none": "supported",
+        "corridor/it+noise": "supported",
+        "corridor/it": "violated",
+    }
+    order = [line.split()[0] for line in result.outlines if line.startswith("corridor/it")][:3]
+    assert order == ["corridor/it", "corridor/it+noise", "corridor/it+none"]
+
+
+@pytest.mark.parametrize(
+    "arguments, told",
+    [
+        (["--dura-faults=nois"], "unknown fault 'nois'"),
+        (["--dura-faults=catalogue"], "name each fault as data"),
+        (["--dura-faults=,"], "has no name"),
+        (["--dura-faults=gone.yaml"], "gone.yaml"),
+        (["--dura-faults=campaigns.yaml"], "campaigns.yaml:2: "),
+    ],
+)
+def test_faults_that_cannot_be_used_are_one_error(project, arguments, told):
+    near_the_wall(project)
+    campaigns(project, "{type: noise, target: gap, activation: {at: -1}}")
+    result = project.scenarios(*arguments, select="corridor/it")
+    assert result.ret == 4
+    assert told in result.stderr.str()
+    assert "Traceback" not in result.stderr.str() + result.stdout.str()
+
+
+def test_faults_need_scenario_cases(project):
+    result = project.run("--dura-faults=none")
+    assert result.ret == 4
+    assert "add --dura-scenarios" in result.stderr.str()
+
+
+def test_the_causal_chain_is_in_the_record_the_table_and_the_failure(project):
+    near_the_wall(project, faults=f"[{BIAS}, {NOISE}]", runs=3)
+    result = project.run("corridor/it")
+    record = project.evidence()
+    for episode in record["episodes"]:
+        bias, noise = episode["faults"]
+        assert (bias["planned_at"], bias["activated_at"], bias["manifested_at"]) == (0.5, 0.5, 0.5)
+        assert (bias["propagation"], bias["propagated_at"]) == ("propagated", 0.5)
+        assert (bias["outcome"], bias["violated"]) == ("violated", ["GAP-1"])
+        assert bias["violated_without"] == []
+        # The noise was there before the proposals changed, and may have had its part in it.
+        assert (noise["manifested_at"], noise["propagation"]) == (0.0, "propagated")
+    assert {one["case"] for one in record["episodes"]} == {"corridor/it"}, "twins are no runs"
+    (case,) = record["cases"]
+    first, second = case["metrics"]["faults"]
+    assert first["id"] == "bias"
+    assert [first[key] for key in ("run", "activated", "manifested", "followed")] == [3] * 4
+    assert [first[key] for key in ("propagated", "violated", "detected")] == [3, 3, 0]
+    assert second["id"] == "noise"
+    lines = result.outlines
+    head = next(line for line in lines if line.startswith("fault "))
+    assert head.split()[1:6] == ["runs", "act", "manif", "prop", "det"]
+    row = next(line for line in lines if line.startswith("bias on corridor/it "))
+    assert row.split()[3:] == ["3", "3", "3", "3", "0", "-", "0", "-", "3"]
+    chain = "  fault:  bias: planned 0.5, activated 0.5, manifested 0.5, propagated 0.5, violated"
+    assert chain in lines
+
+
+def test_a_fault_that_changes_no_proposal_is_contained(project):
+    near_the_wall(project, faults=f"[{NOISE}]")
+    project.run("corridor/it")
+    for episode in project.evidence()["episodes"]:
+        (noise,) = episode["faults"]
+        assert (noise["propagation"], noise["outcome"]) == ("contained", "contained")
+
+
+def test_without_twins_it_is_unknown_what_a_fault_changed(project):
+    near_the_wall(project, faults=f"[{NOISE}]")
+    result = project.run("corridor/it", "--dura-no-twins")
+    (noise,) = project.evidence()["episodes"][0]["faults"]
+    assert (noise["propagation"], noise["outcome"]) == (None, "tolerated")
+    row = next(line for line in result.outlines if line.startswith("noise on corridor/it "))
+    assert row.split()[3:7] == ["2", "2", "2", "-"]
+
+
+def test_a_component_that_is_not_deterministic_is_told_apart_from_a_fault(project):
+    project.write(
+        "erratic.py",
+        "import itertools\n"
+        "from pytest_dura import Generator, Proposal\n"
+        "numbers = itertools.count()\n"
+        "class Erratic(Generator):\n"
+        "    def propose(self, view):\n"
+        "        return Proposal(next(numbers) * 1e-9)\n",
+    )
+    near_the_wall(project, generator="erratic:Erratic", faults=f"[{NOISE}]", runs=1)
+    project.run("corridor/it")
+    (noise,) = project.evidence()["episodes"][0]["faults"]
+    assert noise["propagation"] is None or noise["propagation"] == "unknown"
+    if noise["manifested_at"] is not None:
+        assert noise["unknown"] == "two runs without faults differ from 0.00 s on"
+
+
+def test_the_smallest_set_of_faults_is_found_and_can_be_replayed(project):
+    near_the_wall(project, faults=f"[{NOISE}, {BIAS}, {DRIFT}]", runs=1)
+    assert project.run("corridor/it", "--dura-evidence=out").ret == 1
+    result = project.run("--dura-reduce=corridor/it#0", "--dura-evidence=out")
+    assert result.ret == 0
+    lines = result.outlines
+    assert "corridor/it#0 (Careful): 3 faults, violates GAP-1; at most 100 runs" in lines
+    told = next(line for line in lines if line.startswith("smallest set"))
+    assert told.startswith("smallest set that violates GAP-1: bias (every smaller set was tried; ")
+    command = "pytest --dura-replay='corridor/it+bias#0' --dura-evidence=out/reduced"
+    assert f"  replay: {command}" in lines
+    replay = project.run("--dura-replay=corridor/it+bias#0", "--dura-evidence=out/reduced")
+    assert replay.ret == 0
+    assert "  the same" in replay.outlines
+
+
+def test_a_budget_ends_the_reduction(project):
+    near_the_wall(project, faults=f"[{NOISE}, {BIAS}, {DRIFT}]", runs=1)
+    project.run("corridor/it")
+    result = project.run("--dura-reduce=corridor/it#0", "--dura-runs=4")
+    assert result.ret == 0
+    told = next(line for line in result.outlines if line.startswith("smallest set"))
+    assert "the budget ended before it was known" in told
+    assert "4 of 4 runs" in told
+
+
+def test_what_does_not_come_up_again_is_told(project):
+    near_the_wall(project, faults=f"[{BIAS}]", runs=1)
+    project.run("corridor/it")
+    source = (project.path / "corridor.py").read_text()
+    project.write("corridor.py", source.replace("Proposal(1.0 if", "Proposal(0.0 if"))
+    result = project.run("--dura-reduce=corridor/it#0")
+    assert result.ret == 1
+    assert "not reproduced: the same faults do not violate it again (2 of 100 runs)" in (
+        result.outlines
+    )
+
+
+@pytest.mark.parametrize(
+    "faults, episode, told",
+    [
+        (f"[{NOISE}]", "corridor/it#0", "is no counterexample to a requirement"),
+        ("[]", "corridor/it#0", "has no faults to leave out"),
+        (f"[{BIAS}]", "corridor/it#7", "the evidence has no episode 'corridor/it#7'"),
+    ],
+)
+def test_what_cannot_be_reduced_is_one_error(project, faults, episode, told):
+    near_the_wall(project, faults=faults, runs=1)
+    project.run("corridor/it")
+    result = project.run(f"--dura-reduce={episode}")
+    assert result.ret == 4
+    assert told in result.stderr.str()
+
+
+def test_a_fault_whose_time_never_comes_leaves_the_episodes_invalid(project):
+    near_the_wall(project, faults=f"[{LATE}]")
+    result = project.run("corridor/it")
+    assert result.ret == 1
+    (verdict,) = project.evidence()["verdicts"]
+    assert verdict["verdict"] == "undecided"
+    assert "  invalid: never manifested: gain" in result.outlines
+    assert "  fault:  gain: idle" in result.outlines
