@@ -1,0 +1,92 @@
+"""Where an episode leaves its fault-free twin, and which fault answers for it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pytest_dura import Episode, EpisodeSpec, RoleSpec
+from pytest_dura.core.metrics import DependabilityMetrics, FaultRecord
+from pytest_dura.core.propagation import Divergence, Propagation
+
+
+def episode(proposals: str, failure: str | None = None) -> Episode:
+    """One letter per proposal, at 0.0 s, 0.1 s, ..."""
+    spec = EpisodeSpec("road/free", 0, 1, RoleSpec("nowhere:Simulator"), {})
+    decisions = {"proposed": np.array(list(proposals), dtype=np.str_)}
+    time = np.arange(len(proposals) + 1) / 10
+    metrics = DependabilityMetrics()
+    return Episode(spec, time, {}, decisions, (), (), "time", metrics, failure)
+
+
+def again(one: Episode) -> Callable[[], Episode]:
+    return lambda: one
+
+
+def fault(manifested_at: float | None) -> FaultRecord:
+    return FaultRecord("f", "lidar", manifested_at=manifested_at)
+
+
+@pytest.mark.parametrize(
+    "faulty, twin, at",
+    [
+        ("gggg", "gggg", None),
+        ("ggsg", "gggg", 0.2),
+        ("sggg", "gggg", 0.0),
+        ("ggs", "gggg", 0.2),
+        ("gg", "gggg", None),  # what one of them no longer proposes is no other proposal
+        ("ggggs", "gggg", None),
+        ("g gg", "gggg", 0.1),  # no proposal at all is another proposal
+    ],
+)
+def test_the_first_proposal_that_differs(faulty: str, twin: str, at: float | None) -> None:
+    found = Divergence.of(episode(faulty), episode(twin), again(episode(twin)))
+    assert found == Divergence(at)
+
+
+def test_the_second_twin_is_run_only_where_the_first_one_differs() -> None:
+    def never() -> Episode:
+        raise AssertionError("asked for")
+
+    assert Divergence.of(episode("gg"), episode("gg"), never) == Divergence()
+
+
+@pytest.mark.parametrize(
+    "second, at, doubt",
+    [
+        ("gggg", 0.2, ""),
+        ("gggs", 0.2, ""),  # they part later
+        ("ggag", None, "two runs without faults differ from 0.20 s on"),
+        ("aggg", None, "two runs without faults differ from 0.00 s on"),
+    ],
+)
+def test_twins_that_differ_by_then_say_nothing(second: str, at: float | None, doubt: str) -> None:
+    found = Divergence.of(episode("ggss"), episode("gggg"), again(episode(second)))
+    assert found == Divergence(at, doubt)
+
+
+@pytest.mark.parametrize("missing", [0, 1, 2])
+def test_a_missing_run_says_nothing(missing: int) -> None:
+    runs = [episode("gs"), episode("gg"), episode("gg")]
+    runs[missing] = replace(runs[missing], failure="infrastructure: x")
+    found = Divergence.of(runs[0], runs[1], again(runs[2]))
+    assert found == Divergence(doubt="road/free#0 is missing")
+
+
+def test_what_had_manifested_by_then_answers_for_it() -> None:
+    found = Divergence(0.5)
+    assert found.of_fault(fault(None)) is None
+    assert found.of_fault(fault(0.3)) == Propagation("propagated", 0.5)
+    assert found.of_fault(fault(0.5)) == Propagation("propagated", 0.5)
+    later = found.of_fault(fault(0.6))
+    assert later is not None
+    assert (later.word, later.at) == ("unknown", None)
+    assert "from 0.50 s on, through another fault" in later.reason
+
+
+def test_no_difference_contains_a_fault_and_a_doubt_hides_it() -> None:
+    assert Divergence().of_fault(fault(0.3)) == Propagation("contained")
+    assert Divergence(doubt="d").of_fault(fault(0.3)) == Propagation("unknown", None, "d")

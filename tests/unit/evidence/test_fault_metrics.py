@@ -1,0 +1,88 @@
+"""How far the faults of a case got: counts, rates' denominators and latencies."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Any
+
+from pytest_dura.core.metrics import FaultRecord
+from pytest_dura.evidence.faults import UNFOLLOWED, fault_metrics, with_chains
+from pytest_dura.plugin.fault_lines import chain_line, fault_table
+
+
+def told(**fields: Any) -> dict[str, Any]:
+    chain = {key: fields.pop(key) for key in list(fields) if key in UNFOLLOWED}
+    return {**asdict(FaultRecord("f", "lidar", **fields)), **UNFOLLOWED, **chain}
+
+
+def metrics(*faults: dict[str, Any]) -> dict[str, Any]:
+    (found,) = fault_metrics([{"faults": [one]} for one in faults])
+    return found
+
+
+IDLE = told()
+MASKED = told(activated_at=1.0, outcome="masked")
+CONTAINED = told(
+    activated_at=1.0, manifested_at=1.5, propagation="contained", outcome="contained",
+    detected_at=2.5,
+)  # fmt: skip
+SPREAD = told(
+    activated_at=1.0, manifested_at=1.0, propagation="propagated", propagated_at=1.2,
+    detected_at=1.5, recovery_at=2.0, recovered_at=2.3, outcome="violated",
+)  # fmt: skip
+UNKNOWN = told(activated_at=1.0, manifested_at=1.0, propagation="unknown", outcome="tolerated")
+
+
+def test_each_step_is_counted_over_those_that_could_take_it() -> None:
+    found = metrics(IDLE, MASKED, CONTAINED, SPREAD, UNKNOWN)
+    keys = (
+        "run", "activated", "manifested", "followed", "propagated", "detected", "recovery",
+        "recovered", "violated",
+    )  # fmt: skip
+    assert [found[key] for key in keys] == [5, 4, 3, 2, 1, 2, 1, 1, 1]
+
+
+def test_latencies_run_from_the_manifestation() -> None:
+    found = metrics(CONTAINED, SPREAD)
+    assert found["detection_latency"] == {"median": 0.75, "max": 1.0}
+    assert found["recovery_latency"] == {"median": 1.0, "max": 1.0}
+    assert abs(found["time_to_recover"]["median"] - 0.3) < 1e-9
+    assert metrics(IDLE)["detection_latency"] is None
+
+
+def test_an_alert_without_a_manifestation_is_none_of_the_fault() -> None:
+    assert metrics({**MASKED, "detected_at": 1.0})["detected"] == 0
+
+
+def test_faults_of_a_case_are_told_apart_in_declared_order() -> None:
+    other = {**IDLE, "id": "g"}
+    found = fault_metrics([{"faults": [SPREAD, other]}, {"faults": [SPREAD, other]}])
+    assert [(one["id"], one["run"]) for one in found] == [("f", 2), ("g", 2)]
+    assert fault_metrics([{"faults": []}]) == []
+
+
+def test_what_no_verdict_followed_is_unknown() -> None:
+    bare = asdict(FaultRecord("f", "lidar"))
+    plain = {"id": "road/free#0", "faults": [bare]}
+    assert with_chains(plain, {})["faults"] == [{**bare, **UNFOLLOWED}]
+    (fault,) = with_chains(plain, {"f": SPREAD})["faults"]
+    assert fault["manifested_at"] is None, "the loop's own record stays"
+    assert fault["propagated_at"] == 1.2
+
+
+def test_the_table_shows_a_dash_for_what_is_not_known() -> None:
+    case = {"id": "road/free", "metrics": {"faults": [metrics(UNKNOWN)]}}
+    row = fault_table([case])[1].removeprefix("f on road/free").split()
+    assert row == ["1", "1", "1", "-", "0", "-", "0", "-", "0"]
+    part = {"id": "road/free", "metrics": {"faults": [metrics(UNKNOWN, SPREAD)]}}
+    assert fault_table([part])[1].removeprefix("f on road/free").split()[3] == "1/1"
+    assert fault_table([{"id": "road/free", "metrics": {"faults": []}}]) == []
+
+
+def test_the_chain_in_words() -> None:
+    fault = {**SPREAD, "detected_by": "security_assessor", "pattern": "p", "recovery": "brake"}
+    assert chain_line(fault) == (
+        "f: activated 1.0, manifested 1.0, propagated 1.2, detected 1.5 (security_assessor: p), "
+        "recovery 2.0 (brake), recovered 2.3, violated"
+    )
+    assert chain_line(IDLE) == "f: never active"
