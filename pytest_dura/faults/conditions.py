@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -33,8 +33,7 @@ COUNT = "count"
 """A field of every channel that has a length: how many entries it has."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Term:
+class _Term(NamedTuple):
     target: Target
     absolute: bool
     holds: Callable[[float, float], bool]
@@ -71,13 +70,13 @@ class Condition:
         Raises:
             ConfigurationError: For a channel or field that is not there, or is not a number.
         """
-        for term in self.terms:
-            try:
-                value = time if term.target.channel == TIME else _number(term.target, channels)
-            except AbsentRowError:
-                return False
-            if not term.holds(abs(value) if term.absolute else value, term.bound):
-                return False
+        try:
+            for target, absolute, holds, bound in self.terms:
+                value = time if target.channel == TIME else _number(target, channels)
+                if not holds(abs(value) if absolute else value, bound):
+                    return False
+        except AbsentRowError:
+            return False
         return True
 
 
@@ -118,6 +117,12 @@ def parse_condition(text: str) -> Condition:
 
 
 def _number(target: Target, channels: Mapping[str, Any]) -> float:
+    value = channels.get(target.channel)
+    # The usual case at once: conditions are looked at in each tick.
+    if target.field in getattr(type(value), "_fields", ()):
+        found = getattr(value, target.field)
+        if type(found) is float:
+            return found
     value = target.channel_of(channels)
     if target.field == COUNT and not (isinstance(value, Mapping) and COUNT in value):
         value = value.get() if type(value) is Lazy else value

@@ -51,6 +51,7 @@ class Life:
         self._chance: Chance | None = None
         if probability is not None:
             self._chance = Chance(probability, stream(seed, f"fault:activation:{fault.id}"))
+        self._limit = activation.limit
         self._first = activation.not_before - TOLERANCE
         self._final = NEVER if activation.not_after is None else activation.not_after + TOLERANCE
         self.keeps = fault.memory > 0.0
@@ -114,7 +115,9 @@ class Life:
         due = self._due(time, channels)
         self._last = time
         began = due and self.activate(time)
-        self.wake = self._next()
+        # A condition in its window is looked at in each tick; that it was last time says so.
+        if self._condition is None or began or self._spent or time > self._final:
+            self.wake = self._next()
         return began
 
     def activate(self, time: float) -> bool:
@@ -154,11 +157,9 @@ class Life:
 
     @property
     def _spent(self) -> bool:
-        limit = self.fault.activation.limit
-        return limit is not None and self._count >= limit
+        return self._limit is not None and self._count >= self._limit
 
     def _due(self, time: float, channels: Mapping[str, Any]) -> bool:
-        activation = self.fault.activation
         if self._chance is not None:
             return self._in_window(time) and self._chance.happens(self._index(time))
         if self._condition is not None:
@@ -170,6 +171,7 @@ class Life:
             reached = len(waiting) < len(self._pending)
             self._pending = waiting
             return reached
+        activation = self.fault.activation
         return activation.by == "fault_injector" and activation.due(time, self._last)
 
     def _in_window(self, time: float) -> bool:

@@ -84,7 +84,9 @@ def part_of(value: Any, path: str) -> Any:
     if type(value) is Lazy:
         value = value.get()
     found: Any
-    if isinstance(value, Mapping):
+    if head in getattr(type(value), "_fields", ()):  # the usual case, and asked at each tick
+        found = getattr(value, head)
+    elif isinstance(value, Mapping):
         if head not in value:
             raise _no_part(value, head)
         found = value[head]

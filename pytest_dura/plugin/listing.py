@@ -8,6 +8,15 @@ if TYPE_CHECKING:
     from pytest_dura.plugin.session import DuraSession
 
 
+def _fault(name: str) -> str:
+    """A type of the catalogue, what it acts on, and what it does in one sentence."""
+    from pytest_dura.faults.catalogue import fault_class
+
+    kind = fault_class(name)
+    first = (kind.__doc__ or "").partition("\n")[0]
+    return f"  {name} ({kind.acts_on}): {first}"
+
+
 def show_list(session: DuraSession) -> int:
     """Print everything and return the exit code."""
     from pytest_dura.campaign.domains import DOMAINS
@@ -23,9 +32,11 @@ def show_list(session: DuraSession) -> int:
         if scenario.until_decided:
             runs = f"runs until decided, at most {scenario.planned}"
         lines.append(f"      {runs}, {scenario.duration:g} s each, faults: {faults}")
+        if scenario.campaigns:
+            lines.append(f"      fault campaigns: {len(scenario.campaigns)}")
         lines.append(f"      requirements: {', '.join(scenario.requirements) or 'none'}")
-    lines += ["", "faults (name them in a marker or a scenario)"]
-    lines += [f"  {name}" for name in sorted(FAULT_TYPES)]
+    lines += ["", "faults (name them in a marker, a scenario or --dura-faults; docs/faults.md)"]
+    lines += map(_fault, sorted(FAULT_TYPES))
     lines += ["", "requirements"]
     for name, requirement in library.requirements.items():
         lines.append(f"  {name} ({requirement.kind}): {requirement.text}")

@@ -29,13 +29,13 @@ class Limits(NamedTuple):
 _STAYS = Limits(0.5, 1.0)
 """Two ticks in a row, or more often than every other tick."""
 LIMITS: Mapping[str, Limits] = {
-    "odometry.speed": Limits(0.25, 5.0),
-    "localisation.along": Limits(0.2, 5.0),
-    "localisation.across": Limits(0.2, 5.0),
-    "localisation.heading": Limits(0.05, 0.1),
-    "command": Limits(0.5, 5.0),
-    "lidar.x": Limits(1.0, 5.0),
-    "lidar.y": Limits(1.0, 5.0),
+    "odometry.speed": Limits(0.25, 3.2),
+    "localisation.along": Limits(0.2, 3.2),
+    "localisation.across": Limits(0.2, 3.2),
+    "localisation.heading": Limits(0.05, 0.085),
+    "command": Limits(0.5, 5.5),
+    "lidar.x": Limits(1.0, 2.4),
+    "lidar.y": Limits(1.0, 2.4),
     "frozen.odometry": _STAYS,
     "frozen.localisation": _STAYS,
     "frozen.lidar": _STAYS,

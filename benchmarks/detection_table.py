@@ -1,0 +1,184 @@
+"""Which faults the plausibility checks and the residual monitor detect, each and together.
+
+Run: python benchmarks/detection_table.py [--scenario NAME] [--generator rule_based] [--runs 5]
+     [--free-runs 20] [--jobs 2] [--seed 0]
+
+Each fault of the catalogue acts by itself, as it is by default. Recovery is switched off: what it
+does after an alarm or without one would change what there is left to detect, whereas like this all
+three arms see the very same episodes. A fault is detected by the first alert from its manifestation
+until one second after its end. What the component does not read cannot manifest, and is told as
+such. False alarms are alerts in episodes without faults, of all built-in scenarios.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections import Counter
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from statistics import median
+
+from machine import machine, table
+from reads import can_reach, channels_read
+from scipy.stats import chi2
+
+from pytest_dura import Bench
+from pytest_dura.campaign.cases import expand_cases
+from pytest_dura.campaign.domains import DOMAINS
+from pytest_dura.campaign.loading import load_library
+from pytest_dura.core.metrics import FaultRecord
+from pytest_dura.core.roles import RoleSpec
+
+Roles = dict[str, RoleSpec | None]
+DRIVING = DOMAINS["driving"]
+MONITOR = RoleSpec(DRIVING.residual_monitors["cusum"])
+ARMS: dict[str, Roles] = {
+    "plausibility": {},
+    "residuals": {"security_assessor": None, "residual_monitor": MONITOR},
+    "together": {"residual_monitor": MONITOR},
+}
+
+
+@dataclass(frozen=True)
+class Job:
+    """The runs of one case in one arm."""
+
+    scenario: str
+    fault: str
+    arm: str
+    generator: str
+    runs: int
+    seed: int
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of them: the fault's records, the alerts, and the simulated seconds."""
+
+    records: list[FaultRecord]
+    alerts: Counter[str]
+    seconds: float
+
+
+def roles_of(generator: str, arm: str) -> Roles:
+    """The roles of an arm, without recovery."""
+    component = RoleSpec(DRIVING.generators[generator])
+    return {"generator": component, "recovery_planner": None, **ARMS[arm]}
+
+
+def run(job: Job) -> Outcome:
+    """All episodes of a job."""
+    library = load_library([])
+    bench = Bench(
+        lambda: library, base_seed=job.seed, roles=roles_of(job.generator, job.arm), twins=False
+    )
+    case = bench.case(job.scenario, job.fault)
+    records: list[FaultRecord] = []
+    alerts: Counter[str] = Counter()
+    seconds = 0.0
+    for number in range(job.runs):
+        episode = bench.episode(case, number)
+        if episode.failure is not None:
+            raise RuntimeError(episode.failure)
+        records += episode.faults
+        seconds += float(episode.time[-1])
+        alerts.update(
+            event.detail.partition(": ")[0] for event in episode.events if event.kind == "alert"
+        )
+    return Outcome(records, alerts, seconds)
+
+
+def why_not(records: Sequence[FaultRecord], read: set[str]) -> str:
+    """Why a fault manifested in no run."""
+    if not can_reach(records[0].target, read):
+        return "not read"
+    if not any(record.activated_at is not None for record in records):
+        return "never active"
+    return "changed nothing"
+
+
+def detection(found: dict[str, Outcome], read: set[str]) -> list[str]:
+    """The row of one fault."""
+    records = found["together"].records
+    first = records[0]
+    reached = sum(record.success for record in records)
+    if not reached:
+        return [first.id, first.target, why_not(records, read), *["-"] * (2 * len(ARMS) + 1)]
+    row = [first.id, first.target, f"{reached} of {len(records)}"]
+    for outcome in (found[arm] for arm in ARMS):
+        seen = [one.detection_latency for one in outcome.records]
+        latencies = [one for one in seen if one is not None]
+        row += [str(len(latencies)), f"{median(latencies):.1f}" if latencies else "-"]
+    patterns = Counter(one.pattern for one in records if one.pattern is not None)
+    told = ", ".join(f"{name} {count}" for name, count in patterns.most_common())
+    return [*row, told or "-"]
+
+
+def summary(found: list[dict[str, Outcome]]) -> list[str]:
+    """The row of all faults together."""
+    row = ["all", ""]
+    for arm in ARMS:
+        records = [record for arms in found for record in arms[arm].records]
+        reached = sum(record.success for record in records)
+        seen = [one.detection_latency for one in records]
+        latencies = [one for one in seen if one is not None]
+        if len(row) == 2:
+            row.append(f"{reached} of {len(records)}")
+        share = f"{len(latencies)} ({len(latencies) / max(reached, 1):.0%})"
+        row += [share, f"{median(latencies):.1f}" if latencies else "-"]
+    return [*row, ""]
+
+
+def false_alarms(found: list[tuple[str, Outcome]]) -> list[list[str]]:
+    """Alerts without faults per simulated hour, with the exact upper bound of a Poisson rate."""
+    rows = []
+    for arm in ARMS:
+        hours = sum(one.seconds for name, one in found if name == arm) / 3600.0
+        alerts = sum((one.alerts for name, one in found if name == arm), Counter[str]())
+        count = alerts.total()
+        upper = float(chi2.ppf(0.95, 2 * count + 2)) / 2.0
+        told = ", ".join(f"{name} {number}" for name, number in alerts.most_common())
+        cells = [f"{hours:.2f}", str(count), f"{count / hours:.2f}", f"{upper / hours:.2f}"]
+        rows.append([arm, *cells, told or "-"])
+    return rows
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--scenario", default="intersection/nominal")
+    parser.add_argument("--generator", default="rule_based", choices=DRIVING.generators)
+    parser.add_argument("--runs", type=int, default=5)
+    parser.add_argument("--free-runs", type=int, default=20, help="per scenario, without faults")
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--faults", nargs="*", default=["catalogue"], help="which; default: all")
+    options = parser.parse_args()
+    scenarios = load_library([]).scenarios
+    cases = expand_cases([scenarios[options.scenario]], options.faults)
+    faults = [str(fault["id"]) for case in cases for fault in case.faults]
+    tail = options.generator, options.runs, options.seed
+    planned = [Job(options.scenario, fault, arm, *tail) for fault in faults for arm in ARMS]
+    tail = options.generator, options.free_runs, options.seed
+    free = [Job(name, "none", arm, *tail) for name in scenarios for arm in ARMS]
+    with ProcessPoolExecutor(options.jobs) as pool:
+        found = dict(zip([*planned, *free], pool.map(run, [*planned, *free]), strict=True))
+    component = RoleSpec(DRIVING.generators[options.generator])
+    read = channels_read(options.scenario, component, options.seed)
+    by_fault = [{job.arm: found[job] for job in planned if job.fault == fault} for fault in faults]
+    rows = [*(detection(arms, read) for arms in by_fault), summary(by_fault)]
+    print(f"""{machine()}
+
+{options.scenario}, {options.generator} without recovery, {options.runs} runs a fault, base seed \
+{options.seed}; it reads {", ".join(sorted(read))}
+""")
+    headers = ["fault", "target", "manifested"]
+    headers += [f"{arm}{what}" for arm in ARMS for what in ("", ", median s")]
+    print(table([*headers, "first alert of both"], rows))
+    print("\nWithout faults:\n")
+    headers = ["arm", "hours", "false alarms", "per hour", "95 % upper bound", "patterns"]
+    print(table(headers, false_alarms([(job.arm, found[job]) for job in free])))
+
+
+if __name__ == "__main__":
+    main()
