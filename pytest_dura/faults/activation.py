@@ -150,7 +150,7 @@ class Activation(FaultPart):
         if self.every is None:
             return math.inf
         passed = math.floor((since - self.at + TOLERANCE) / self.every)
-        return self.at + (max(passed, 0) + 2) * self.every
+        return self.at + (max(passed, 0) + 1) * self.every
 
 
 TRIGGERS = ("at", "when", "probability", "rate", "after")
