@@ -7,7 +7,7 @@ Each fault of the catalogue acts by itself, as it is by default. Recovery is swi
 does after an alarm or without one would change what there is left to detect, whereas like this all
 three arms see the very same episodes. A fault is detected by the first alert from its manifestation
 until one second after its end. What the component does not read cannot manifest, and is told as
-such. False alarms are alerts in episodes without faults, of all built-in scenarios.
+such. False alarms are alerts in episodes without faults, by default of all built-in scenarios.
 """
 
 from __future__ import annotations
@@ -38,6 +38,7 @@ ARMS: dict[str, Roles] = {
     "residuals": {"security_assessor": None, "residual_monitor": MONITOR},
     "together": {"residual_monitor": MONITOR},
 }
+DETECTORS = ("security_assessor", "residual_monitor")
 
 
 @dataclass(frozen=True)
@@ -54,11 +55,13 @@ class Job:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of them: the fault's records, the alerts, and the simulated seconds."""
+    """What came of them: the fault's records, the alerts, simulated seconds, and what it cost."""
 
     records: list[FaultRecord]
     alerts: Counter[str]
     seconds: float
+    nanoseconds: int
+    ticks: int
 
 
 def roles_of(generator: str, arm: str) -> Roles:
@@ -76,17 +79,21 @@ def run(job: Job) -> Outcome:
     case = bench.case(job.scenario, job.fault)
     records: list[FaultRecord] = []
     alerts: Counter[str] = Counter()
-    seconds = 0.0
+    seconds, nanoseconds, ticks = 0.0, 0, 0
     for number in range(job.runs):
         episode = bench.episode(case, number)
         if episode.failure is not None:
             raise RuntimeError(episode.failure)
         records += episode.faults
         seconds += float(episode.time[-1])
+        ticks += episode.ticks - 1
+        for role in DETECTORS:
+            _, spent = episode.metrics.processing_ns.get(role, ((), ()))
+            nanoseconds += sum(spent)
         alerts.update(
             event.detail.partition(": ")[0] for event in episode.events if event.kind == "alert"
         )
-    return Outcome(records, alerts, seconds)
+    return Outcome(records, alerts, seconds, nanoseconds, ticks)
 
 
 def why_not(records: Sequence[FaultRecord], read: set[str]) -> str:
@@ -134,13 +141,15 @@ def false_alarms(found: list[tuple[str, Outcome]]) -> list[list[str]]:
     """Alerts without faults per simulated hour, with the exact upper bound of a Poisson rate."""
     rows = []
     for arm in ARMS:
-        hours = sum(one.seconds for name, one in found if name == arm) / 3600.0
-        alerts = sum((one.alerts for name, one in found if name == arm), Counter[str]())
+        own = [one for name, one in found if name == arm]
+        hours = sum(one.seconds for one in own) / 3600.0
+        alerts = sum((one.alerts for one in own), Counter[str]())
+        cost = sum(one.nanoseconds for one in own) / sum(one.ticks for one in own) / 1e3
         count = alerts.total()
         upper = float(chi2.ppf(0.95, 2 * count + 2)) / 2.0
         told = ", ".join(f"{name} {number}" for name, number in alerts.most_common())
         cells = [f"{hours:.2f}", str(count), f"{count / hours:.2f}", f"{upper / hours:.2f}"]
-        rows.append([arm, *cells, told or "-"])
+        rows.append([arm, *cells, told or "-", f"{cost:.0f}"])
     return rows
 
 
@@ -150,9 +159,10 @@ def main() -> None:
     parser.add_argument("--generator", default="rule_based", choices=DRIVING.generators)
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--free-runs", type=int, default=20, help="per scenario, without faults")
+    parser.add_argument("--free-scenarios", nargs="+", help="those without faults; default: all")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--faults", nargs="*", default=["catalogue"], help="which; default: all")
+    parser.add_argument("--faults", nargs="+", default=["catalogue"])
     options = parser.parse_args()
     scenarios = load_library([]).scenarios
     cases = expand_cases([scenarios[options.scenario]], options.faults)
@@ -160,7 +170,11 @@ def main() -> None:
     tail = options.generator, options.runs, options.seed
     planned = [Job(options.scenario, fault, arm, *tail) for fault in faults for arm in ARMS]
     tail = options.generator, options.free_runs, options.seed
-    free = [Job(name, "none", arm, *tail) for name in scenarios for arm in ARMS]
+    free = [
+        Job(name, "none", arm, *tail)
+        for name in options.free_scenarios or scenarios
+        for arm in ARMS
+    ]
     with ProcessPoolExecutor(options.jobs) as pool:
         found = dict(zip([*planned, *free], pool.map(run, [*planned, *free]), strict=True))
     component = RoleSpec(DRIVING.generators[options.generator])
@@ -176,7 +190,15 @@ def main() -> None:
     headers += [f"{arm}{what}" for arm in ARMS for what in ("", ", median s")]
     print(table([*headers, "first alert of both"], rows))
     print("\nWithout faults:\n")
-    headers = ["arm", "hours", "false alarms", "per hour", "95 % upper bound", "patterns"]
+    headers = [
+        "arm",
+        "hours",
+        "false alarms",
+        "per hour",
+        "95 % upper bound",
+        "patterns",
+        "us/tick",
+    ]
     print(table(headers, false_alarms([(job.arm, found[job]) for job in free])))
 
 

@@ -59,9 +59,9 @@ class Recorder(Role):
         self.tape.append((Snapshot.of(view.percept), view.command))
 
 
-def tapes(runs: int, seed: int) -> Iterator[tuple[Tape, float]]:
+def tapes(runs: int, seed: int, select: list[str]) -> Iterator[tuple[Tape, float]]:
     """The tapes of fault-free episodes, and seconds per tick."""
-    for case in expand_cases(load_library([]).scenarios, ["none"]):
+    for case in expand_cases(load_library([]).scenarios, ["none"], select):
         for planner in PLANNERS:
             for run in range(runs):
                 recorder = Recorder()
@@ -137,10 +137,11 @@ def main() -> None:
     parser.add_argument("--draws", type=int, default=30, help="times the noise is drawn for each")
     parser.add_argument("--rate", type=float, default=1.0, help="false alarms per hour, all tests")
     parser.add_argument("--seed", type=int, default=1, help="base seed")
+    parser.add_argument("--select", nargs="+", default=[], help="scenarios; default: all")
     options = parser.parse_args()
     random = np.random.default_rng(options.seed)
     exact, peaks = Peaks(), Peaks()
-    for tape, dt in tapes(options.runs, options.seed):
+    for tape, dt in tapes(options.runs, options.seed, options.select):
         exact.add(tape, dt)
         for _ in range(options.draws):
             peaks.add([(noisy(one, random), command) for one, command in tape], dt)

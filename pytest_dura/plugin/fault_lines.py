@@ -20,7 +20,8 @@ def fault_table(cases: Sequence[Data]) -> list[str]:
     names, rows = [], []
     for case in cases:
         for fault in case["metrics"]["faults"]:
-            names.append(f"{fault['id']} on {case['id']}")
+            # Most cases are named after their only fault, which need not be said twice.
+            names.append(f"{fault['id']} on {case['id'].removesuffix('+' + fault['id'])}")
             rows.append(_row(fault))
     return [*aligned("fault", COLUMNS, names, rows), *LEGEND] if rows else []
 

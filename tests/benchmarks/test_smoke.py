@@ -13,23 +13,34 @@ import pytest
 REPOSITORY = Path(__file__).parents[2]
 BENCHMARKS = REPOSITORY / "benchmarks"
 SMALLEST = {
+    "detection_table.py": [
+        *("--runs", "1", "--free-runs", "1", "--jobs", "1", "--faults", "bias"),
+        *("--free-scenarios", "intersection/nominal"),
+    ],
     "early_decision.py": ["--budget", "3"],
+    "fault_table.py": ["--runs", "1", "--jobs", "1", "--faults", "bias", "brightness"],
     "against_gym.py": ["--episodes", "1"],
+    "injector_cost.py": ["--runs", "1", "--repeats", "1"],
     "loop_cost.py": ["--runs", "1", "--repeats", "1"],
     "paper_table.py": ["--runs", "2", "--jobs", "1"],
     "plugin_cost.py": ["--repeats", "1"],
     "recoveries.py": ["--runs", "1", "--jobs", "1", "--select", "*/nominal"],
+    "residual_limits.py": ["--runs", "1", "--draws", "1", "--select", "*/nominal"],
     "stl_speed.py": ["--repeats", "1", "--traces", "3"],
     "sequential_cost.py": ["--campaigns", "20", "--budget", "100"],
 }
-NOT_A_SCRIPT = {"machine.py"}
+NOT_A_SCRIPT = {"machine.py", "reads.py"}
 HEADERS = {
     "against_gym.py": ["times faster"],
+    "detection_table.py": ["manifested", "false alarms"],
     "early_decision.py": ["saved"],
+    "fault_table.py": ["rule_based", "propagated"],
+    "injector_cost.py": ["share of a tick"],
     "loop_cost.py": ["ratio without Generator", "part of the loop"],
     "paper_table.py": ["gridlock", "flagged only attacked / only free", "prevented"],
     "plugin_cost.py": ["cost of the unused plugin"],
     "recoveries.py": ["unnecessary", "us/call"],
+    "residual_limits.py": ["noise of odometry", "threshold found"],
     "stl_speed.py": ["with verdict", "us per sample"],
     "sequential_cost.py": [
         "mean runs, SPRT",

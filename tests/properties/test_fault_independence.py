@@ -54,7 +54,7 @@ def activations(others: Sequence[str]) -> st.SearchStrategy[dict[str, Any]]:
         after = st.fixed_dictionaries(
             {"fault": st.sampled_from(others), "event": events}, optional={"delay": times}
         )
-        planned.append(joined(after.map(lambda one: {"after": one}), numbers))
+        planned += [joined(after.map(lambda one: {"after": one}), numbers)] * 3
     return st.one_of(planned)
 
 

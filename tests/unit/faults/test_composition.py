@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from injecting import Bench, fault
+from injecting import Bench, Drawing, fault
 
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.state import Lazy
@@ -56,6 +56,15 @@ def test_only_the_channel_that_was_changed_is_another_one() -> None:
     assert bench.seen[2]["list"] is raw["list"]
     assert raw["gauge"] == {"value": 1.0}
     assert bench.seen[2]["gauge"] == {"value": 2.0}
+
+
+def test_two_faults_of_one_kind_draw_different_numbers() -> None:
+    Drawing.noted.clear()
+    planned = {"type": "injecting:Drawing", "at": 0.0, "duration": None}
+    Bench(fault("one", **planned), fault("two", **planned, target="clock.ticks")).ticks(20)
+    drawn = [number for _, _, number in Drawing.noted]
+    # Each draws once when it begins and once at each tick, always anew.
+    assert len(drawn) == len(set(drawn)) == 42
 
 
 def test_a_row_that_is_not_there_is_left_alone() -> None:
