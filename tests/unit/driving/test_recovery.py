@@ -293,8 +293,14 @@ def test_the_second_opinion_is_the_monitor_s_own_with_turns_and_all() -> None:
     own = monitor.run(views.again("accelerate"))
     assert own != unturned
     assert SecondOpinion().judge(view, Command(Maneuver.ACCELERATE)) == own
-    careful = SecondOpinion({"unsafe": 9.0}).judge(view, Command(Maneuver.ACCELERATE))
-    assert careful.verdict is Assessed.UNSAFE
+
+
+def test_the_second_opinion_takes_the_monitor_s_parameters() -> None:
+    view = Views().role(channels_of(car("V1", 2.0, 42.0, NORTH), s=52.0, speed=8.0), "proceed")
+    brake = Command(Maneuver.EMERGENCY_BRAKE)
+    assert SecondOpinion().judge(view, brake).verdict is not Assessed.UNSAFE
+    careful = SecondOpinion({"unsafe": 9.0, "warning": 9.5})
+    assert careful.judge(view, brake).verdict is Assessed.UNSAFE
 
 
 # --- IgnoreUntrusted
