@@ -124,8 +124,8 @@ def command_residual(command: Command, before: Snapshot, now: Snapshot, dt: floa
     asked = acceleration_for(command, before.speed, to_line)
     last, reach = before.imu.acceleration, ACTUATOR_SLEW * dt
     least = max(last - reach, min(last + reach, asked))
-    lets_off = before.speed < LETS_OFF and asked < 0.0
-    return beyond(now.imu.acceleration, least, max(least, 0.0) if lets_off else least)
+    most = max(least, 0.0) if before.speed < LETS_OFF else least
+    return beyond(now.imu.acceleration, least, most)
 
 
 def object_residuals(before: Snapshot, now: Snapshot, dt: float) -> dict[str, tuple[float, float]]:

@@ -36,6 +36,11 @@ def test_a_lasting_shift_alarms_in_time_and_not_sooner(drift, threshold, more, s
     assert first in (due, math.ceil(threshold / (abs(shift) - drift)))
 
 
+def test_rounding_costs_no_sample() -> None:
+    assert sum([0.1] * 8) < 0.8
+    assert alarms(0.0, 0.8, [0.1] * 8) == [7]
+
+
 @LAWS
 @given(drifts, thresholds, samples)
 def test_it_is_the_same_for_both_signs(drift, threshold, residuals) -> None:
