@@ -13,6 +13,7 @@ from pytest_dura.core.state import Percept
 from pytest_dura.driving.bodies import CAR_LENGTH, CAR_WIDTH
 from pytest_dura.driving.following import LEADER_CAP, SAME_DIRECTION
 from pytest_dura.driving.junction import Route
+from pytest_dura.driving.plausible import doubtful, objects, own_pose, own_speed
 from pytest_dura.driving.proximity import GAP_CAP, TTC_CAP
 
 _EGO_CIRCLE = math.hypot(CAR_LENGTH, CAR_WIDTH) / 2
@@ -33,15 +34,18 @@ class _Box(NamedTuple):
 def percept_at(percept: Percept) -> dict[str, float]:
     """``signals.PERCEPT_NAMES`` of one percept.
 
-    Needs the channels localisation, odometry, map and lidar.
+    Needs the channels localisation, odometry, map and lidar. What these report may be absurd; then
+    nothing is known of the distances, and each is 0.
     """
-    x, y, heading = percept["localisation"]
-    speed, route = percept["odometry"].speed, percept["map"].route
+    x, y, heading = own_pose(percept)
+    speed, route = own_speed(percept), percept["map"].route
+    if doubtful(percept):
+        return {"gap": 0.0, "ttc": 0.0, "leader_gap": 0.0, "speed": speed}
     ego = _box(x, y, heading, CAR_LENGTH, CAR_WIDTH)
     vx, vy = speed * ego.c, speed * ego.s
     s, _ = route.project(x, y)
     gap, ttc, leader_gap, close = GAP_CAP, TTC_CAP, LEADER_CAP, []
-    for bx, by, turned, bvx, bvy, length, width in percept["lidar"].data.tolist():
+    for bx, by, turned, bvx, bvy, length, width in objects(percept).data.tolist():
         dx, dy, dvx, dvy = bx - x, by - y, bvx - vx, bvy - vy
         circles = _EGO_CIRCLE + math.hypot(length, width) / 2
         body = _box(bx, by, turned, length, width)

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from pytest_dura.driving.bodies import CAR_LENGTH, CAR_WIDTH, VX, VY, Body, BodyList
 from pytest_dura.driving.junction import LANE_OFFSET
+from pytest_dura.driving.plausible import objects, own_pose, own_speed
+from pytest_dura.driving.plausible import returns as radar_returns
 from pytest_dura.driving.sensors import RANGE
 
 DISTANCE_TOLERANCE = 2.5
@@ -29,8 +31,8 @@ def compare(percept: Mapping[str, Any]) -> tuple[Mask, Mask]:
     Masks of shape ``(objects,)`` and ``(returns,)``.
     Objects at the edge of the radar's reach count as confirmed.
     """
-    bodies, returns, pose = percept["lidar"], percept["radar"], percept["localisation"]
-    data, speed = bodies.data, percept["odometry"].speed
+    returns, pose = radar_returns(percept), own_pose(percept)
+    data, speed = objects(percept).data, own_speed(percept)
     bearing = pose.heading - returns[:, 1]
     x = pose.x + returns[:, 0] * np.cos(bearing)
     y = pose.y + returns[:, 0] * np.sin(bearing)
@@ -38,7 +40,7 @@ def compare(percept: Mapping[str, Any]) -> tuple[Mask, Mask]:
     rates = _range_rates(data, pose, speed)
     same = near & (np.abs(rates[:, None] - returns[:, 2]) < RATE_TOLERANCE)
     far = np.hypot(data[:, 0] - pose.x, data[:, 1] - pose.y) > RANGE - 2.0
-    return same.any(axis=1) | far, near.any(axis=0)
+    return same.any(axis=1) | far, np.asarray(near.any(axis=0))
 
 
 def agree(percept: Mapping[str, Any]) -> bool:
@@ -46,10 +48,10 @@ def agree(percept: Mapping[str, Any]) -> bool:
 
     Saves the comparison of all pairs; plain arithmetic, since NumPy does not pay for a few rows.
     """
-    data, returns = percept["lidar"].data, percept["radar"]
+    data, returns = objects(percept).data, radar_returns(percept)
     if len(data) != len(returns):
         return False
-    pose, speed = percept["localisation"], percept["odometry"].speed
+    pose, speed = own_pose(percept), own_speed(percept)
     ego_vx, ego_vy = speed * math.cos(pose.heading), speed * math.sin(pose.heading)
     for (x, y, _, vx, vy, _, _), (distance, azimuth, rate) in zip(
         data.tolist(), returns.tolist(), strict=True
@@ -79,12 +81,11 @@ def with_unexplained_returns(percept: Mapping[str, Any]) -> BodyList:
     Radar gives no course: a car on the crossing road is taken to drive on its lane at 9 m/s, one
     elsewhere to stand.
     """
-    bodies: BodyList = percept["lidar"]
-    returns = percept["radar"]
+    bodies, returns = objects(percept), radar_returns(percept)
     if agree(percept):
         return bodies
     _, explained = compare(percept)
-    pose = percept["localisation"]
+    pose = own_pose(percept)
     for row in np.flatnonzero(~explained).tolist():
         distance, azimuth, _ = returns[row].tolist()
         x = pose.x + distance * math.cos(pose.heading - azimuth)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pytest_dura.core.state import RoleView
 from pytest_dura.driving.maneuvers import acceleration_for
+from pytest_dura.driving.plausible import own_pose, own_speed
 from pytest_dura.driving.scene import HALF
 
 UNAFFECTED, ERRATIC, FROZEN, FOLLOWS = "unaffected", "erratic", "frozen", "follows the fake"
@@ -53,7 +54,7 @@ class ReactionWatch:
         if braking and not self._braked_before and view.time - self._since <= PROMPT:
             self._answered = True
         if view.time > self._last_suspicion:
-            self._moved_after |= view.percept["odometry"].speed > STANDING
+            self._moved_after |= own_speed(view.percept) > STANDING
         if view.time - self._last_suspicion < AFTERMATH:
             return None
         return self._classify(view.time)
@@ -71,7 +72,7 @@ class ReactionWatch:
     def _brakes(view: RoleView) -> bool:
         if view.proposal is None:
             return False
-        pose, way = view.percept["localisation"], view.percept["map"]
+        pose, way = own_pose(view.percept), view.percept["map"]
         s, _ = way.route.project(pose.x, pose.y)
-        speed = view.percept["odometry"].speed
+        speed = own_speed(view.percept)
         return acceleration_for(view.proposal.action, speed, way.stop_line - s - HALF) < BRAKING

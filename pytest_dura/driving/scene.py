@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 from pytest_dura.driving.bodies import CAR_LENGTH, CAR_WIDTH, Body, BodyList
 from pytest_dura.driving.junction import LANE_OFFSET, Route
+from pytest_dura.driving.plausible import objects, own_pose, own_speed
 
 HALF = CAR_LENGTH / 2
 
@@ -37,12 +38,12 @@ class Scene:
     @classmethod
     def of(cls, percept: Mapping[str, Any]) -> Scene:
         """From the channels localisation, odometry, map and lidar."""
-        pose, route_map = percept["localisation"], percept["map"]
+        pose, route_map = own_pose(percept), percept["map"]
         s, _ = route_map.route.project(pose.x, pose.y)
-        speed = max(percept["odometry"].speed, 0.0)
+        speed = max(own_speed(percept), 0.0)
         return cls(
             route_map.route, s, pose.x, pose.y, speed,
-            route_map.stop_line, route_map.exit, percept["lidar"],
+            route_map.stop_line, route_map.exit, objects(percept),
         )  # fmt: skip
 
     @property

@@ -16,6 +16,7 @@ from pytest_dura.driving.bodies import CAR_LENGTH
 from pytest_dura.driving.following import following_margin, leaders
 from pytest_dura.driving.junction import ARM_LENGTH, Route
 from pytest_dura.driving.now import percept_at
+from pytest_dura.driving.plausible import doubtful, objects, own_pose, own_speed
 from pytest_dura.driving.proximity import GAP_CAP, TTC_CAP, proximity
 from pytest_dura.driving.right_of_way import right_of_way
 
@@ -76,17 +77,23 @@ def truth_signals(ticks: Sequence[Tick], route: Route, dt: float) -> dict[str, F
 
 
 def percept_signals(percepts: Sequence[Percept]) -> dict[str, Floats]:
-    """The same as perceived: from localisation, odometry, map and lidar."""
-    poses = np.array([percept["localisation"] for percept in percepts], dtype=float)
-    speed = np.array([percept["odometry"].speed for percept in percepts], dtype=float)
-    bodies = [percept["lidar"] for percept in percepts]
+    """The same as perceived: from localisation, odometry, map and lidar.
+
+    Where these report what cannot be (see ``plausible.doubtful``), the distances and the time to
+    collision are 0.
+    """
+    poses = np.array([own_pose(percept) for percept in percepts], dtype=float)
+    speed = np.array([own_speed(percept) for percept in percepts], dtype=float)
+    bodies = [objects(percept) for percept in percepts]
     x, y, heading = poses.T
     gap, ttc = proximity(_moving(x, y, heading, speed), bodies)
     route = percepts[0]["map"].route
     s, _, _ = route.project_all(poses[:, :2])
-    return {
-        "gap": gap, "ttc": ttc, "leader_gap": leaders(route, s, bodies).gap, "speed": speed,
-    }  # fmt: skip
+    leader_gap = leaders(route, s, bodies).gap
+    unknown = [bool(doubtful(percept)) for percept in percepts]
+    for column in (gap, ttc, leader_gap):
+        column[unknown] = 0.0
+    return {"gap": gap, "ttc": ttc, "leader_gap": leader_gap, "speed": speed}
 
 
 def _moving(x: Floats, y: Floats, heading: Floats, speed: Floats) -> Floats:

@@ -12,6 +12,7 @@ except ImportError:  # Windows has none
 from pytest_dura.core.roles import PerformanceAssessment, PerformanceOracle, RoleContext
 from pytest_dura.core.state import RoleView
 from pytest_dura.driving.maneuvers import acceleration_for
+from pytest_dura.driving.plausible import own_motion, own_pose, own_speed
 from pytest_dura.driving.scene import HALF
 from pytest_dura.driving.sensors import Imu
 
@@ -70,7 +71,7 @@ class DrivingOracle(PerformanceOracle):
         """The values of this tick and the thresholds they passed."""
         percept = view.percept
         imu, speed, pose, way = (
-            percept["imu"], percept["odometry"].speed, percept["localisation"], percept["map"]
+            own_motion(percept), own_speed(percept), own_pose(percept), percept["map"]
         )  # fmt: skip
         s, _ = way.route.project(pose.x, pose.y)
         if self._imu is None:

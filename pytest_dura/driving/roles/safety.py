@@ -7,6 +7,7 @@ from pytest_dura.core.state import RoleView
 from pytest_dura.driving import prediction
 from pytest_dura.driving.junction import SPEED_LIMIT
 from pytest_dura.driving.maneuvers import MAX_BRAKING, acceleration_for, braking_distance
+from pytest_dura.driving.plausible import doubtful
 from pytest_dura.driving.scene import Scene, crossing, time_to_cover
 
 SEPARATION_CAP = 10.0
@@ -26,7 +27,9 @@ class SeparationMonitor(SafetyMonitor):
         warning: The same for a warning.
         reaction: Seconds before the ego can answer a braking leader.
 
-    The score is the least predicted separation in m.
+    The score is the least predicted separation in m. What it cannot judge is unsafe, with a score
+    of 0 at most: a percept with an own pose or speed that cannot be, or with such numbers of an
+    object that may be near.
     """
 
     def __init__(
@@ -48,7 +51,11 @@ class SeparationMonitor(SafetyMonitor):
         acceleration = acceleration_for(view.proposal.action, scene.speed, scene.to_stop_line)
         separation, who = self._separation(scene, acceleration, view.dt)
         reasons, verdict = [], Assessed.SAFE
-        if separation < self.warning:
+        doubts = doubtful(view.percept)
+        if doubts:
+            verdict, separation = Assessed.UNSAFE, min(separation, 0.0)
+            reasons += [f"cannot judge: {one.subject} {one.detail}" for one in doubts]
+        elif separation < self.warning:
             verdict = Assessed.UNSAFE if separation < self.unsafe else Assessed.WARNING
             reasons.append(f"comes within {max(separation, 0.0):.1f} m of {who}")
         following = self._following(scene, acceleration)

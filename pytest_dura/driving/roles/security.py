@@ -16,6 +16,7 @@ from pytest_dura.core.roles import (
 from pytest_dura.core.state import RoleView
 from pytest_dura.driving.bodies import VX, VY
 from pytest_dura.driving.maneuvers import MAX_ACCELERATION, MAX_BRAKING, Maneuver
+from pytest_dura.driving.plausible import objects, out_of_range, own_pose
 from pytest_dura.driving.radar import agree, compare
 from pytest_dura.driving.reaction import ReactionWatch
 from pytest_dura.driving.sensors import RANGE
@@ -31,8 +32,10 @@ class PlausibilityAssessor(SecurityAssessor):
     """Checks percept and command against known attack patterns.
 
     Patterns: ``object_from_nowhere`` (a newcomer well inside the sensors' reach),
-    ``velocity_contradicts_displacement``, ``lidar_contradicts_radar`` (for some ticks in a row) and
-    ``command_outside_envelope``. Each is alerted when it begins, and again after a quiet time.
+    ``velocity_contradicts_displacement``, ``lidar_contradicts_radar`` (for some ticks in a row),
+    ``out_of_range:<channel>`` (a number that no sensor can have measured, see
+    ``pytest_dura.driving.plausible``) and ``command_outside_envelope``. Each is alerted when it
+    begins, and again after a quiet time.
 
     Args:
         displacement_tolerance: m/s between reported velocity and displacement over time.
@@ -107,7 +110,7 @@ class PlausibilityAssessor(SecurityAssessor):
 
     def _look(self, view: RoleView) -> list[Alert]:
         percept = view.percept
-        bodies, pose = percept["lidar"], percept["localisation"]
+        bodies, pose = objects(percept), own_pose(percept)
         self._tracker.update(view.index, bodies)
         found = []
         for row in self._tracker.newcomers():
@@ -123,6 +126,10 @@ class PlausibilityAssessor(SecurityAssessor):
             if apart > self.displacement_tolerance:
                 detail = f"reports a velocity {apart:.1f} m/s off its displacement"
                 found.append(Alert("velocity_contradicts_displacement", bodies.ids[row], detail))
+        found += [
+            Alert(f"out_of_range:{one.channel}", one.subject, one.detail)
+            for one in out_of_range(percept)
+        ]
         return found + self._against_radar(view)
 
     def _against_radar(self, view: RoleView) -> list[Alert]:

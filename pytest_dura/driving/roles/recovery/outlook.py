@@ -10,6 +10,7 @@ from pytest_dura.core.roles import Assessment, Proposal, RoleContext
 from pytest_dura.core.state import NOTHING, Percept, RoleView
 from pytest_dura.driving.bodies import BodyList
 from pytest_dura.driving.maneuvers import Command
+from pytest_dura.driving.plausible import objects
 from pytest_dura.driving.prediction import Predictor
 from pytest_dura.driving.roles.safety import SeparationMonitor
 from pytest_dura.driving.scene import Scene
@@ -19,7 +20,7 @@ Perceived = Callable[[Percept], BodyList]
 
 
 def lidar(percept: Percept) -> BodyList:
-    """All objects that lidar reports."""
+    """All objects, just as lidar reports them."""
     bodies: BodyList = percept["lidar"]
     return bodies
 
@@ -30,7 +31,7 @@ def observed(predictor: Predictor, view: RoleView) -> Scene:
     A planner is asked at some ticks only, and yaw rates need two in a row.
     """
     if view.index and len(view.percepts) > 1:
-        predictor.observe(view.index - 1, lidar(view.percepts[-2]))
+        predictor.observe(view.index - 1, objects(view.percepts[-2]))
     scene = Scene.of(view.percept)
     predictor.observe(view.index, scene.bodies)
     return scene
