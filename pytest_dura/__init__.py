@@ -54,6 +54,8 @@ if TYPE_CHECKING:
         StateManager,
         Tick,
     )
+    from pytest_dura.faults.model import Fault, Moment
+    from pytest_dura.faults.parts import FaultPart
     from pytest_dura.requirements.checks import CheckResult
     from pytest_dura.requirements.model import Paired, Requirement
     from pytest_dura.requirements.monitoring.stl_monitor import StlSafetyMonitor
@@ -80,7 +82,9 @@ __all__ = [
     "EpisodeSpec",
     "EpisodeVerdict",
     "Event",
+    "Fault",
     "FaultInjector",
+    "FaultPart",
     "FaultRecord",
     "Generator",
     "GeneratorView",
@@ -88,6 +92,7 @@ __all__ = [
     "Injection",
     "JudgedEpisode",
     "Lazy",
+    "Moment",
     "Orchestrator",
     "Paired",
     "PairedCampaign",
@@ -140,6 +145,8 @@ _HOMES = {
     "pytest_dura.core.simulator": "Simulator",
     "pytest_dura.core.state": "Event GeneratorView Lazy Percept RoleView StateManager Tick",
     "pytest_dura.requirements.verdicts.campaigns": "CampaignVerdict",
+    "pytest_dura.faults.model": "Fault Moment",
+    "pytest_dura.faults.parts": "FaultPart",
     "pytest_dura.requirements.checks": "CheckResult",
     "pytest_dura.requirements.verdicts.episodes": "EpisodeVerdict JudgedEpisode",
     "pytest_dura.requirements.model": "Paired Requirement",
