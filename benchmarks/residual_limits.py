@@ -109,7 +109,7 @@ class Peaks:
     def add(self, tape: Tape, dt: float) -> None:
         """The rises of one episode."""
         tests: dict[tuple[str, str], Cusum] = {}
-        rises: dict[tuple[str, str, bool], float] = {}
+        rises: dict[tuple[str, str, str], float] = {}
         self.hours += len(tape) * dt / 3600.0
         for (before, _), (now, command) in pairwise(tape):
             for name, subject, value in residuals(before, now, command, dt):
