@@ -80,14 +80,18 @@ CHANNELS: Mapping[str, Channel] = {
 
 FAULT_TARGETS: Mapping[str, str] = {
     "number": "odometry.speed",
-    "any": "lidar",
+    "any": "localisation",
     "command": "command.acceleration",
     "objects": "lidar",
     "image": "camera_front",
     "pose": "localisation",
     "signs": "controls",
 }
-"""Where a fault acts that names no target, by what its type can act on."""
+"""Where a fault acts that names no target, by what its type can act on.
+
+Any value will do for a fault of delivery; the pose changes at every tick and is what planners read,
+while of objects there may be none.
+"""
 
 
 class EgoState(NamedTuple):
