@@ -38,16 +38,17 @@ _COUNTED = ("objects", "array", "signs")
 
 
 def check_target(fault: Fault, channels: Mapping[str, Channel]) -> None:
-    """Refuse a target that is not there, or that the fault's type cannot act on.
+    """Refuse a target that is not there, or that the fault's type or parameters do not suit.
 
     Raises:
-        ConfigurationError: With the targets that it can act on.
+        ConfigurationError: With the targets that it can act on, or what the parameters may be.
     """
     target, possible = fault.place, possible_targets(fault.acts_on, channels)
     channel = channels.get(target.channel)
-    if channel is not None and _acts_on_rows(fault.acts_on, target, channel):
-        return
-    if str(target) in possible:
+    if channel is not None and (
+        _acts_on_rows(fault.acts_on, target, channel) or str(target) in possible
+    ):
+        fault.check_parameters(channel)
         return
     if fault.acts_on in ("number", "any"):
         possible = [*possible, *_rows(channels)]
@@ -89,7 +90,7 @@ def check_condition_targets(
     """
     for target in targets:
         channel = channels.get(target.channel)
-        if channel is None or target.is_command or not _is_number(target, channel):
+        if channel is None or target.is_command or not _is_readable(target, channel):
             known = [name for name in possible_targets("number", channels) if COMMAND not in name]
             known += _rows(channels)
             counts = [f"{name}.count" for name, one in channels.items() if one.kind in _COUNTED]
@@ -103,8 +104,13 @@ def check_condition_targets(
             )
 
 
-def _is_number(target: Target, channel: Channel) -> bool:
-    if target.field in channel.fields or _acts_on_rows("number", target, channel):
+def is_number(target: Target, channel: Channel) -> bool:
+    """Whether a target is known to be a number in the messages of its channel."""
+    return target.field in channel.fields or _acts_on_rows("number", target, channel)
+
+
+def _is_readable(target: Target, channel: Channel) -> bool:
+    if is_number(target, channel):
         return True
     return target.field == "count" and channel.kind in _COUNTED
 

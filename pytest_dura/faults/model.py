@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
@@ -15,6 +15,9 @@ from pytest_dura.faults.activation import Activation
 from pytest_dura.faults.duration import Duration
 from pytest_dura.faults.parts import FaultPart
 from pytest_dura.faults.targets import Target
+
+if TYPE_CHECKING:
+    from pytest_dura.faults.channels import Channel
 
 Kind = Literal["number", "any", "command", "objects", "image", "pose", "signs"]
 """What a type of fault can act on: a number in a channel or command, any value at all, a command,
@@ -96,6 +99,13 @@ class Fault(FaultPart, ABC):
     def place(self) -> Target:
         """The target, read."""
         return Target.parse(self.target)
+
+    def check_parameters(self, channel: Channel) -> None:
+        """Refuse parameters that do not suit the channel, which the target does.
+
+        Raises:
+            ConfigurationError: With what would.
+        """
 
     def begin(self, value: Any, moment: Moment) -> Any:  # noqa: ARG002 - for those who override it
         """What the fault remembers from its activation on: ``None`` if it cannot act yet.

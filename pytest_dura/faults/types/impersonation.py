@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+import difflib
 import math
-from typing import Annotated, Any, ClassVar, Literal, TypeAlias
+from typing import Annotated, Any, ClassVar, Literal, NoReturn, TypeAlias
 
 from pydantic import BeforeValidator, Field, model_validator
 
+from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.faults.channels import Channel, is_number
 from pytest_dura.faults.model import Kind, Moment
 from pytest_dura.faults.parts import FaultPart, Positive
-from pytest_dura.faults.targets import part_of, resolved, with_part
+from pytest_dura.faults.targets import Target, part_of, resolved, with_part
 from pytest_dura.faults.types.base import ListedFault
+
+_COLUMNS = ("numbers", "pose", "array")
+"""Kinds of channels of which it is known where they hold numbers."""
+_HOLD_MORE = (*_COLUMNS, "objects", "image", "signs")
+"""Kinds of channels whose message is more than one plain value."""
 
 
 def _plain(value: Any) -> Any:
@@ -84,6 +92,52 @@ class Masquerade(ListedFault):
     parameters: MasqueradeParameters = MasqueradeParameters()
 
     acts_on: ClassVar[Kind] = "any"
+
+    def check_parameters(self, channel: Channel) -> None:
+        """Refuse what no message of the channel holds.
+
+        What is in its objects, pictures and signs, and in other values, is not known beforehand.
+        """
+        given, place = self.parameters, self.place
+        if given.value is not None:
+            if is_number(place, channel):
+                self._check_number("value", given.value)
+            elif channel.kind in _HOLD_MORE and not place.field:
+                remedy = "name one field as the target, or give `forged`"
+                self._refuse("value", given.value, "is a whole message", "`forged`", remedy)
+        for name, forged in given.forged.items():
+            self._check_field(channel, name, forged)
+
+    def _check_field(self, channel: Channel, name: str, forged: object) -> None:
+        field = self.place.field
+        if is_number(self.place, channel):
+            self._refuse("forged", name, "is a part of a number", "`value`", "give `value`")
+        path = f"{field}.{name}" if field else name
+        if channel.kind in _COLUMNS and is_number(Target(self.place.channel, path), channel):
+            self._check_number("forged", forged)
+        elif channel.kind in (*_COLUMNS, "objects"):
+            known = ", ".join(channel.fields) or ("<row>.<column>" if channel.columns else "")
+            near = difflib.get_close_matches(name, channel.fields, n=1)
+            remedy = f"did you mean {near[0]!r}?" if near else "name a number of the message"
+            expected = f"one of {known}" if known else "another target, with fields"
+            self._refuse(
+                "forged", name, f"is no number in {self.place.channel!r}", expected, remedy
+            )
+
+    def _check_number(self, key: str, forged: object) -> None:
+        if isinstance(forged, (bool, str)):
+            self._refuse(
+                key, forged, "is no number, where one belongs", "a number", "give a number"
+            )
+
+    def _refuse(self, key: str, found: object, why: str, expected: str, remedy: str) -> NoReturn:
+        raise ConfigurationError(
+            f"the fault {self.id!r} cannot be used: what is forged {why}",
+            key=f"parameters.{key}",
+            found=found,
+            expected=expected,
+            remedy=remedy,
+        )
 
     def begin(self, value: Any, moment: Moment) -> tuple[Any]:  # noqa: ARG002 - as Fault has it
         """The forged message.
