@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from typing import Any
 
 import pytest
@@ -22,6 +23,7 @@ from pytest_dura.driving.plausible import (
     own_speed,
     returns,
 )
+from pytest_dura.driving.roles.performance import DrivingOracle
 from pytest_dura.driving.roles.safety import SEPARATION_CAP, SeparationMonitor
 from pytest_dura.driving.roles.security import PlausibilityAssessor
 
@@ -168,6 +170,16 @@ def test_imu_and_radar_are_alerted_and_are_no_matter_of_safety(
     assert (f"out_of_range:{channel}", channel) in patterns(percept)
     assert [one.detail for one in out_of_range(percept)] == [told]
     assert doubtful(percept) == []
+
+
+def test_what_the_oracle_measures_stays_finite_and_fails() -> None:
+    oracle, views = DrivingOracle(), Views()
+    oracle.reset(RoleContext(1, 0.1, {}))
+    oracle.run(views.role(altered("imu", acceleration=-sys.float_info.max)))
+    found = oracle.run(views.role(altered("imu", acceleration=sys.float_info.max), "proceed"))
+    assert found.values["acceleration"] == 50.0
+    assert found.values["jerk"] == pytest.approx(1000.0)
+    assert {"acceleration", "jerk"} <= set(found.performance_fail)
 
 
 WORLD: dict[str, Any] = {
