@@ -55,7 +55,8 @@ class _Columns:
         """Whether all numbers are within; several roles ask in turn, so that an answer is kept."""
         last, answer = self._last
         if last is not data:
-            answer = bool(((data >= self.low) & (data <= self.high)).all())
+            within = (data >= self.low) & (data <= self.high)
+            answer = b"\0" not in within.tobytes()  # for a few rows quicker than all()
             # Who may still write into it could change the answer.
             self._last = (None if data.flags.writeable else data), answer
         return answer
@@ -99,7 +100,7 @@ def own_pose(percept: Mapping[str, Any]) -> Pose:
     """Of the channel localisation."""
     pose: Pose = percept["localisation"]
     x, y, heading = pose
-    if -PLACE <= x <= PLACE and -PLACE <= y <= PLACE and -ANGLE <= heading <= ANGLE:
+    if _is_place(x, y, heading):
         return pose
     return Pose(_within(x, -PLACE, PLACE), _within(y, -PLACE, PLACE), _angle(heading))
 
@@ -107,7 +108,7 @@ def own_pose(percept: Mapping[str, Any]) -> Pose:
 def own_speed(percept: Mapping[str, Any]) -> float:
     """Of the channel odometry, in m/s."""
     speed: float = percept["odometry"].speed
-    return _within(speed, *SPEED)
+    return speed if SPEED[0] <= speed <= SPEED[1] else _within(speed, *SPEED)
 
 
 def own_motion(percept: Mapping[str, Any]) -> Imu:
@@ -173,15 +174,20 @@ def doubtful(percept: Mapping[str, Any]) -> list[Absurd]:
 
     Objects are no matter of doubt whose place is so far away that they cannot be near.
     """
-    return [one for one in _judged_by(percept) if not one.far]
+    found = _judged_by(percept)
+    return [one for one in found if not one.far] if found else found
+
+
+def _is_place(x: float, y: float, heading: float) -> bool:
+    return -PLACE <= x <= PLACE and -PLACE <= y <= PLACE and -ANGLE <= heading <= ANGLE
 
 
 def _judged_by(percept: Mapping[str, Any]) -> list[Absurd]:
     found = []
-    if own_pose(percept) is not percept["localisation"]:
-        found.append(_beyond("localisation", percept["localisation"], (PLACE, PLACE, ANGLE)))
-    speed = percept["odometry"].speed
-    if own_speed(percept) != speed:
+    pose, speed = percept["localisation"], percept["odometry"].speed
+    if not _is_place(*pose):
+        found.append(_beyond("localisation", pose, (PLACE, PLACE, ANGLE)))
+    if not SPEED[0] <= speed <= SPEED[1]:
         found.append(Absurd("odometry", "odometry", _told({"speed": speed})))
     bodies: BodyList = percept["lidar"]
     if not _BODIES.hold(bodies.data):

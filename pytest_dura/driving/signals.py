@@ -84,13 +84,14 @@ def percept_signals(percepts: Sequence[Percept]) -> dict[str, Floats]:
     """
     poses = np.array([own_pose(percept) for percept in percepts], dtype=float)
     speed = np.array([own_speed(percept) for percept in percepts], dtype=float)
-    bodies = [objects(percept) for percept in percepts]
+    # One after the other, so that each list of objects is looked through once.
+    seen = [(objects(percept), bool(doubtful(percept))) for percept in percepts]
+    bodies, unknown = [one for one, _ in seen], [doubt for _, doubt in seen]
     x, y, heading = poses.T
     gap, ttc = proximity(_moving(x, y, heading, speed), bodies)
     route = percepts[0]["map"].route
     s, _, _ = route.project_all(poses[:, :2])
     leader_gap = leaders(route, s, bodies).gap
-    unknown = [bool(doubtful(percept)) for percept in percepts]
     for column in (gap, ttc, leader_gap):
         column[unknown] = 0.0
     return {"gap": gap, "ttc": ttc, "leader_gap": leader_gap, "speed": speed}
