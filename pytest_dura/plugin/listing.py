@@ -48,6 +48,8 @@ def show_list(session: DuraSession) -> int:
         lines += [f"  {name}: {path}" for name, path in domain.generators.items()]
         lines += ["", f"recovery planners of the domain {alias} (for `roles` in a scenario)"]
         lines += [f"  {name}: {path}" for name, path in domain.recovery_planners.items()]
+        lines += ["", f"residual monitors of the domain {alias} (for `roles` in a scenario)"]
+        lines += [f"  {name}: {path}" for name, path in domain.residual_monitors.items()]
     lines += ["", f"would run with --dura-scenarios, base seed {options.seed}"]
     episodes = 0
     for planned in session.plan:

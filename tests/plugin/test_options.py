@@ -107,7 +107,7 @@ def test_list_shows_everything_and_runs_nothing(project):
             "      3 runs, 2 s each, faults: none",
             "      requirements: GAP-1, GO-1",
             "  intersection/ghost-obstacle:*",
-            "  ghost-obstacle",
+            "  ghost-obstacle (objects): *",
             "  GAP-1 (safety): It touches nothing.",
             "  safety_monitor: *",
             "  rule_based: *",

@@ -11,7 +11,6 @@ from pathlib import Path
 import pytest
 from corridors import IDLE, expect, requirement, scenario
 
-
 RULES = {
     "the Generator raises, exceeds its time budget, or returns no valid action": [
         "test_what_counts.py::test_a_generator_that_fails_is_an_event_and_the_episode_is_judged",

@@ -105,7 +105,7 @@ class Push(RecoveryPlanner):
 
 
 class Nudge(FaultInjector):
-    """Adds a millimetre to the gap that is perceived, once the time of the planned fault is past."""
+    """Adds a millimetre to the gap that is perceived, once the planned fault's time is past."""
 
     def reset(self, context):
         self.faults = context.faults
