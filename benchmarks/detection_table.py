@@ -32,7 +32,7 @@ from pytest_dura.core.roles import RoleSpec
 
 Roles = dict[str, RoleSpec | None]
 DRIVING = DOMAINS["driving"]
-MONITOR = RoleSpec(DRIVING.residual_monitors["cusum"])
+MONITOR = RoleSpec(DRIVING.short_names["residual_monitor"]["cusum"])
 ARMS: dict[str, Roles] = {
     "plausibility": {},
     "residuals": {"security_assessor": None, "residual_monitor": MONITOR},
@@ -66,7 +66,7 @@ class Outcome:
 
 def roles_of(generator: str, arm: str) -> Roles:
     """The roles of an arm, without recovery."""
-    component = RoleSpec(DRIVING.generators[generator])
+    component = RoleSpec(DRIVING.short_names["generator"][generator])
     return {"generator": component, "recovery_planner": None, **ARMS[arm]}
 
 
@@ -156,7 +156,9 @@ def false_alarms(found: list[tuple[str, Outcome]]) -> list[list[str]]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--scenario", default="intersection/nominal")
-    parser.add_argument("--generator", default="rule_based", choices=DRIVING.generators)
+    parser.add_argument(
+        "--generator", default="rule_based", choices=DRIVING.short_names["generator"]
+    )
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--free-runs", type=int, default=20, help="per scenario, without faults")
     parser.add_argument("--free-scenarios", nargs="+", help="those without faults; default: all")
@@ -177,7 +179,7 @@ def main() -> None:
     ]
     with ProcessPoolExecutor(options.jobs) as pool:
         found = dict(zip([*planned, *free], pool.map(run, [*planned, *free]), strict=True))
-    component = RoleSpec(DRIVING.generators[options.generator])
+    component = RoleSpec(DRIVING.short_names["generator"][options.generator])
     read = channels_read(options.scenario, component, options.seed)
     by_fault = [{job.arm: found[job] for job in planned if job.fault == fault} for fault in faults]
     rows = [*(detection(arms, read) for arms in by_fault), summary(by_fault)]

@@ -31,7 +31,7 @@ def judged(planner: str, *, recovers: bool, scenario: str, budget: int) -> list[
     """One row per method; each simulates its own episodes, on the same seeds."""
     library = load_library([])
     roles: dict[str, RoleSpec | None]
-    roles = {"generator": RoleSpec(DOMAINS["driving"].generators[planner])}
+    roles = {"generator": RoleSpec(DOMAINS["driving"].short_names["generator"][planner])}
     if not recovers:
         roles["recovery_planner"] = None
     name = planner if recovers else f"{planner}, no recovery"

@@ -52,8 +52,8 @@ def run(job: Job) -> list[Link]:
     """The causal chains of a job."""
     library = load_library([])
     roles: dict[str, RoleSpec | None] = {
-        "generator": RoleSpec(DRIVING.generators[job.planner]),
-        "residual_monitor": RoleSpec(DRIVING.residual_monitors["cusum"]),
+        "generator": RoleSpec(DRIVING.short_names["generator"][job.planner]),
+        "residual_monitor": RoleSpec(DRIVING.short_names["residual_monitor"]["cusum"]),
     }
     bench = Bench(lambda: library, base_seed=job.seed, roles=roles)
     found = []
@@ -109,7 +109,9 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--planners", nargs="+", default=PLANNERS, choices=DRIVING.generators)
+    parser.add_argument(
+        "--planners", nargs="+", default=PLANNERS, choices=DRIVING.short_names["generator"]
+    )
     parser.add_argument("--faults", nargs="+", default=["catalogue"])
     options = parser.parse_args()
     planned = [
@@ -134,7 +136,9 @@ control back in n. A fault of a channel that a planner does not read cannot reac
 changed nothing, such as an object list without objects, is not manifested. Without a violation
 such runs are invalid, unless their hits are drawn.
 """)
-    generators = {planner: RoleSpec(DRIVING.generators[planner]) for planner in options.planners}
+    generators = {
+        planner: RoleSpec(DRIVING.short_names["generator"][planner]) for planner in options.planners
+    }
     reads = {
         planner: channels_read(options.scenario, component, options.seed)
         for planner, component in generators.items()

@@ -56,7 +56,7 @@ def run(job: tuple[Key, str, int]) -> tuple[Key, Outcome]:
     """One episode."""
     key, generator, base_seed = job
     scenario, attacked, policy, number = key
-    roles = {"generator": RoleSpec(DOMAINS["driving"].generators[generator])}
+    roles = {"generator": RoleSpec(DOMAINS["driving"].short_names["generator"][generator])}
     case = case_of(scenario, attacked)
     spec = case.spec(number, base_seed, roles, policy=policy)
     episode = Orchestrator.build(spec).run(spec)

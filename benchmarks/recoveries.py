@@ -29,7 +29,7 @@ from pytest_dura.driving.measures import clearance_time
 from pytest_dura.requirements.statistics import mcnemar
 
 OFF = "off"
-PLANNERS = tuple(DOMAINS["driving"].recovery_planners)
+PLANNERS = tuple(DOMAINS["driving"].short_names["recovery_planner"])
 Key = tuple[str, str, int]
 """Scenario, planner or ``off``, run."""
 

@@ -65,7 +65,9 @@ def tapes(runs: int, seed: int, select: list[str]) -> Iterator[tuple[Tape, float
         for planner in PLANNERS:
             for run in range(runs):
                 recorder = Recorder()
-                roles = {"generator": RoleSpec(DOMAINS["driving"].generators[planner])}
+                roles = {
+                    "generator": RoleSpec(DOMAINS["driving"].short_names["generator"][planner])
+                }
                 spec = case.spec(run, seed, {**roles, "recorder": RoleSpec.of(recorder)})
                 episode = Orchestrator.build(spec).run(spec)
                 if episode.failure is not None:

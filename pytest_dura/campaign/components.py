@@ -92,7 +92,11 @@ def generator_option(text: str) -> RoleSpec:
         ConfigurationError: If there is none, or it is no Generator.
     """
     key = "--dura-generator"
-    short = {name: path for one in DOMAINS.values() for name, path in one.generators.items()}
+    short = {
+        name: path
+        for one in DOMAINS.values()
+        for name, path in one.short_names.get("generator", {}).items()
+    }
     if ":" not in text and text not in short:
         raise ConfigurationError(
             f"unknown generator {text!r}",

@@ -17,9 +17,8 @@ class Domain:
     Args:
         simulator: Of the simulator's class.
         roles: Of the default roles, by role name.
-        generators: Of Generators that have a short name.
-        recovery_planners: Of RecoveryPlanners that have a short name.
-        residual_monitors: The same for a role `residual_monitor`, which no scenario has by default.
+        short_names: Of what has a short name, by role name. A role may be known by short names
+            alone and be in no scenario by default.
         world: Of the pydantic model of ``world``, for editors and for messages.
         signals: Of the names of the ground-truth signals.
         percept_signals: Of the names of the percept signals, without the prefix ``percept.``.
@@ -29,23 +28,12 @@ class Domain:
 
     simulator: str
     roles: Mapping[str, str] = field(default_factory=dict)
-    generators: Mapping[str, str] = field(default_factory=dict)
-    recovery_planners: Mapping[str, str] = field(default_factory=dict)
-    residual_monitors: Mapping[str, str] = field(default_factory=dict)
+    short_names: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     world: str | None = None
     signals: str | None = None
     percept_signals: str | None = None
     channels: str | None = None
     fault_targets: str | None = None
-
-    def short_names(self, role: str) -> Mapping[str, str]:
-        """Import paths by short name of what can serve as a role; none for most roles."""
-        known = {
-            "generator": self.generators,
-            "recovery_planner": self.recovery_planners,
-            "residual_monitor": self.residual_monitors,
-        }
-        return known.get(role, {})
 
 
 _PLANNERS = "pytest_dura.driving.roles.planners"
@@ -62,20 +50,22 @@ DOMAINS: dict[str, Domain] = {
             "performance_oracle": "pytest_dura.driving.roles.performance:DrivingOracle",
             "recovery_planner": f"{_RECOVERY}:EmergencyBrake",
         },
-        generators={
-            "rule_based": f"{_PLANNERS}:RuleBased",
-            "reactive": f"{_PLANNERS}:Reactive",
-            "aggressive": f"{_PLANNERS}:Aggressive",
-            "random": f"{_PLANNERS}:RandomPlanner",
+        short_names={
+            "generator": {
+                "rule_based": f"{_PLANNERS}:RuleBased",
+                "reactive": f"{_PLANNERS}:Reactive",
+                "aggressive": f"{_PLANNERS}:Aggressive",
+                "random": f"{_PLANNERS}:RandomPlanner",
+            },
+            "recovery_planner": {
+                "emergency_brake": f"{_RECOVERY}:EmergencyBrake",
+                "safe_stop": f"{_RECOVERY}:SafeStop",
+                "replan": f"{_RECOVERY}:Replan",
+                "ignore_untrusted": f"{_RECOVERY}:IgnoreUntrusted",
+                "alert": f"{_RECOVERY}:AlertOnly",
+            },
+            "residual_monitor": {"cusum": "pytest_dura.driving.roles.residuals:ResidualMonitor"},
         },
-        recovery_planners={
-            "emergency_brake": f"{_RECOVERY}:EmergencyBrake",
-            "safe_stop": f"{_RECOVERY}:SafeStop",
-            "replan": f"{_RECOVERY}:Replan",
-            "ignore_untrusted": f"{_RECOVERY}:IgnoreUntrusted",
-            "alert": f"{_RECOVERY}:AlertOnly",
-        },
-        residual_monitors={"cusum": "pytest_dura.driving.roles.residuals:ResidualMonitor"},
         world="pytest_dura.driving.scenario:DrivingWorld",
         signals="pytest_dura.driving.signals:NAMES",
         percept_signals="pytest_dura.driving.signals:PERCEPT_NAMES",
@@ -119,7 +109,7 @@ def role_spec(role: str, spec: RoleSpec, domain: Domain | None) -> RoleSpec:
     """
     if ":" in spec.path:
         return spec
-    known = domain.short_names(role) if domain is not None else {}
+    known = domain.short_names.get(role, {}) if domain is not None else {}
     if spec.path in known:
         return RoleSpec(known[spec.path], spec.params)
     names = ", ".join(sorted(known))

@@ -44,12 +44,10 @@ def show_list(session: DuraSession) -> int:
     for alias, domain in DOMAINS.items():
         lines += ["", f"roles of the domain {alias} (override the fixture of that name)"]
         lines += [f"  {role}: {path}" for role, path in domain.roles.items()]
-        lines += ["", f"generators of the domain {alias} (for --dura-generator)"]
-        lines += [f"  {name}: {path}" for name, path in domain.generators.items()]
-        lines += ["", f"recovery planners of the domain {alias} (for `roles` in a scenario)"]
-        lines += [f"  {name}: {path}" for name, path in domain.recovery_planners.items()]
-        lines += ["", f"residual monitors of the domain {alias} (for `roles` in a scenario)"]
-        lines += [f"  {name}: {path}" for name, path in domain.residual_monitors.items()]
+        for role, names in domain.short_names.items():
+            use = "--dura-generator" if role == "generator" else "`roles` in a scenario"
+            lines += ["", f"short names of {role} in the domain {alias} (for {use})"]
+            lines += [f"  {name}: {path}" for name, path in names.items()]
     lines += ["", f"would run with --dura-scenarios, base seed {options.seed}"]
     episodes = 0
     for planned in session.plan:

@@ -24,10 +24,10 @@ from pytest_dura.driving.signals import percept_at, percept_signals
 
 DRIVING = DOMAINS["driving"]
 PATHS = {
-    **DRIVING.generators,
+    **DRIVING.short_names["generator"],
     **{name: path for name, path in DRIVING.roles.items() if name != "fault_injector"},
-    **DRIVING.recovery_planners,
-    **DRIVING.residual_monitors,
+    **DRIVING.short_names["recovery_planner"],
+    **DRIVING.short_names["residual_monitor"],
 }
 LARGEST = sys.float_info.max
 

@@ -187,7 +187,7 @@ def spec_of_drive(
     domain = DOMAINS["driving"]
     chosen: dict[str, RoleSpec | None] = {n: RoleSpec(path) for n, path in domain.roles.items()}
     if isinstance(generator, str):
-        generator = RoleSpec(domain.generators.get(generator, generator))
+        generator = RoleSpec(domain.short_names["generator"].get(generator, generator))
     chosen["generator"] = generator
     chosen.update(roles or {})
     return EpisodeSpec(

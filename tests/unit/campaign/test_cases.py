@@ -220,7 +220,7 @@ def test_roles_given_come_before_the_scenarios_before_the_domains() -> None:
 
 @pytest.mark.parametrize("role", ["generator", "recovery_planner"])
 def test_short_names_of_roles(role: str) -> None:
-    names = DOMAINS["driving"].short_names(role)
+    names = DOMAINS["driving"].short_names[role]
     assert len(names) >= 4
     for name, path in names.items():
         given = only(make()).spec(0, 1, {role: RoleSpec(name)})
@@ -278,7 +278,6 @@ def test_a_simulator_given_from_outside_replaces_the_scenarios() -> None:
 @pytest.mark.parametrize("domain", DOMAINS.values(), ids=DOMAINS)
 def test_everything_that_a_domain_names_can_be_built(domain: Any) -> None:
     assert RoleSpec(domain.simulator).create()
-    paths = [*domain.roles.values(), *domain.generators.values()]
-    paths += domain.recovery_planners.values()
-    for path in paths:
+    short = [path for names in domain.short_names.values() for path in names.values()]
+    for path in [*domain.roles.values(), *short]:
         assert RoleSpec(path).create()

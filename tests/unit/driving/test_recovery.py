@@ -46,7 +46,7 @@ from pytest_dura.driving.roles.recovery import (
 from pytest_dura.driving.roles.recovery.outlook import SecondOpinion
 from pytest_dura.driving.roles.safety import SeparationMonitor
 
-PLANNERS = DOMAINS["driving"].recovery_planners
+PLANNERS = DOMAINS["driving"].short_names["recovery_planner"]
 NORTH = -math.pi / 2
 """The heading of an ego that comes from the south; it drives on x = 2 and has y = 111 - s."""
 

@@ -23,7 +23,7 @@ from pytest_dura.driving.maneuvers import Command, Maneuver
 from pytest_dura.driving.residuals import ACTUATOR_SLEW, Snapshot, residuals
 from pytest_dura.driving.roles.residuals import LIMITS, ResidualMonitor
 
-MONITOR = RoleSpec(DOMAINS["driving"].residual_monitors["cusum"])
+MONITOR = RoleSpec(DOMAINS["driving"].short_names["residual_monitor"]["cusum"])
 TURNS = {"left": 1.0, "straight": 0.01, "right": 1.0}
 BUSY = {
     "ego": {"distance": 30.0, "speed": 6.0, "turn": "left"},
@@ -88,7 +88,7 @@ def test_the_model_of_the_ego_is_exact_while_all_is_well(maneuver: str) -> None:
 @pytest.mark.parametrize("name", SIX)
 def test_no_false_alarms_in_clean_episodes(name: str) -> None:
     (case,) = expand_cases([load_scenarios([SCENARIOS / "intersection"])[name]], ["none"])
-    component = RoleSpec(DOMAINS["driving"].generators["random"])
+    component = RoleSpec(DOMAINS["driving"].short_names["generator"]["random"])
     episode = run(case.spec(0, 2024, {"generator": component, "residual_monitor": MONITOR}))
     assert episode.failure is None
     assert episode.metrics.alert_ticks["residual_monitor"] == []
