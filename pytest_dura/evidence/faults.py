@@ -19,6 +19,16 @@ UNFOLLOWED: Data = {
 """The rest of the chain where no verdict asked for it."""
 
 
+RATES: Mapping[str, tuple[str, str]] = {
+    "activation": ("activated", "run"),
+    "manifestation": ("manifested", "run"),
+    "propagation": ("propagated", "followed"),
+    "detection": ("detected", "manifested"),
+    "recovery": ("recovered", "recovery"),
+}
+"""Each rate's counts: how many did, of how many that could."""
+
+
 def with_chains(episode: Data, chains: Mapping[str, Data]) -> dict[str, Any]:
     """An episode's record with what is known of each of its faults, by fault id."""
     faults = []
@@ -34,7 +44,9 @@ def fault_metrics(episodes: Sequence[Data]) -> list[dict[str, Any]]:
     ``activated`` and ``manifested`` are counted over all episodes that were run, what follows over
     those in which the fault manifested: ``propagated`` beside ``followed``, in which that is known,
     ``detected``, ``recovery`` (recovery acted), ``recovered`` (control was handed back) and
-    ``violated``. Latencies are seconds from the manifestation on: to the alert, to the first
+    ``violated``. Rates are shares of those that could: of activation and manifestation over all
+    runs, of propagation over those followed, of detection over those manifested, of recovery over
+    those in which it acted; ``None`` where there are none. Latencies are seconds from the manifestation on: to the alert, to the first
     recovery action, and from there until the proposal was acceptable again.
     """
     columns: dict[str, list[Data]] = {}
@@ -46,9 +58,7 @@ def fault_metrics(episodes: Sequence[Data]) -> list[dict[str, Any]]:
 
 def _of_fault(name: str, found: Sequence[Data]) -> dict[str, Any]:
     reached = [one for one in found if one["manifested_at"] is not None]
-    return {
-        "id": name,
-        "target": found[0]["target"],
+    counts = {
         "run": len(found),
         "activated": sum(one["activated_at"] is not None for one in found),
         "manifested": len(reached),
@@ -58,6 +68,15 @@ def _of_fault(name: str, found: Sequence[Data]) -> dict[str, Any]:
         "recovery": sum(one["recovery_at"] is not None for one in reached),
         "recovered": sum(one["recovered_at"] is not None for one in reached),
         "violated": sum(one["outcome"] == "violated" for one in found),
+    }
+    return {
+        "id": name,
+        "target": found[0]["target"],
+        **counts,
+        "rates": {
+            rate: counts[part] / counts[whole] if counts[whole] else None
+            for rate, (part, whole) in RATES.items()
+        },
         "detection_latency": _latency(reached, "manifested_at", "detected_at"),
         "recovery_latency": _latency(reached, "manifested_at", "recovery_at"),
         "time_to_recover": _latency(reached, "recovery_at", "recovered_at"),

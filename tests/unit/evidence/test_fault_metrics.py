@@ -40,6 +40,14 @@ def test_each_step_is_counted_over_those_that_could_take_it() -> None:
         "recovered", "violated",
     )  # fmt: skip
     assert [found[key] for key in keys] == [5, 4, 3, 2, 1, 2, 1, 1, 1]
+    assert found["rates"] == {
+        "activation": 4 / 5,
+        "manifestation": 3 / 5,
+        "propagation": 1 / 2,
+        "detection": 2 / 3,
+        "recovery": 1.0,
+    }
+    assert metrics(IDLE)["rates"]["propagation"] is None
 
 
 def test_latencies_run_from_the_manifestation() -> None:
