@@ -46,8 +46,9 @@ def fault_metrics(episodes: Sequence[Data]) -> list[dict[str, Any]]:
     ``detected``, ``recovery`` (recovery acted), ``recovered`` (control was handed back) and
     ``violated``. Rates are shares of those that could: of activation and manifestation over all
     runs, of propagation over those followed, of detection over those manifested, of recovery over
-    those in which it acted; ``None`` where there are none. Latencies are seconds from the manifestation on: to the alert, to the first
-    recovery action, and from there until the proposal was acceptable again.
+    those in which it acted; ``None`` where there are none. Latencies are seconds from the
+    manifestation on: to the alert, to the first recovery action, and from there until the proposal
+    was acceptable again.
     """
     columns: dict[str, list[Data]] = {}
     for episode in episodes:
