@@ -20,7 +20,7 @@ SMALLEST = {
     "early_decision.py": ["--budget", "3"],
     "fault_table.py": ["--runs", "1", "--jobs", "1", "--faults", "bias", "brightness"],
     "against_gym.py": ["--episodes", "1"],
-    "injector_cost.py": ["--runs", "1", "--repeats", "1"],
+    "injector_cost.py": ["--runs", "1", "--repeats", "1", "--select", "*/nominal"],
     "loop_cost.py": ["--runs", "1", "--repeats", "1"],
     "paper_table.py": ["--runs", "2", "--jobs", "1"],
     "plugin_cost.py": ["--repeats", "1"],
