@@ -17,6 +17,7 @@ from pytest_dura.campaign.fault_campaigns import (
     Faults,
     alternatives,
 )
+from pytest_dura.campaign.fault_grids import check_number
 from pytest_dura.campaign.planned_faults import own_fault, parsed
 from pytest_dura.campaign.problems import did_you_mean
 from pytest_dura.campaign.scenario import Scenario
@@ -261,7 +262,11 @@ def _planned(
     chosen = campaigns if campaigns is not None else scenario.campaigns
     if campaigns is None and not chosen:
         return [own]
-    return [faults for one in chosen for faults in alternatives(scenario, own, one)]
+    found: list[Faults] = []
+    for one in chosen:
+        found += alternatives(scenario, own, one)
+        check_number(len(found), "faults")
+    return found
 
 
 def _case(scenario: Scenario, own: Faults, planned: Faults) -> Case:

@@ -18,20 +18,16 @@ An entry of a campaign is one of these; each alternative becomes a case:
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Annotated, Any, TypeAlias
+from typing import Any, TypeAlias
 
-from pydantic import AfterValidator, Field, JsonValue, ValidationError
-
-from pytest_dura.campaign import variation
+from pytest_dura.campaign.fault_grids import grid, sample
 from pytest_dura.campaign.planned_faults import check_chains, parsed
 from pytest_dura.campaign.problems import did_you_mean, placed
-from pytest_dura.campaign.scenario import Entry, Scenario, Variation, not_empty
-from pytest_dura.campaign.validation import translate
+from pytest_dura.campaign.scenario import Scenario
 from pytest_dura.campaign.yaml_source import Document, read_yaml
 from pytest_dura.core.errors import ConfigurationError
 
@@ -40,32 +36,10 @@ FaultCampaign: TypeAlias = OneFault | Sequence[OneFault]
 """What stands in a list of fault campaigns; see the module."""
 Faults: TypeAlias = tuple[dict[str, Any], ...]
 
-Values = Annotated[tuple[JsonValue, ...], Field(strict=False), AfterValidator(not_empty)]
-
 NO_FAULTS = "none"
 CATALOGUE = "catalogue"
-
-
-class FaultGrid(Entry):
-    """Every combination of values."""
-
-    fault: dict[str, JsonValue]
-    """The fault, without what the grid varies."""
-    grid: dict[str, Values]
-    """Keys of the fault, such as `parameters.offset`, to their values."""
-
-
-class FaultSample(Entry):
-    """Faults with random values."""
-
-    fault: dict[str, JsonValue]
-    """The fault, without what is drawn."""
-    sample: dict[str, Variation]
-    """Keys of the fault, such as `parameters.offset`, to a range or a choice."""
-    count: int = Field(ge=1, le=10_000)
-    """How many faults."""
-    seed: int = Field(default=0, ge=0)
-    """From which all draws follow."""
+GLOB = "*?["
+"""Characters that make a name a glob."""
 
 
 @dataclass(frozen=True)
@@ -128,9 +102,9 @@ def alternatives(scenario: Scenario, own: Faults, campaign: object) -> list[Faul
         return _by_name(scenario, own, campaign)
     if isinstance(campaign, Mapping):
         if "grid" in campaign:
-            return [(fault,) for fault in _grid(scenario, _model(FaultGrid, campaign))]
+            return [_alone(fault) for fault in grid(scenario, campaign)]
         if "sample" in campaign:
-            return [(fault,) for fault in _sample(scenario, _model(FaultSample, campaign))]
+            return [_alone(fault) for fault in sample(scenario, campaign)]
         campaign = [campaign]
     if not isinstance(campaign, Sequence) or not _are_faults(campaign):
         raise ConfigurationError(
@@ -144,7 +118,13 @@ def alternatives(scenario: Scenario, own: Faults, campaign: object) -> list[Faul
 
 
 def _are_faults(campaign: Sequence[Any]) -> bool:
-    return all(isinstance(one, (str, Mapping)) for one in campaign)
+    # An empty list would read as a campaign, and be a run without any fault.
+    return bool(campaign) and all(isinstance(one, (str, Mapping)) for one in campaign)
+
+
+def _alone(fault: dict[str, Any]) -> Faults:
+    check_chains([fault])
+    return (fault,)
 
 
 def _by_name(scenario: Scenario, own: Faults, text: str) -> list[Faults]:
@@ -152,7 +132,7 @@ def _by_name(scenario: Scenario, own: Faults, text: str) -> list[Faults]:
         return [()]
     matched = _matching(scenario, text)
     if matched is not None:
-        return [(_named(scenario, own, name),) for name in matched]
+        return [_alone(_named(scenario, own, name)) for name in matched]
     return [_together(scenario, own, text.split("+"))]
 
 
@@ -178,7 +158,7 @@ def _usable(scenario: Scenario, name: str) -> bool:
 
 def _matching(scenario: Scenario, text: str) -> list[str] | None:
     """The types that ``catalogue`` or a glob stands for; ``None`` for anything else."""
-    if text != CATALOGUE and not set(text) & set("*?["):
+    if text != CATALOGUE and not set(text) & set(GLOB):
         return None
     usable = catalogue_for(scenario)
     if not usable:
@@ -226,6 +206,14 @@ def _named(scenario: Scenario, own: Faults, name: str) -> dict[str, Any]:
     if name in FAULT_TYPES:
         return parsed(scenario, {"type": name, **fault_class(name).example()})
     known = {*FAULT_TYPES, *(fault["id"] for fault in own)}
+    if name in (NO_FAULTS, CATALOGUE) or set(name) & set(GLOB):
+        raise ConfigurationError(
+            f"{name!r} is a campaign by itself, and no fault among others",
+            key="faults",
+            found=name,
+            expected="one of " + ", ".join(sorted(known)),
+            remedy=f"make {name!r} an entry of its own",
+        )
     raise ConfigurationError(
         f"unknown fault {name!r}",
         key="faults",
@@ -233,58 +221,3 @@ def _named(scenario: Scenario, own: Faults, name: str) -> dict[str, Any]:
         expected=f"{NO_FAULTS}, {CATALOGUE}, or one of " + ", ".join(sorted(known)),
         remedy=did_you_mean(name, {*known, NO_FAULTS, CATALOGUE}),
     )
-
-
-def _grid(scenario: Scenario, given: FaultGrid) -> Iterator[dict[str, Any]]:
-    names = _short_names(list(given.grid))
-    for values in itertools.product(*given.grid.values()):
-        suffix = "".join(
-            f"-{name}={_told(value)}" for name, value in zip(names, values, strict=True)
-        )
-        yield _varied(scenario, given.fault, dict(zip(given.grid, values, strict=True)), suffix)
-
-
-def _sample(scenario: Scenario, given: FaultSample) -> Iterator[dict[str, Any]]:
-    for number in range(given.count):
-        values = {
-            path: variation.draw(f"{number}:{path}", spread, given.seed)
-            for path, spread in given.sample.items()
-        }
-        yield _varied(scenario, given.fault, values, f"-sample{given.seed}.{number}")
-
-
-def _varied(
-    scenario: Scenario, base: Mapping[str, Any], values: Mapping[str, Any], suffix: str
-) -> dict[str, Any]:
-    data: Any = {"id": base.get("id", base.get("type", "")), **base}
-    for path, value in values.items():
-        data = _with(data, path.split("."), value)
-    return parsed(scenario, {**data, "id": f"{data['id']}{suffix}"})
-
-
-def _with(data: Any, path: Sequence[str], value: Any) -> Any:
-    """A copy with the value at a path; mappings on the way are made."""
-    if not path:
-        return value
-    inner = data if isinstance(data, Mapping) else {}
-    return {**inner, path[0]: _with(inner.get(path[0]), path[1:], value)}
-
-
-def _short_names(paths: Sequence[str]) -> list[str]:
-    """The last part of each path; the whole of it where two end alike."""
-    last = [path.rpartition(".")[2] for path in paths]
-    return [path if last.count(name) > 1 else name for path, name in zip(paths, last, strict=True)]
-
-
-def _told(value: Any) -> str:
-    if isinstance(value, float):
-        return f"{value:g}"
-    text = str(value).lower() if isinstance(value, bool) else str(value)
-    return "".join(one if one.isalnum() or one in "_.-" else "_" for one in text)
-
-
-def _model(model: type[Any], data: Mapping[str, Any]) -> Any:
-    try:
-        return model.model_validate(data)
-    except ValidationError as error:
-        raise translate(error, model, Document()) from None

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 RESERVED = ("none", "catalogue")
 """Names of fault campaigns, which no fault may have."""
+MAX_ID = 200
+"""Characters of an id, which stands in the names of tests and in commands."""
 TOLERANCE = 1e-9
 """s; two simulated times nearer than this are the same."""
 
@@ -49,13 +51,16 @@ def parsed(scenario: Scenario, data: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _check_id(name: str) -> None:
-    """Refuse an id that would read as something else in the id of a case."""
-    if name in RESERVED or set(name) & set("+~#*?["):
+    """Refuse an id that would read as something else in the id of a case, or on a command line."""
+    plain = name.isprintable() and name == name.strip() and len(name) <= MAX_ID
+    misread = set(name) & set("+~#*?[") or "::" in name or name.endswith(".py")
+    if name in RESERVED or misread or not plain:
         raise ConfigurationError(
-            f"a fault cannot have the id {name!r}",
+            f"a fault cannot have the id {name[:MAX_ID]!r}",
             key="id",
-            found=name,
-            expected=f"a name other than {' and '.join(RESERVED)}, without any of + ~ # * ? [",
+            found=repr(name),
+            expected=f"a name other than {' and '.join(RESERVED)}, without any of + ~ # * ? [ ::,"
+            f" of at most {MAX_ID} printable characters, not ending in .py",
             remedy="give it another `id`",
         )
 

@@ -36,7 +36,8 @@ class Reduction:
     Args:
         faults: Ids of the smallest set that was found, in declared order; empty if the requirement
             is violated without any fault.
-        reproduced: Whether the whole set violated it again at all.
+        reproduced: Whether the whole set violated it again at all; ``None`` if the budget ended
+            before that was known.
         smallest: Whether every smaller set was tried, and none violates it.
         one_minimal: Whether every set with one fault less was tried, and none violates it.
         runs: Episodes that were run.
@@ -45,7 +46,7 @@ class Reduction:
     """
 
     faults: FaultSet
-    reproduced: bool
+    reproduced: bool | None
     smallest: bool
     one_minimal: bool
     runs: int
@@ -72,7 +73,11 @@ def reduce_faults(
     """
     trials = _Trials(spec, requirements, run, budget, on_run)
     whole = trials.connected(tuple(fault["id"] for fault in spec.faults))
-    if not trials.violates(whole):
+    try:
+        reproduced = trials.violates(whole)
+    except BudgetUsedUp:
+        return Reduction(whole, None, False, False, trials.runs, None, ())
+    if not reproduced:
         return Reduction(whole, False, False, False, trials.runs, None, ())
     best, one_minimal, smallest = whole, False, False
     try:
@@ -81,7 +86,9 @@ def reduce_faults(
         best = _smallest(whole, best, trials)
         smallest = True
     except BudgetUsedUp:
-        best = min((one for one in trials.violating if len(one) <= len(best)), key=len)
+        # A set whose runs the budget cut short may have violated once by chance.
+        confirmed = (one for one, violates in trials.known.items() if violates)
+        best = min(confirmed, key=len)
         one_minimal = one_minimal or all(_without(best, one) in trials.known for one in best)
     episode, violated = trials.violating[best]
     return Reduction(best, True, smallest, one_minimal, trials.runs, episode, violated)

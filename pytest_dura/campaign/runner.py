@@ -176,9 +176,10 @@ class Bench:
             return self._simulate(case, spec)
 
         twin = self.store.get(spec, lambda _: simulated())
-        # An instance that outlives its episodes may remember the first twin.
-        again = None if any(role.opaque for role in spec.roles.values()) else simulated
-        return causal_chains(episode, requirements, twin, Divergence.of(episode, twin, again))
+        # Not even a bare instance is spared the second twin: one that remembers earlier episodes
+        # differs there as well, and then nothing can be said of the faults.
+        divergence = Divergence.of(episode, twin, simulated)
+        return causal_chains(episode, requirements, twin, divergence)
 
     def campaign(
         self,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
@@ -38,10 +39,13 @@ class Divergence:
         at: Simulated seconds of the first differing proposal; ``None`` if there is none in the
             ticks that both have.
         doubt: Why this says nothing about the faults.
+        until: Simulated seconds of the last proposal that both have, where one of them ended
+            before the other; ``None`` where that does not matter.
     """
 
     at: float | None = None
     doubt: str = ""
+    until: float | None = None
 
     @classmethod
     def of(
@@ -62,7 +66,7 @@ class Divergence:
                 return cls(doubt=f"{one.id} is missing")
         first = _first_difference(episode, twin)
         if first is None:
-            return cls()
+            return cls(until=_common_end(episode, twin))
         if second is not None:
             other = second()
             if other.failure is not None:
@@ -82,12 +86,24 @@ class Divergence:
             return None
         if self.doubt:
             return Propagation("unknown", reason=self.doubt)
+        if self.at is None and self.until is not None and fault.manifested_at > self.until + 1e-9:
+            reason = f"one of the runs has no proposal after {self.until:.2f} s to compare"
+            return Propagation("unknown", reason=reason)
         if self.at is None:
             return Propagation("contained")
         if fault.manifested_at <= self.at + 1e-9:
             return Propagation("propagated", self.at)
         reason = f"proposals differed already from {self.at:.2f} s on, through another fault"
         return Propagation("unknown", reason=reason)
+
+
+def _common_end(one: Episode, other: Episode) -> float | None:
+    """The time of the last proposal that both have; ``None`` if both have equally many."""
+    left, right = len(one.decisions["proposed"]), len(other.decisions["proposed"])
+    ticks = min(left, right)
+    if left == right:
+        return None
+    return float(one.time[ticks - 1]) if ticks else -math.inf
 
 
 def _first_difference(one: Episode, other: Episode) -> int | None:

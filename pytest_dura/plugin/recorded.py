@@ -31,12 +31,14 @@ class Recorded:
         digest: As it was recorded.
         requirements: Those of its case.
         violated: Ids of those whose verdict names it as a counterexample.
+        planned: Whether it is one of its case's runs; another one of that id has a seed by hand.
     """
 
     spec: EpisodeSpec
     digest: str
     requirements: tuple[Requirement, ...]
     violated: tuple[str, ...]
+    planned: bool
 
     def run(self, spec: EpisodeSpec | None = None) -> Episode:
         """The episode again, or one of another spec that ends as this one would."""
@@ -126,6 +128,7 @@ def _found(config: pytest.Config, record: Data, episode: Data, option: str) -> R
         str(episode["digest"]),
         tuple(known[name] for name in names),
         tuple(dict.fromkeys(violated)),
+        bool(episode["planned"]),
     )
 
 

@@ -30,6 +30,8 @@ def reduce(session: DuraSession) -> int:
     options = session.options
     name = str(options.reduce)
     record, found = recorded_episodes(session.config, options, name, OPTION)
+    # Verdicts name episodes without their seeds, and rest on planned runs.
+    found.sort(key=lambda one: not one.planned)
     recorded = next((one for one in found if one.violated), found[0])
     _check(recorded, name)
     judged = [one for one in recorded.requirements if one.id in recorded.violated]
@@ -44,7 +46,8 @@ def reduce(session: DuraSession) -> int:
     lines = _told(reduction, budget)
     if reduction.episode is not None:
         folder = options.evidence / FOLDER
-        _record(record, recorded, reduction, folder)
+        with damage_told(options, name, OPTION):
+            _record(record, recorded, reduction, folder)
         lines.append(f"  replay: {replay_command(session, reduction.episode.id, folder)}")
     print("\n".join(lines))  # noqa: T201 - see above
     return 0 if reduction.reproduced else 1
@@ -76,6 +79,8 @@ def _show_run(faults: Sequence[str], violated: Sequence[str]) -> None:
 
 def _told(reduction: Reduction, budget: int) -> list[str]:
     runs = f"{reduction.runs} of {budget} runs"
+    if reduction.reproduced is None:
+        return [f"the budget ended before it was known whether it comes up again ({runs})"]
     if not reduction.reproduced:
         return [f"not reproduced: the same faults do not violate it again ({runs})"]
     faults = " + ".join(reduction.faults)
@@ -98,10 +103,11 @@ def _record(record: Data, recorded: Recorded, reduction: Reduction, folder: Path
 
     episode = reduction.episode
     assert episode is not None
-    before = next(one for one in record["cases"] if one["id"] == recorded.spec.case)
+    own = recorded.spec.case, recorded.spec.component
+    (before,) = [one for one in record["cases"] if (one["id"], one["component"]) == own]
     case: dict[str, Any] = {**before, "id": episode.spec.case, "planned": 1}
     case["faults"] = [dict(fault) for fault in episode.spec.faults]
-    del case["metrics"]
+    case.pop("metrics", None)
     told = {
         "cases": [case],
         "episodes": [episode_record(episode, planned=True)],

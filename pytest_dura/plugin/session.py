@@ -231,6 +231,7 @@ class DuraSession:
         chosen = self._scenario_arguments()
         self._own_arguments = set(chosen)
         if not (self.options.scenarios or self.options.list_only or chosen):
+            self._check_faults_used()
             return
         from pytest_dura.campaign.cases import expand_cases, selected
 
@@ -259,6 +260,18 @@ class DuraSession:
             ]
             if requirements:
                 self.plan.append(Planned(case, tuple(requirements)))
+
+    def _check_faults_used(self) -> None:
+        """Refuse fault campaigns that nothing of this session would run."""
+        given = [value for name, value in self.options.given if name == "--dura-faults"]
+        if given:
+            raise ConfigurationError(
+                "--dura-faults is about scenario cases, and the arguments name none",
+                key="--dura-faults",
+                found=given[0],
+                expected="--dura-scenarios, or a case among the arguments",
+                remedy="add --dura-scenarios; a test function names its faults in the marker dura",
+            )
 
     def _scenario_arguments(self) -> dict[str, tuple[str, str]]:
         """Arguments that name scenario items, as ``(case, requirement)``; "" stands for all."""

@@ -84,6 +84,35 @@ def test_faults_need_scenario_cases(project):
     assert "add --dura-scenarios" in result.stderr.str()
 
 
+def test_test_functions_alone_do_not_read_as_judged_under_those_faults(project):
+    near_the_wall(project)
+    project.write(
+        "test_own.py",
+        "import pytest\n"
+        "@pytest.mark.dura(scenario='corridor/it', runs=1)\n"
+        "@pytest.mark.requirement('GAP-1')\n"
+        "def test_own(campaign):\n"
+        "    campaign.require()\n",
+    )
+    result = project.run("test_own.py", "--dura-faults=none")
+    assert result.ret == 4
+    assert "--dura-faults is about scenario cases" in result.stderr.str()
+    assert "a test function names its faults in the marker" in result.stderr.str()
+    campaigns(project, BIAS)
+    both = ["test_own.py", "--dura-scenarios", "--dura-select=corridor/it"]
+    result = project.run(*both, "--dura-faults=campaigns.yaml")
+    assert result.ret == 1
+    assert words(project) == {"corridor/it": "supported", "corridor/it+bias": "violated"}
+
+
+@pytest.mark.parametrize("mode", [[], ["-n", "2"]], ids=["plain", "n2"])
+def test_a_case_among_the_arguments_is_run_under_its_faults(project, mode):
+    near_the_wall(project)
+    campaigns(project, BIAS)
+    result = project.run("corridor/it+bias::GAP-1", "--dura-faults=campaigns.yaml", *mode)
+    assert (result.ret, words(project)) == (1, {"corridor/it+bias": "violated"})
+
+
 def test_the_causal_chain_is_in_the_record_the_table_and_the_failure(project):
     near_the_wall(project, faults=f"[{BIAS}, {NOISE}]", runs=3)
     result = project.run("corridor/it")
@@ -137,14 +166,36 @@ def test_a_component_that_is_not_deterministic_is_told_apart_from_a_fault(projec
         "numbers = itertools.count()\n"
         "class Erratic(Generator):\n"
         "    def propose(self, view):\n"
-        "        return Proposal(next(numbers) * 1e-9)\n",
+        "        return Proposal(view.percept['gap'] * 0.0 + next(numbers) * 1e-9)\n",
     )
     near_the_wall(project, generator="erratic:Erratic", faults=f"[{NOISE}]", runs=1)
     project.run("corridor/it")
     (noise,) = project.evidence()["episodes"][0]["faults"]
-    assert noise["propagation"] is None or noise["propagation"] == "unknown"
-    if noise["manifested_at"] is not None:
-        assert noise["unknown"] == "two runs without faults differ from 0.00 s on"
+    assert (noise["manifested_at"], noise["propagation"]) == (0.0, "unknown")
+    assert noise["unknown"] == "two runs without faults differ from 0.00 s on"
+
+
+def test_an_instance_that_remembers_earlier_episodes_is_told_apart_from_a_fault(project):
+    project.write(
+        "conftest.py",
+        "import pytest\n"
+        "from pytest_dura import Generator, Proposal\n"
+        "class Ageing(Generator):\n"
+        "    episodes = 0\n"
+        "    def reset(self, context):\n"
+        "        self.episodes += 1\n"
+        "    def propose(self, view):\n"
+        "        return Proposal(view.percept['gap'] * 0.0 + self.episodes * 1e-9)\n"
+        "@pytest.fixture(scope='session')\n"
+        "def generator():\n"
+        "    return Ageing()\n",
+    )
+    near_the_wall(project, faults=f"[{BIAS}]", runs=1)
+    project.run("corridor/it")
+    (bias,) = project.evidence()["episodes"][0]["faults"]
+    assert bias["manifested_at"] is not None
+    assert (bias["propagation"], bias["propagated_at"]) == ("unknown", None)
+    assert bias["unknown"] == "two runs without faults differ from 0.00 s on"
 
 
 def test_the_smallest_set_of_faults_is_found_and_can_be_replayed(project):
@@ -171,6 +222,15 @@ def test_a_budget_ends_the_reduction(project):
     told = next(line for line in result.outlines if line.startswith("smallest set"))
     assert "the budget ended before it was known" in told
     assert "4 of 4 runs" in told
+
+
+def test_a_budget_of_one_run_leaves_open_whether_it_comes_up_again(project):
+    near_the_wall(project, faults=f"[{BIAS}]", runs=1)
+    project.run("corridor/it")
+    result = project.run("--dura-reduce=corridor/it#0", "--dura-runs=1")
+    assert result.ret == 1
+    told = "the budget ended before it was known whether it comes up again (1 of 1 runs)"
+    assert told in result.outlines
 
 
 def test_what_does_not_come_up_again_is_told(project):

@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from pytest_dura import ConfigurationError
+from pytest_dura.campaign import fault_grids
 from pytest_dura.campaign.cases import Case, expand_cases, one_case
 from pytest_dura.campaign.checks import problems_of
 from pytest_dura.campaign.fault_campaigns import catalogue_for, read_campaigns
@@ -106,7 +107,10 @@ def test_campaigns_of_a_scenario_are_its_cases_and_may_name_its_faults() -> None
     [
         ("ghost-obstacl", "did you mean 'ghost-obstacle'?"),
         ("x-*", "matches 'x-*'"),
-        ("{fault: {type: ghost-obstacle, activation: {}}, grid: {}}", "nothing activates it"),
+        (
+            "{fault: {type: ghost-obstacle, activation: {}}, grid: {duration: [1]}}",
+            "nothing activates it",
+        ),
         ("{fault: {type: ghost-obstacle}, grid: {parameters.ahead: []}}", "the list is empty"),
         (
             ("{fault: {type: ghost-obstacle, activation: {at: 1}}, "
@@ -120,6 +124,28 @@ def test_campaigns_of_a_scenario_are_its_cases_and_may_name_its_faults() -> None
         ),
         ("{fault: {type: ghost-obstacle}, sample: {}}", "the key 'count' is missing"),
         ("3", "this is no fault campaign"),
+        ("[]", "this is no fault campaign"),
+        ("none+ghost-obstacle", "'none' is a campaign by itself"),
+        ("{fault: {type: ghost-obstacle, activation: {at: 1}}, grid: {}}", "varies nothing"),
+        (
+            "{fault: {type: ghost-obstacle, activation: {at: 1}}, sample: {}, count: 2}",
+            "the sample varies nothing",
+        ),
+        (
+            ("{fault: {type: ghost-obstacle, activation: {at: 1}}, "
+            "grid: {parameters.ahead: [9], parameters: [{}]}}"),
+            "the grid sets 'parameters', and 'parameters.ahead' within it",
+        ),
+        (
+            ("{fault: {type: ghost-obstacle, activation: {after: {fault: bias}}}, "
+            "grid: {duration: [1]}}"),
+            "waits for 'bias', which is not planned with it",
+        ),
+        (
+            ("{fault: {type: ghost-obstacle, activation: {at: 1}}, "
+            f"grid: {{{'a.' * 400}b: [1]}}}}"),
+            "nested too deeply",
+        ),
     ],
 )  # fmt: skip
 def test_an_entry_that_cannot_be_used_is_told_with_its_line(entry: str, told: str) -> None:
@@ -151,3 +177,41 @@ def test_one_case_is_one_case() -> None:
     assert one_case(scenario(), "ghost-obstacle").id == "road/free+ghost-obstacle"
     with pytest.raises(ConfigurationError, match="make 2 cases"):
         one_case(scenario(), grid(parameters__ahead=[1.0, 2.0]))
+
+
+def test_a_product_without_bounds_is_refused_before_any_of_it_is_built(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def never(*_: object) -> None:
+        raise AssertionError("built")
+
+    monkeypatch.setattr(fault_grids, "parsed", never)
+    values = {f"parameters.p{i}": list(range(100)) for i in range(40)}
+    with pytest.raises(ConfigurationError, match="too many cases") as caught:
+        cases({"fault": GHOST, "grid": values})
+    assert caught.value.found == "more than 10^15 cases"
+    assert caught.value.expected == "at most 10,000 cases of one scenario"
+
+
+def test_entries_are_bounded_together(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fault_grids, "MAX_CASES", 3)
+    assert len(cases("none", grid(parameters__ahead=[1.0, 2.0]))) == 3
+    with pytest.raises(ConfigurationError, match="too many cases"):
+        cases("none", grid(parameters__ahead=[1.0, 2.0]), "bias")
+
+
+def test_the_catalogue_takes_the_scenarios_fault_and_refuses_one_that_waits_for_another() -> None:
+    own = scenario(
+        "faults:\n  - {type: bias, activation: {at: 1}}\n"
+        "  - {type: drift, activation: {after: {fault: bias}}}\n"
+    )
+    with pytest.raises(ConfigurationError, match="waits for 'bias'"):
+        cases("drif*", of=own)
+
+
+@pytest.mark.parametrize("name", ["a::b", "a\nb", "a\x00", " a", "a ", "x.py", "x" * 201])
+def test_an_id_that_could_not_be_named_in_a_command_is_refused(name: str) -> None:
+    with pytest.raises(ConfigurationError, match="a fault cannot have the id") as caught:
+        cases({**GHOST, "id": name})
+    assert caught.value.key == "id"
+    assert "\n" not in caught.value.problem

@@ -144,3 +144,27 @@ def test_only_the_faults_change() -> None:
     assert part.faults == (planned("b"),)
     assert replace(part, case=whole.case, faults=whole.faults, timeouts=(3,)) == whole
     assert with_faults(whole, ("a", "b")) == replace(whole, timeouts=None)
+
+
+@pytest.mark.parametrize("budget", [0, 1])
+def test_a_budget_too_small_for_the_whole_set_leaves_it_open(budget: int) -> None:
+    found, tried = reduced(lambda _: True, planned("a"), planned("b"), budget=budget)
+    assert found.reproduced is None
+    assert (found.episode, found.runs, len(tried)) == (None, budget, budget)
+
+
+def test_one_violation_by_chance_before_the_budget_ends_is_no_smaller_set() -> None:
+    numbers = itertools.count()
+
+    def run(one: EpisodeSpec) -> Episode:
+        number = next(numbers)
+        found = episode(one, gap=-1.0)  # whole: twice; without faults: never; then one by chance
+        if not one.faults:
+            found = episode(one, gap=1.0)
+        if len(one.faults) == 1:
+            found.signals["noise"] = np.array([0.0, float(number)])
+        return found
+
+    found = reduce_faults(spec(planned("a"), planned("b")), [FREE], run, budget=5)
+    assert found.faults == ("a", "b")
+    assert not found.one_minimal

@@ -37,14 +37,34 @@ def fault(manifested_at: float | None) -> FaultRecord:
         ("ggsg", "gggg", 0.2),
         ("sggg", "gggg", 0.0),
         ("ggs", "gggg", 0.2),
-        ("gg", "gggg", None),  # what one of them no longer proposes is no other proposal
-        ("ggggs", "gggg", None),
         ("g gg", "gggg", 0.1),  # no proposal at all is another proposal
     ],
 )
 def test_the_first_proposal_that_differs(faulty: str, twin: str, at: float | None) -> None:
     found = Divergence.of(episode(faulty), episode(twin), again(episode(twin)))
     assert found == Divergence(at)
+
+
+@pytest.mark.parametrize(
+    "faulty, twin, until",
+    [("gg", "gggg", 0.1), ("gggg", "ggg", 0.2), ("ggggs", "gggg", 0.3), ("", "g", -np.inf)],
+)
+def test_what_one_of_them_no_longer_proposes_is_no_other_proposal(
+    faulty: str, twin: str, until: float
+) -> None:
+    found = Divergence.of(episode(faulty), episode(twin), again(episode(twin)))
+    assert found == Divergence(until=pytest.approx(until))
+
+
+def test_a_fault_that_manifested_where_there_is_nothing_to_compare_is_not_contained() -> None:
+    found = Divergence.of(episode("gggg"), episode("gg"), again(episode("gg")))
+    assert found.of_fault(fault(0.1)) == Propagation("contained")
+    late = found.of_fault(fault(0.2))
+    assert late is not None
+    assert (late.word, late.reason) == (
+        "unknown",
+        "one of the runs has no proposal after 0.10 s to compare",
+    )
 
 
 def test_the_second_twin_is_run_only_where_the_first_one_differs() -> None:
