@@ -57,7 +57,7 @@ def chain_line(fault: Data) -> str:
         ("recovery", fault["recovery_at"], _by(fault["recovery"])),
         ("recovered", fault["recovered_at"], ""),
     ]
-    told = [f"{word} {time:.1f}{by}" for word, time, by in steps if time is not None]
+    told = [f"{word} {time:.2f}{by}" for word, time, by in steps if time is not None]
     if fault["outcome"] is not None:
         told.append(str(fault["outcome"]))
     return f"{fault['id']}: {', '.join(told) or 'never active'}"

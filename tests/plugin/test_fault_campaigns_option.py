@@ -105,6 +105,37 @@ def test_test_functions_alone_do_not_read_as_judged_under_those_faults(project):
     assert words(project) == {"corridor/it": "supported", "corridor/it+bias": "violated"}
 
 
+def marked(project, *offsets):
+    """A test function for each offset of a fault that has the same id in all of them."""
+    text = "import pytest\n"
+    for number, offset in enumerate(offsets):
+        fault = {"type": "bias", "target": "gap", "activation": {"at": 0.5}}
+        fault["parameters"] = {"offset": offset}
+        text += (
+            f"@pytest.mark.dura(scenario='corridor/it', runs=1, faults=[{fault}])\n"
+            f"@pytest.mark.requirement('GAP-1')\n"
+            f"def test_{number}(campaign):\n"
+            "    campaign.require()\n"
+        )
+    project.write("test_own.py", text)
+
+
+def test_two_tests_cannot_run_other_faults_under_one_id(project):
+    near_the_wall(project)
+    marked(project, 0.1, 0.1)
+    assert project.run("test_own.py").ret == 0
+    marked(project, 0.1, 0.2)
+    result = project.run("test_own.py")
+    assert result.ret == 2
+    told = "test_own.py:6: the case 'corridor/it+bias' stands for other faults elsewhere"
+    result.stdout.fnmatch_lines([f"*{told}*"])
+    marked(project, 0.1)
+    campaigns(project, BIAS)
+    result = project.scenarios("test_own.py", "--dura-faults=campaigns.yaml", select="corridor/it")
+    assert result.ret == 2
+    result.stdout.fnmatch_lines(["*test_own.py:2: the case 'corridor/it+bias' stands for other*"])
+
+
 @pytest.mark.parametrize("mode", [[], ["-n", "2"]], ids=["plain", "n2"])
 def test_a_case_among_the_arguments_is_run_under_its_faults(project, mode):
     near_the_wall(project)
@@ -137,8 +168,11 @@ def test_the_causal_chain_is_in_the_record_the_table_and_the_failure(project):
     assert head.split()[1:6] == ["runs", "act", "manif", "prop", "det"]
     row = next(line for line in lines if line.startswith("bias on corridor/it "))
     assert row.split()[3:] == ["3", "3", "3", "3", "0", "-", "0", "-", "3"]
-    chain = "  fault:  bias: planned 0.5, activated 0.5, manifested 0.5, propagated 0.5, violated"
-    assert chain in lines
+    start = next(i for i, line in enumerate(lines) if line.startswith("  fault:  bias: "))
+    end = next(i for i in range(start + 1, len(lines)) if not lines[i].startswith(" " * 12))
+    assert " ".join(line.strip() for line in lines[start:end]) == (
+        "fault:  bias: planned 0.50, activated 0.50, manifested 0.50, propagated 0.50, violated"
+    )
 
 
 def test_a_fault_that_changes_no_proposal_is_contained(project):

@@ -90,7 +90,7 @@ def test_the_table_shows_a_dash_for_what_is_not_known() -> None:
 def test_the_chain_in_words() -> None:
     fault = {**SPREAD, "detected_by": "security_assessor", "pattern": "p", "recovery": "brake"}
     assert chain_line(fault) == (
-        "f: activated 1.0, manifested 1.0, propagated 1.2, detected 1.5 (security_assessor: p), "
-        "recovery 2.0 (brake), recovered 2.3, violated"
+        "f: activated 1.00, manifested 1.00, propagated 1.20, detected 1.50 (security_assessor: p), "
+        "recovery 2.00 (brake), recovered 2.30, violated"
     )
     assert chain_line(IDLE) == "f: never active"
