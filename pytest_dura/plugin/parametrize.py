@@ -199,6 +199,7 @@ def _targets(
     requirement = requirements[0] if requirements else None
     targets = []
     for case in cases:
+        session.take_case(case)
         planned, until_decided = _runs(given["runs"], case)
         planned = session.options.runs or planned
         if each_run and until_decided:

@@ -51,6 +51,7 @@ class DuraSession:
         """Ids that the markers of collected tests name."""
         self.marked: dict[str, Requirement] = {}
         """Requirements that are defined by markers alone."""
+        self._faults_of: dict[str, tuple[dict[str, Any], ...]] = {}
         self._own_arguments: set[str] = set()
         self._library: Library | ConfigurationError | None = None
         self._defaults: dict[str, RoleSpec] = {}
@@ -259,7 +260,23 @@ class DuraSession:
                 if not chosen or any(_matches(one, name, requirement) for one in chosen.values())
             ]
             if requirements:
+                self.take_case(case)
                 self.plan.append(Planned(case, tuple(requirements)))
+
+    def take_case(self, case: Case) -> None:
+        """Take in a case that is to be run; the record tells cases apart by their ids.
+
+        Raises:
+            ConfigurationError: If another test runs other faults under the same id.
+        """
+        if self._faults_of.setdefault(case.id, case.faults) != case.faults:
+            raise ConfigurationError(
+                f"the case {case.id!r} stands for other faults elsewhere in this session",
+                key="faults",
+                found=case.id,
+                expected="an id of its own for each fault",
+                remedy="give one of the faults another `id`",
+            )
 
     def _check_faults_used(self) -> None:
         """Refuse fault campaigns that nothing of this session would run."""
