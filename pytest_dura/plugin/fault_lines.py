@@ -20,8 +20,11 @@ def fault_table(cases: Sequence[Data]) -> list[str]:
     names, rows = [], []
     for case in cases:
         for fault in case["metrics"]["faults"]:
-            # Most cases are named after their only fault, which need not be said twice.
-            names.append(f"{fault['id']} on {case['id'].removesuffix('+' + fault['id'])}")
+            # Most cases are named after their only fault, which need not be said twice. Of several
+            # none is left out: what remained would be the name of another case.
+            alone = len(case["metrics"]["faults"]) == 1
+            told = case["id"].removesuffix(f"+{fault['id']}") if alone else case["id"]
+            names.append(f"{fault['id']} on {told}")
             rows.append(_row(fault))
     return [*aligned("fault", COLUMNS, names, rows), *LEGEND] if rows else []
 

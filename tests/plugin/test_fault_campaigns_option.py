@@ -175,6 +175,16 @@ def test_the_causal_chain_is_in_the_record_the_table_and_the_failure(project):
     )
 
 
+def test_the_table_names_the_whole_case_of_several_faults(project):
+    near_the_wall(project, faults=f"[{BIAS}, {NOISE}, {DRIFT}]\ncampaigns: [bias, bias+noise]")
+    result = project.scenarios(select="corridor/it*")
+    lines = [line.split()[:3] for line in result.outlines]
+    assert ["bias", "on", "corridor/it"] in lines
+    assert ["bias", "on", "corridor/it+bias+noise"] in lines
+    assert ["noise", "on", "corridor/it+bias+noise"] in lines
+    assert ["noise", "on", "corridor/it+bias"] not in lines
+
+
 def test_a_fault_that_changes_no_proposal_is_contained(project):
     near_the_wall(project, faults=f"[{NOISE}]")
     project.run("corridor/it")
