@@ -56,7 +56,8 @@ class FileEntry:
     def error(self, error: ConfigurationError) -> ConfigurationError:
         """The same error at its place in the file."""
         key = f"campaigns.{self.index}"
-        place = f"{key}.{error.key}" if error.key else key
+        # `faults` is where entries stand in a marker; here that is the entry itself.
+        place = f"{key}.{error.key}" if error.key not in (None, "faults") else key
         line = self.document.line_of(place)
         return placed(error, file=self.document.file, line=line, key=place)
 

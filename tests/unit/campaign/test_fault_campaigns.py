@@ -163,6 +163,10 @@ def test_a_file_holds_campaigns_and_its_errors_name_the_line(tmp_path: Path) -> 
     with pytest.raises(ConfigurationError) as caught:
         cases(*read_campaigns(file))
     assert (caught.value.file, caught.value.line) == (str(file), 4)
+    file.write_text("campaigns:\n  - none\n  - 5\n")
+    with pytest.raises(ConfigurationError) as caught:
+        cases(*read_campaigns(file))
+    assert (caught.value.line, caught.value.key) == (3, "campaigns.1")
 
 
 @pytest.mark.parametrize("text", ["campaigns: []\n", "faults: [none]\n", "campaigns: none\n"])
