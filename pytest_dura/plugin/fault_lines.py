@@ -16,7 +16,8 @@ LEGEND = (
 
 
 def fault_table(cases: Sequence[Data]) -> list[str]:
-    """One line per fault and case."""
+    """One line per fault, case and component."""
+    several = len({case["component"] for case in cases}) > 1
     names, rows = [], []
     for case in cases:
         for fault in case["metrics"]["faults"]:
@@ -24,7 +25,8 @@ def fault_table(cases: Sequence[Data]) -> list[str]:
             # none is left out: what remained would be the name of another case.
             alone = len(case["metrics"]["faults"]) == 1
             told = case["id"].removesuffix(f"+{fault['id']}") if alone else case["id"]
-            names.append(f"{fault['id']} on {told}")
+            component = f" ({case['component']})" if several else ""
+            names.append(f"{fault['id']} on {told}{component}")
             rows.append(_row(fault))
     return [*aligned("fault", COLUMNS, names, rows), *LEGEND] if rows else []
 

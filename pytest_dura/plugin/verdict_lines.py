@@ -105,8 +105,10 @@ def _show_episode(session: DuraSession, terminal: Any, record: Data, verdict: Da
 
         episode = verdict["counterexamples"][0]["episode"]
         terminal.line(f"  worst:  {describe_counterexample(verdict['counterexamples'][0])}")
-        for event in _critical(record, episode):
-            terminal.line(f"  event:  at t = {event['time']:.2f} s {event['detail']}")
+        # What ended the episode before its time, if anything did.
+        for event in _episode(record, episode, verdict["component"])["events"]:
+            if event["kind"] == "critical":
+                terminal.line(f"  event:  at t = {event['time']:.2f} s {event['detail']}")
     elif verdict["spoilt"] is not None:
         episode, told = verdict["spoilt"]["episode"], str(verdict["spoilt"]["detail"])
         if verdict["spoilt"]["verdict"] == "invalid" and not told.startswith("invalid: "):
@@ -114,7 +116,7 @@ def _show_episode(session: DuraSession, terminal: Any, record: Data, verdict: Da
         terminal.line(f"  {told}")
     else:
         return
-    for fault in _faults(record, episode):
+    for fault in _episode(record, episode, verdict["component"])["faults"]:
         first, *rest = textwrap.wrap(chain_line(fault), WIDTH - 12, break_on_hyphens=False)
         terminal.line(f"  fault:  {first}")
         for line in rest:
@@ -122,18 +124,10 @@ def _show_episode(session: DuraSession, terminal: Any, record: Data, verdict: Da
     terminal.line(f"  replay: {replay_command(session, episode)}")
 
 
-def _faults(record: Data, episode: str) -> list[Data]:
-    """What came of each fault of an episode."""
-    found = [one["faults"] for one in record["episodes"] if one["id"] == episode]
-    return list(found[0]) if found else []
-
-
-def _critical(record: Data, episode: str) -> list[Data]:
-    """What ended an episode before its time, if anything did."""
-    return [
-        event
-        for one in record["episodes"]
-        if one["id"] == episode
-        for event in one["events"]
-        if event["kind"] == "critical"
+def _episode(record: Data, name: str, component: str) -> Data:
+    """The episode that a verdict on a component names: not another one's, nor one run by hand."""
+    found = [
+        one for one in record["episodes"] if (one["id"], one["component"]) == (name, component)
     ]
+    found.sort(key=lambda one: not one["planned"])
+    return found[0] if found else {"faults": [], "events": []}

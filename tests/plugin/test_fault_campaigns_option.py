@@ -313,3 +313,47 @@ def test_a_fault_whose_time_never_comes_leaves_the_episodes_invalid(project):
     assert verdict["verdict"] == "undecided"
     assert "  invalid: never manifested: gain" in result.outlines
     assert "  fault:  gain: idle" in result.outlines
+
+
+def test_of_several_components_the_one_that_violates_is_reduced(project):
+    near_the_wall(project, faults=f"[{NOISE}, {BIAS}]", runs=1)
+    for folder, ahead in {"a": 0.0, "b": 1.0}.items():
+        project.write(
+            f"{folder}/conftest.py",
+            "import pytest\n"
+            "from pytest_dura import Generator, Proposal\n"
+            f"class Own{folder.upper()}(Generator):\n"
+            "    def propose(self, view):\n"
+            f"        return Proposal({ahead} if view.percept['gap'] > 3.0 else 0.0)\n"
+            "@pytest.fixture(scope='session')\n"
+            "def generator():\n"
+            f"    return Own{folder.upper()}\n",
+        )
+        project.write(
+            f"{folder}/test_{folder}.py",
+            "import pytest\n"
+            "@pytest.mark.dura(scenario='corridor/it')\n"
+            "@pytest.mark.requirement('GAP-1')\n"
+            f"def test_{folder}(campaign, orchestrator):\n"
+            "    orchestrator.run('corridor/it', seed=0, faults='none')\n"
+            "    orchestrator.run('corridor/it', seed=0)\n"
+            "    campaign.require()\n",
+        )
+    result = project.run("a", "b")
+    result.assert_outcomes(passed=1, failed=1)
+    rows = [line for line in result.outlines if line.startswith("bias on corridor/it ")]
+    assert [row.split()[3:6] for row in rows] == [["(OwnA", "(a))", "1"], ["(OwnB", "(b))", "1"]]
+    told = [line for line in result.outlines if line.startswith("  fault:  bias")]
+    assert told == [
+        "  fault:  bias: planned 0.50, activated 0.50, manifested 0.50, propagated 0.50, violated"
+    ]
+    result = project.run("a", "b", "--dura-reduce=corridor/it#0")
+    assert result.ret == 0
+    head = "corridor/it#0 (OwnB (b)): 2 faults, violates GAP-1; at most 100 runs"
+    assert head in result.outlines
+    (case,) = project.evidence("dura-evidence/reduced")["cases"]
+    assert (case["id"], case["component"]) == ("corridor/it+bias", "OwnB (b)")
+    replay = ["--dura-replay=corridor/it+bias#0", "--dura-evidence=dura-evidence/reduced"]
+    result = project.run("a", "b", *replay)
+    assert result.ret == 0
+    assert "  the same" in result.outlines

@@ -79,18 +79,18 @@ def test_what_no_verdict_followed_is_unknown() -> None:
 
 
 def test_the_table_shows_a_dash_for_what_is_not_known() -> None:
-    case = {"id": "road/free", "metrics": {"faults": [metrics(UNKNOWN)]}}
+    case = {"id": "road/free", "component": "C", "metrics": {"faults": [metrics(UNKNOWN)]}}
     row = fault_table([case])[1].removeprefix("f on road/free").split()
     assert row == ["1", "1", "1", "-", "0", "-", "0", "-", "0"]
-    part = {"id": "road/free", "metrics": {"faults": [metrics(UNKNOWN, SPREAD)]}}
+    part = {"id": "road/free", "component": "C", "metrics": {"faults": [metrics(UNKNOWN, SPREAD)]}}
     assert fault_table([part])[1].removeprefix("f on road/free").split()[3] == "1/1"
-    assert fault_table([{"id": "road/free", "metrics": {"faults": []}}]) == []
+    assert fault_table([{"id": "road/free", "component": "C", "metrics": {"faults": []}}]) == []
 
 
 def test_the_chain_in_words() -> None:
     fault = {**SPREAD, "detected_by": "security_assessor", "pattern": "p", "recovery": "brake"}
     assert chain_line(fault) == (
-        "f: activated 1.00, manifested 1.00, propagated 1.20, detected 1.50 (security_assessor: p), "
-        "recovery 2.00 (brake), recovered 2.30, violated"
+        "f: activated 1.00, manifested 1.00, propagated 1.20, "
+        "detected 1.50 (security_assessor: p), recovery 2.00 (brake), recovered 2.30, violated"
     )
     assert chain_line(IDLE) == "f: never active"
