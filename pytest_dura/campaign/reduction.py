@@ -43,6 +43,7 @@ class Reduction:
         runs: Episodes that were run.
         episode: A violating run of that set; ``None`` if it was not reproduced.
         violated: The requirements that it violates.
+        missing: Runs that failed and so said nothing; with any, no set is known to be the smallest.
     """
 
     faults: FaultSet
@@ -52,6 +53,7 @@ class Reduction:
     runs: int
     episode: Episode | None
     violated: tuple[str, ...]
+    missing: int = 0
 
 
 def reduce_faults(
@@ -76,9 +78,9 @@ def reduce_faults(
     try:
         reproduced = trials.violates(whole)
     except BudgetUsedUp:
-        return Reduction(whole, None, False, False, trials.runs, None, ())
+        return Reduction(whole, None, False, False, trials.runs, None, (), trials.missing)
     if not reproduced:
-        return Reduction(whole, False, False, False, trials.runs, None, ())
+        return Reduction(whole, False, False, False, trials.runs, None, (), trials.missing)
     best, one_minimal, smallest = whole, False, False
     try:
         best = () if trials.violates(()) else [whole, *_shrinking(whole, trials)][-1]
@@ -91,7 +93,11 @@ def reduce_faults(
         best = min(confirmed, key=len)
         one_minimal = one_minimal or all(_without(best, one) in trials.known for one in best)
     episode, violated = trials.violating[best]
-    return Reduction(best, True, smallest, one_minimal, trials.runs, episode, violated)
+    if trials.missing:
+        one_minimal = smallest = False
+    return Reduction(
+        best, True, smallest, one_minimal, trials.runs, episode, violated, trials.missing
+    )
 
 
 class _Trials:
@@ -105,7 +111,7 @@ class _Trials:
         budget: int,
         on_run: Callable[[FaultSet, Sequence[str]], None],
     ) -> None:
-        self.runs = 0
+        self.runs = self.missing = 0
         self.known: dict[FaultSet, bool] = {}
         self.violating: dict[FaultSet, tuple[Episode, tuple[str, ...]]] = {}
         self._spec, self._requirements, self._run = spec, requirements, run
@@ -146,6 +152,7 @@ class _Trials:
                 if judge_episode(one, episode).verdict == "violated"
             )
             self._on_run(faults, violated)
+            self.missing += episode.failure is not None and not violated
             if violated:
                 hits += 1
                 self.violating.setdefault(faults, (episode, violated))

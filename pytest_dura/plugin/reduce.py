@@ -79,6 +79,8 @@ def _show_run(faults: Sequence[str], violated: Sequence[str]) -> None:
 
 def _told(reduction: Reduction, budget: int) -> list[str]:
     runs = f"{reduction.runs} of {budget} runs"
+    if reduction.missing:
+        runs += f", of which {reduction.missing} failed and say nothing"
     if reduction.reproduced is None:
         return [f"the budget ended before it was known whether it comes up again ({runs})"]
     if not reduction.reproduced:
@@ -91,6 +93,8 @@ def _told(reduction: Reduction, budget: int) -> list[str]:
         sure = "every smaller set was tried"
     elif reduction.one_minimal:
         sure = "none of them can be left out; smaller sets of others were not all tried"
+    elif reduction.missing:
+        sure = "it is not known whether one can be left out"
     else:
         sure = "the budget ended before it was known whether one can be left out"
     return [f"smallest set that violates {violated}: {faults} ({sure}; {runs})"]

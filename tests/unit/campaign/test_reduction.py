@@ -168,3 +168,14 @@ def test_one_violation_by_chance_before_the_budget_ends_is_no_smaller_set() -> N
     found = reduce_faults(spec(planned("a"), planned("b")), [FREE], run, budget=5)
     assert found.faults == ("a", "b")
     assert not found.one_minimal
+
+
+def test_a_run_that_failed_proves_no_set_the_smallest() -> None:
+    def run(one: EpisodeSpec) -> Episode:
+        found = episode(one, gap=-1.0)
+        return found if len(one.faults) == 2 else replace(found, signals={}, failure="gone")
+
+    found = reduce_faults(spec(planned("a"), planned("b")), [FREE], run)
+    assert (found.faults, found.reproduced) == (("a", "b"), True)
+    assert (found.smallest, found.one_minimal) == (False, False)
+    assert found.missing == found.runs - 2 > 0
