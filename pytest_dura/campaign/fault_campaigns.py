@@ -103,9 +103,9 @@ def alternatives(scenario: Scenario, own: Faults, campaign: object) -> list[Faul
         return _by_name(scenario, own, campaign)
     if isinstance(campaign, Mapping):
         if "grid" in campaign:
-            return [_alone(fault) for fault in grid(scenario, campaign)]
+            return [_alone(scenario, own, fault) for fault in grid(scenario, campaign)]
         if "sample" in campaign:
-            return [_alone(fault) for fault in sample(scenario, campaign)]
+            return [_alone(scenario, own, fault) for fault in sample(scenario, campaign)]
         campaign = [campaign]
     if not isinstance(campaign, Sequence) or not _are_faults(campaign):
         raise ConfigurationError(
@@ -123,9 +123,23 @@ def _are_faults(campaign: Sequence[Any]) -> bool:
     return bool(campaign) and all(isinstance(one, (str, Mapping)) for one in campaign)
 
 
-def _alone(fault: dict[str, Any]) -> Faults:
+def _alone(scenario: Scenario, own: Faults, fault: dict[str, Any]) -> Faults:
     check_chains([fault])
+    _check_not_varied(scenario, own, fault)
     return (fault,)
+
+
+def _check_not_varied(scenario: Scenario, own: Faults, fault: dict[str, Any]) -> None:
+    """Refuse a fault whose values the scenario's variation of another one would overwrite."""
+    paths = [path for path in scenario.variation if path.startswith(f"faults.{fault['id']}.")]
+    if paths and fault not in own:
+        raise ConfigurationError(
+            f"the scenario varies a fault of its own with the id {fault['id']!r}",
+            key="id",
+            found=fault["id"],
+            expected=f"an id that the scenario's variation does not name ({paths[0]})",
+            remedy="give it another `id`, or name the scenario's own fault",
+        )
 
 
 def _by_name(scenario: Scenario, own: Faults, text: str) -> list[Faults]:
@@ -133,7 +147,7 @@ def _by_name(scenario: Scenario, own: Faults, text: str) -> list[Faults]:
         return [()]
     matched = _matching(scenario, text)
     if matched is not None:
-        return [_alone(_named(scenario, own, name)) for name in matched]
+        return [_alone(scenario, own, _named(scenario, own, name)) for name in matched]
     return [_together(scenario, own, text.split("+"))]
 
 
@@ -194,6 +208,7 @@ def _together(scenario: Scenario, own: Faults, names: Sequence[OneFault]) -> Fau
                 expected="an id of its own for each fault",
                 remedy="give one of them another `id`",
             )
+        _check_not_varied(scenario, own, fault)
     check_chains(list(chosen.values()))
     return tuple(chosen.values())
 

@@ -219,3 +219,20 @@ def test_an_id_that_could_not_be_named_in_a_command_is_refused(name: str) -> Non
         cases({**GHOST, "id": name})
     assert caught.value.key == "id"
     assert "\n" not in caught.value.problem
+
+
+def test_the_variation_of_an_own_fault_never_overwrites_another_one_of_its_id() -> None:
+    own = scenario(
+        "faults:\n  - {type: bias, activation: {at: 1}}\n"
+        "variation: {faults.bias.parameters.offset: {min: 1, max: 2}}\n"
+    )
+    assert list(cases("none", "bias", "bias+noise", of=own)) == [
+        "road/free+none", "road/free", "road/free+bias+noise",
+    ]  # fmt: skip
+    other = {"type": "bias", "activation": {"at": 1}, "parameters": {"offset": 9.0}}
+    for campaign in (other, [other, "noise"]):
+        with pytest.raises(ConfigurationError, match="varies a fault of its own"):
+            cases(campaign, of=own)
+    (case,) = cases({**other, "id": "far"}, of=own).values()
+    (fault,) = case.spec(0, 0).faults
+    assert fault["parameters"]["offset"] == 9.0
