@@ -43,12 +43,13 @@ def fault_metrics(episodes: Sequence[Data]) -> list[dict[str, Any]]:
 
     ``activated`` and ``manifested`` are counted over all episodes that were run, what follows over
     those in which the fault manifested: ``propagated`` beside ``followed``, in which that is known,
-    ``detected``, ``recovery`` (recovery acted), ``recovered`` (control was handed back) and
-    ``violated``. Rates are shares of those that could: of activation and manifestation over all
-    runs, of propagation over those followed, of detection over those manifested, of recovery over
-    those in which it acted; ``None`` where there are none. Latencies are seconds from the
-    manifestation on: to the alert, to the first recovery action, and from there until the proposal
-    was acceptable again.
+    ``detected``, ``recovery`` (recovery acted) and ``recovered`` (control was handed back).
+    ``violated`` stands beside ``judged``, the episodes whose outcome is known: without a verdict
+    on a campaign nobody asked for it. Rates are shares of those that could: of activation and
+    manifestation over all runs, of propagation over those followed, of detection over those
+    manifested, of recovery over those in which it acted; ``None`` where there are none. Latencies
+    are seconds from the manifestation on: to the alert, to the first recovery action, and from
+    there until the proposal was acceptable again.
     """
     columns: dict[str, list[Data]] = {}
     for episode in episodes:
@@ -68,6 +69,7 @@ def _of_fault(name: str, found: Sequence[Data]) -> dict[str, Any]:
         "detected": sum(one["detected_at"] is not None for one in reached),
         "recovery": sum(one["recovery_at"] is not None for one in reached),
         "recovered": sum(one["recovered_at"] is not None for one in reached),
+        "judged": sum(one["outcome"] not in (None, "missing") for one in found),
         "violated": sum(one["outcome"] == "violated" for one in found),
     }
     return {

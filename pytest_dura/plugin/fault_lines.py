@@ -11,7 +11,8 @@ COLUMNS = ("runs", "act", "manif", "prop", "det", "after s", "recov", "after s",
 LEGEND = (
     "act, manif: runs in which it became active, changed what the component read; of the latter,",
     "prop: proposals left those of the fault-free twin; det: an alert; recov: recovery acted; each",
-    "with the median time from manifestation; viol: a requirement was violated from then on",
+    "with the median time from manifestation; viol: a requirement was violated from then on; a/b:",
+    "a of the b runs in which that is known; -: it is known of none",
 )
 
 
@@ -32,19 +33,26 @@ def fault_table(cases: Sequence[Data]) -> list[str]:
 
 
 def _row(fault: Data) -> list[str]:
-    followed = fault["followed"]
-    some = f"{fault['propagated']}" + (f"/{followed}" if followed < fault["manifested"] else "")
+    propagated = _known(fault["propagated"], fault["followed"], fault["manifested"])
+    violated = _known(fault["violated"], fault["judged"], fault["run"])
     return [
         str(fault["run"]),
         str(fault["activated"]),
         str(fault["manifested"]),
-        some if followed or not fault["manifested"] else "-",
+        propagated,
         str(fault["detected"]),
         _median(fault["detection_latency"]),
         str(fault["recovery"]),
         _median(fault["recovery_latency"]),
-        str(fault["violated"]),
+        violated,
     ]
+
+
+def _known(count: int, known: int, whole: int) -> str:
+    """A count; with the number of runs in which it is known, if that is not all of them."""
+    if known == whole:
+        return str(count)
+    return f"{count}/{known}" if known else "-"
 
 
 def _median(latency: Data | None) -> str:

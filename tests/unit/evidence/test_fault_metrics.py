@@ -87,6 +87,20 @@ def test_the_table_shows_a_dash_for_what_is_not_known() -> None:
     assert fault_table([{"id": "road/free", "component": "C", "metrics": {"faults": []}}]) == []
 
 
+def test_a_violation_that_nobody_asked_for_is_no_zero() -> None:
+    unasked = told(activated_at=1.0, manifested_at=1.0)
+    missing = told(activated_at=1.0, outcome="missing")
+    assert metrics(unasked)["judged"] == metrics(missing)["judged"] == 0
+    assert metrics(unasked, SPREAD, CONTAINED)["judged"] == 2
+
+    def last(*faults: dict[str, Any]) -> str:
+        case = {"id": "road/free", "component": "C", "metrics": {"faults": [metrics(*faults)]}}
+        return fault_table([case])[1].split()[-1]
+
+    assert [last(unasked), last(missing), last(CONTAINED)] == ["-", "-", "0"]
+    assert [last(unasked, SPREAD, CONTAINED), last(SPREAD, CONTAINED)] == ["1/2", "1"]
+
+
 def test_the_chain_in_words() -> None:
     fault = {**SPREAD, "detected_by": "security_assessor", "pattern": "p", "recovery": "brake"}
     assert chain_line(fault) == (
