@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.plugin.commands import replay_command
 from pytest_dura.plugin.recorded import Data, Recorded, damage_told, recorded_episodes
+from pytest_dura.plugin.tables import counted
 
 if TYPE_CHECKING:
     from pytest_dura.campaign.reduction import Reduction
@@ -38,7 +39,7 @@ def reduce(session: DuraSession) -> int:
     budget = BUDGET if options.runs is None else options.runs
     spec = recorded.spec
     print(  # noqa: T201 - it is what was asked for
-        f"{name} ({spec.component}): {len(spec.faults)} faults, "
+        f"{name} ({spec.component}): {counted(len(spec.faults), 'fault')}, "
         f"violates {', '.join(recorded.violated)}; at most {budget} runs"
     )
     with damage_told(options, name, OPTION):
