@@ -76,7 +76,10 @@ def counts(links: Sequence[Link]) -> dict[str, int]:
         "propagated": sum(one.propagation == "propagated" for one in chains),
         "detected": sum(one.detected_at is not None for one in records),
         "violated": sum(bool(one.violated) for one in chains),
-        "newly violated": sum(bool({*one.violated} - {*one.violated_without}) for one in chains),
+        "newly violated": sum(
+            one.violated_without is not None and bool({*one.violated} - {*one.violated_without})
+            for one in chains
+        ),
         "recovery": sum(one.recovery_at is not None for one in records),
         "recovered": sum(one.recovered_at is not None for one in records),
         "invalid": sum(link.invalid for link in links),

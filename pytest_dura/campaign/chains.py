@@ -30,7 +30,8 @@ class CausalChain:
             changed no proposal), ``tolerated`` (it may have, and nothing was violated),
             ``violated``, or ``missing`` (the episode cannot tell).
         violated: Requirements that were violated from its manifestation on.
-        violated_without: Those among them that the fault-free twin violates, too.
+        violated_without: Those among them that the fault-free twin violates, too; ``None`` if
+            there is no twin to tell.
     """
 
     record: FaultRecord
@@ -39,14 +40,13 @@ class CausalChain:
     unknown: str
     outcome: OutcomeWord
     violated: tuple[str, ...] = ()
-    violated_without: tuple[str, ...] = ()
+    violated_without: tuple[str, ...] | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Plain data for the evidence record."""
         own = {key: value for key, value in vars(self).items() if key != "record"}
         return {
             **asdict(self.record),
-            "detection_latency": self.record.detection_latency,
             **{
                 key: list(value) if isinstance(value, tuple) else value
                 for key, value in own.items()
@@ -69,7 +69,9 @@ def causal_chains(
         divergence: Where the episode leaves it.
     """
     violated = _violations(episode, requirements)
-    without = _violations(twin, requirements) if twin is not None else {}
+    without = None
+    if twin is not None and twin.failure is None:
+        without = _violations(twin, requirements)
     return [_chain(fault, episode, violated, without, divergence) for fault in episode.faults]
 
 
@@ -77,7 +79,7 @@ def _chain(
     fault: FaultRecord,
     episode: Episode,
     violated: Mapping[str, float | None],
-    without: Mapping[str, float | None],
+    without: Mapping[str, float | None] | None,
     divergence: Divergence | None,
 ) -> CausalChain:
     found = divergence.of_fault(fault) if divergence is not None else None
@@ -105,7 +107,7 @@ def _chain(
         found.reason if found is not None else "",
         outcome,
         reached,
-        tuple(name for name in reached if name in without),
+        None if without is None else tuple(name for name in reached if name in without),
     )
 
 

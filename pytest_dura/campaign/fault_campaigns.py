@@ -9,7 +9,8 @@ An entry of a campaign is one of these; each alternative becomes a case:
 ``{type: ..., ...}``, ``[..., ...]``
     A fault as data; several of them together.
 ``catalogue``, ``gnss-*``
-    Each type of the catalogue that fits, as it is by default, by itself.
+    Each type of the catalogue that fits, by itself: the scenario's own fault of that id if there
+    is one, else the type as it is by default.
 ``{fault: {...}, grid: {parameters.offset: [1, 2]}}``
     Every combination of the values.
 ``{fault: {...}, sample: {parameters.offset: {min: 1, max: 2}}, count: 10, seed: 0}``

@@ -255,10 +255,14 @@ class Episode:
     @property
     def invalid_reason(self) -> str | None:
         """Which planned fault never manifested, if any."""
-        idle = [
-            fault.id for fault in self.faults if fault.manifested_at is None and not fault.by_chance
-        ]
+        drawn = {fault.id for fault in self.faults if fault.by_chance}
+        idle = [name for name in self.idle_faults if name not in drawn]
         return f"never manifested: {', '.join(idle)}" if idle else None
+
+    @property
+    def idle_faults(self) -> tuple[str, ...]:
+        """Ids of the faults that never manifested, also of those whose hits are drawn."""
+        return tuple(fault.id for fault in self.faults if fault.manifested_at is None)
 
     def ever(self, signal: str) -> bool:
         """Whether a signal was above 0.5 at any tick."""

@@ -34,7 +34,7 @@ def worst_by_episode(final: list[Data]) -> list[EpisodeVerdict]:
     for one in sorted(final, key=lambda one: WORST_FIRST.index(one["verdict"])):
         worst.setdefault(one["episode"], one)
     found = sorted(worst.values(), key=lambda one: _run_number(one["episode"]))
-    return [EpisodeVerdict(**{name: one[name] for name in names}) for one in found]
+    return [EpisodeVerdict.from_json({name: one[name] for name in names}) for one in found]
 
 
 def _run_number(episode: str) -> tuple[str, int]:

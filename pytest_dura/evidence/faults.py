@@ -14,7 +14,7 @@ UNFOLLOWED: Data = {
     "unknown": "",
     "outcome": None,
     "violated": [],
-    "violated_without": [],
+    "violated_without": None,
 }
 """The rest of the chain where no verdict asked for it."""
 

@@ -38,6 +38,7 @@ def outcome_of_test(
         "proposals": episode.metrics.proposals,
         "valid_proposals": episode.metrics.valid_proposals,
         "vacuous": vacuous,
+        "idle": list(episode.idle_faults),
     }
 
 

@@ -205,8 +205,22 @@ def test_a_probabilistic_fault_that_drew_no_hit_is_valid(project):
     faults = "[{type: 'oddities:Drizzle', id: drizzle, activation: {at: 0.0}}]"
     scenario(project, faults=faults, fault_injector=injector, requirements="[GAP-1]")
     result = project.run("corridor/it")
-    found = expect(project, result, "supported", requirement="GAP-1")
+    # The episodes are, and say nothing of the fault as long as it hits in none of them.
+    reason = "drizzle manifested in none of the 2 valid episodes"
+    found = expect(project, result, "undecided", reason, requirement="GAP-1")
     assert (found["episodes"], found["invalid"]) == (2, 0)
+
+
+def test_a_probabilistic_fault_that_hit_in_some_episodes_supports_a_claim(project):
+    noise = "{type: noise, target: gap, activation: {probability: 0.1}, duration: once}"
+    injector = "pytest_dura.faults.injector:CampaignInjector"
+    scenario(project, faults=f"[{noise}]", fault_injector=injector, requirements="[GAP-1]", runs=12)
+    result = project.run("corridor/it")
+    found = expect(project, result, "supported", requirement="GAP-1")
+    assert (found["episodes"], found["invalid"]) == (12, 0)
+    hits = [one["faults"][0]["manifested_at"] for one in project.evidence()["episodes"]]
+    assert None in hits
+    assert any(time is not None for time in hits)
 
 
 def test_the_trace_ends_before_a_window_and_is_invalid_for_it_alone(project):

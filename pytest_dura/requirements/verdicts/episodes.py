@@ -45,6 +45,8 @@ class EpisodeVerdict:
         vacuous: Whether it is satisfied only because its condition never held.
         proposals: How often the component was asked.
         valid_proposals: How often it answered with a valid action.
+        idle: Ids of planned faults that never manifested. A valid episode has such where hits are
+            drawn.
     """
 
     requirement: str
@@ -57,6 +59,7 @@ class EpisodeVerdict:
     proposals: int
     valid_proposals: int
     vacuous: bool = False
+    idle: tuple[str, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         """Plain data."""
@@ -65,7 +68,7 @@ class EpisodeVerdict:
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> EpisodeVerdict:
         """The inverse of :meth:`to_json`."""
-        return cls(**data)
+        return cls(**{**data, "idle": tuple(data.get("idle", ()))})
 
 
 def judge_episode(
@@ -102,6 +105,7 @@ def judge_episode(
         proposals=episode.metrics.proposals,
         valid_proposals=episode.metrics.valid_proposals,
         vacuous=result.vacuous and word == "satisfied",
+        idle=episode.idle_faults,
     )
 
 

@@ -220,6 +220,9 @@ class CampaignJudge:
         satisfied = self._count("satisfied")
         if valid and satisfied == valid == sum(one.vacuous for one in self.verdicts):
             found.append(f"its condition held in none of the {valid} valid {self._noun} (vacuous)")
+        never = _idle([one for one in self.verdicts if one.verdict in ("satisfied", "violated")])
+        if never:
+            found.append(f"{', '.join(never)} manifested in none of the {valid} valid {self._noun}")
         asked = sum(one.proposals for one in self.verdicts)
         answered = sum(one.valid_proposals for one in self.verdicts)
         if answered < MIN_VALID_PROPOSALS * asked:
@@ -266,6 +269,13 @@ def _last_attempts(verdicts: Sequence[EpisodeVerdict]) -> list[EpisodeVerdict]:
         if before is None or before.verdict != "violated":
             latest[one.episode] = one
     return list(latest.values())
+
+
+def _idle(verdicts: Sequence[EpisodeVerdict]) -> list[str]:
+    """The planned faults that manifested in none of the episodes: nothing is known of them."""
+    if not verdicts:
+        return []
+    return [name for name in verdicts[0].idle if all(name in one.idle for one in verdicts)]
 
 
 def _first_spoilt(verdicts: Sequence[EpisodeVerdict]) -> Spoilt | None:

@@ -64,6 +64,9 @@ def test_what_the_twin_violates_too_is_told() -> None:
     (chain,) = causal_chains(faulty, [FREE, NEAR], twin, Divergence(0.1))
     assert chain.violated == ("SAF-1", "SAF-2")
     assert chain.violated_without == ("SAF-2",)
+    for missing in (None, episode(5, 0.5, 5, failure="infrastructure: x")):
+        (alone,) = causal_chains(faulty, [FREE, NEAR], missing)
+        assert (alone.violated, alone.violated_without) == (("SAF-1", "SAF-2"), None)
 
 
 def test_a_missing_episode_tells_no_outcome_but_a_violation() -> None:
