@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 import pytest
+from handmade import handmade
 
-from pytest_dura import Episode, EpisodeSpec, RoleSpec
+from pytest_dura import Episode
 from pytest_dura.campaign.chains import causal_chains
-from pytest_dura.core.metrics import DependabilityMetrics, FaultRecord
+from pytest_dura.core.metrics import FaultRecord
 from pytest_dura.core.propagation import Divergence
 from pytest_dura.requirements.model import Paired, Requirement
 
@@ -18,12 +18,8 @@ NEAR = Requirement("SAF-2", check="always (gap > 1)")
 
 
 def episode(*gaps: float, failure: str | None = None, **fault: Any) -> Episode:
-    spec = EpisodeSpec("road/free", 0, 1, RoleSpec("nowhere:Simulator"), {})
-    signals = {"gap": np.array(gaps)}
     record = FaultRecord("f", "lidar", 0.1, **fault)
-    time = np.arange(len(gaps)) / 10
-    metrics = DependabilityMetrics()
-    return Episode(spec, time, signals, {}, (), (record,), "time", metrics, failure)
+    return handmade(len(gaps), gap=gaps, faults=(record,), failure=failure)
 
 
 ACTIVE: dict[str, Any] = {"activated_at": 0.1}

@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from handmade import handmade
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pytest_dura import Episode, EpisodeSpec, RoleSpec
 from pytest_dura.campaign.reduction import Reduction, reduce_faults, with_faults
-from pytest_dura.core.metrics import DependabilityMetrics
 from pytest_dura.requirements.model import Requirement
 
 FREE = Requirement("SAF-1", check="always (gap > 0)")
@@ -32,10 +32,7 @@ def spec(*faults: dict[str, Any]) -> EpisodeSpec:
 
 
 def episode(one: EpisodeSpec, *, gap: float) -> Episode:
-    time = np.array([0.0, 0.1])
-    return Episode(
-        one, time, {"gap": np.array([1.0, gap])}, {}, (), (), "time", DependabilityMetrics()
-    )
+    return handmade(2, spec=one, gap=[1.0, gap])
 
 
 def reduced(

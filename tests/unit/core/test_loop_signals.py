@@ -6,29 +6,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from handmade import decided, handmade
 
-from pytest_dura import DependabilityMetrics, Episode, EpisodeSpec, RoleSpec
 from pytest_dura.core.loop_signals import LOOP_SIGNALS, loop_signals
-
-SOURCES = {"p": "proposal", "r": "recovery", "f": "fallback"}
 
 
 def found(sources: str, verdicts: str | None = None, *, dt: float = 0.5) -> dict[str, Any]:
     """One letter per decision: p, r or f."""
-    verdicts = verdicts or "0" * len(sources)
-    episode = Episode(
-        spec=EpisodeSpec("case", 0, 1, RoleSpec("a:Sim"), {"generator": RoleSpec("a:Planner")}),
-        time=np.arange(len(sources) + 1) * dt,
-        signals={},
-        decisions={
-            "verdict": np.array([int(verdict) for verdict in verdicts], dtype=np.int8),
-            "source": np.array([SOURCES[letter] for letter in sources], dtype=np.str_),
-        },
-        events=(),
-        faults=(),
-        termination="time",
-        metrics=DependabilityMetrics(),
-    )
+    episode = decided(sources, verdicts or "0" * len(sources), dt=dt)
     return {name.removeprefix("loop."): x.tolist() for name, x in loop_signals(episode).items()}
 
 
@@ -61,16 +46,8 @@ def test_the_time_since_the_takeover_does_not_depend_on_when_it_was() -> None:
 
 
 def test_an_episode_that_ended_before_its_first_tick_has_signals_without_samples() -> None:
-    empty = Episode(
-        spec=EpisodeSpec("case", 0, 1, RoleSpec("a:Sim"), {"generator": RoleSpec("a:Planner")}),
-        time=np.array([]),
-        signals={},
-        decisions={"verdict": np.array([], np.int8), "source": np.array([], np.str_)},
-        events=(),
-        faults=(),
-        termination="infrastructure",
-        metrics=DependabilityMetrics(),
-    )
+    decisions = {"verdict": np.array([], np.int8), "source": np.array([], np.str_)}
+    empty = handmade(0, decisions=decisions, failure="infrastructure: x")
     assert {name: len(x) for name, x in loop_signals(empty).items()} == dict.fromkeys(
         LOOP_SIGNALS, 0
     )

@@ -7,19 +7,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from handmade import handmade
 
-from pytest_dura import Episode, EpisodeSpec, RoleSpec
-from pytest_dura.core.metrics import DependabilityMetrics, FaultRecord
+from pytest_dura import Episode
+from pytest_dura.core.metrics import FaultRecord
 from pytest_dura.core.propagation import Divergence, Propagation
 
 
 def episode(proposals: str, failure: str | None = None) -> Episode:
     """One letter per proposal, at 0.0 s, 0.1 s, ..."""
-    spec = EpisodeSpec("road/free", 0, 1, RoleSpec("nowhere:Simulator"), {})
     decisions = {"proposed": np.array(list(proposals), dtype=np.str_)}
-    time = np.arange(len(proposals) + 1) / 10
-    metrics = DependabilityMetrics()
-    return Episode(spec, time, {}, decisions, (), (), "time", metrics, failure)
+    return handmade(len(proposals) + 1, decisions=decisions, failure=failure)
 
 
 def again(one: Episode) -> Callable[[], Episode]:
@@ -93,7 +91,7 @@ def test_a_missing_run_says_nothing(missing: int) -> None:
     runs = [episode("gs"), episode("gg"), episode("gg")]
     runs[missing] = replace(runs[missing], failure="infrastructure: x")
     found = Divergence.of(runs[0], runs[1], again(runs[2]))
-    assert found == Divergence(doubt="road/free#0 is missing")
+    assert found == Divergence(doubt="case#0 is missing")
 
 
 def test_what_had_manifested_by_then_answers_for_it() -> None:

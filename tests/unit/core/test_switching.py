@@ -5,42 +5,25 @@ from __future__ import annotations
 import json
 from typing import Any
 
-import numpy as np
 import pytest
+from handmade import decided
 from loops import Says, doing, run_loop
 from thermostat import HeatMonitor, Overheater, SwitchOff
 
 from pytest_dura import (
     Assessed,
     Assessment,
-    DependabilityMetrics,
     Episode,
-    EpisodeSpec,
     Proposal,
-    RoleSpec,
     SafetyMonitor,
 )
 from pytest_dura.core.switching import Switching, switching
-
-SOURCES = {"p": "proposal", "r": "recovery", "f": "fallback"}
 
 
 def episode(sources: str, verdicts: str | None = None, *, dt: float = 0.5) -> Episode:
     """One letter per decision: p, r or f; verdicts 0, 1, 2, by default 2 where recovery acts."""
     verdicts = verdicts or sources.translate(str.maketrans("prf", "020"))
-    return Episode(
-        spec=EpisodeSpec("case", 0, 1, RoleSpec("a:Sim"), {"generator": RoleSpec("a:Planner")}),
-        time=np.arange(len(sources) + 1) * dt,
-        signals={},
-        decisions={
-            "verdict": np.array([int(verdict) for verdict in verdicts], dtype=np.int8),
-            "source": np.array([SOURCES[letter] for letter in sources], dtype=np.str_),
-        },
-        events=(),
-        faults=(),
-        termination="time",
-        metrics=DependabilityMetrics(),
-    )
+    return decided(sources, verdicts, dt=dt)
 
 
 def unsafe_at(*ticks: int) -> Any:

@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from handmade import handmade
 from roads import always, drive, run, spec_of_drive
 
-from pytest_dura import ConfigurationError, DependabilityMetrics, Episode, EpisodeSpec, RoleSpec
+from pytest_dura import ConfigurationError, Episode, RoleSpec
 from pytest_dura.core.roles import Generator, Proposal
 from pytest_dura.core.state import GeneratorView
 from pytest_dura.driving.junction import route
@@ -25,18 +26,7 @@ MEASURES = (clearance_time, minimum_gap, peak_deceleration, time_stopped)
 
 
 def episode(*, dt: float = 0.5, **signals: Any) -> Episode:
-    columns = {name: np.array(values, dtype=float) for name, values in signals.items()}
-    ticks = len(next(iter(columns.values())))
-    return Episode(
-        spec=EpisodeSpec("case", 0, 1, RoleSpec("a:Sim"), {"generator": RoleSpec("a:Planner")}),
-        time=np.arange(ticks) * dt,
-        signals=columns,
-        decisions={},
-        events=(),
-        faults=(),
-        termination="time",
-        metrics=DependabilityMetrics(),
-    )
+    return handmade(len(next(iter(signals.values()))), dt=dt, **signals)
 
 
 class Stopper(Generator):

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from handmade import SPEC, handmade
 
-from pytest_dura import DependabilityMetrics, Episode, EpisodeSpec, FaultRecord, RoleSpec
+from pytest_dura import DependabilityMetrics, Episode, FaultRecord
 
 
 def episode(
@@ -18,28 +20,18 @@ def episode(
     **signals: Any,
 ) -> Episode:
     """An episode with one sample per second and the signal ``gap``."""
-    columns = {name: np.array(values, dtype=float) for name, values in signals.items()}
-    columns["gap"] = np.array(gap, dtype=float)
-    ticks = len(columns["gap"])
-    return Episode(
-        spec=EpisodeSpec(
-            "case",
-            run,
-            1,
-            RoleSpec("a:Sim"),
-            {"generator": RoleSpec("a:Planner")},
-            time_step=1.0,
-        ),
-        time=np.arange(ticks, dtype=float),
-        signals=columns,
-        decisions={"verdict": np.zeros(max(0, ticks - 1), dtype=np.int8)},
-        events=(),
+    ticks = len(gap)
+    asked = max(0, ticks - 1)
+    return handmade(
+        ticks,
+        dt=1.0,
+        spec=replace(SPEC, run=run, time_step=1.0),
         faults=faults,
-        termination="infrastructure" if failure else "time",
-        metrics=DependabilityMetrics(
-            proposals=max(0, ticks - 1), valid_proposals=max(0, ticks - 1)
-        ),
         failure=failure,
+        metrics=DependabilityMetrics(proposals=asked, valid_proposals=asked),
+        decisions={"verdict": np.zeros(asked, dtype=np.int8)},
+        gap=gap,
+        **signals,
     )
 
 
