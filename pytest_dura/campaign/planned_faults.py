@@ -19,8 +19,6 @@ RESERVED = ("none", "catalogue")
 """Names of fault campaigns, which no fault may have."""
 MAX_ID = 200
 """Characters of an id, which stands in the names of tests and in commands."""
-TOLERANCE = 1e-9
-"""s; two simulated times nearer than this are the same."""
 
 
 def parsed(scenario: Scenario, data: Mapping[str, Any]) -> dict[str, Any]:
@@ -67,6 +65,8 @@ def _check_id(name: str) -> None:
 
 def _check_times(scenario: Scenario, fault: Fault) -> None:
     """Refuse what could only happen when the last decision of the episode has been made."""
+    from pytest_dura.faults.activation import TOLERANCE
+
     last = Termination(scenario.duration).last_index(scenario.time_step) - 1
     activation, end = fault.activation, last * scenario.time_step
     times = {"at": activation.at, "not_before": activation.not_before or None}

@@ -67,6 +67,7 @@ class Bench:
     twins: bool = True
     store: EpisodeStore = field(default_factory=EpisodeStore)
     _chains: dict[int, list[CausalChain]] = field(default_factory=dict, init=False)
+    _cases: dict[str, dict[str, Case]] = field(default_factory=dict, init=False)
 
     def __repr__(self) -> str:
         return f"Bench(base_seed={self.base_seed})"
@@ -118,9 +119,11 @@ class Bench:
 
     def _planned(self, scenario: Scenario, name: str) -> Case | None:
         """The case of this id among those that are planned, which may hold faults of a grid."""
-        given = [] if self.faults is None else expand_cases([scenario], self.faults)
-        planned = [*given, *expand_cases([scenario])]
-        return next((case for case in planned if case.id == name), None)
+        if scenario.name not in self._cases:
+            given = [] if self.faults is None else expand_cases([scenario], self.faults)
+            planned = [*expand_cases([scenario]), *given]  # what is given comes before
+            self._cases[scenario.name] = {case.id: case for case in planned}
+        return self._cases[scenario.name].get(name)
 
     def episode(
         self, case: Case, run: int = 0, seed: int | None = None, planned: int = 1
