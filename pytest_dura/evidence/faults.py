@@ -28,6 +28,8 @@ RATES: Mapping[str, tuple[str, str]] = {
 }
 """Each rate's counts: how many did, of how many that could."""
 
+LATENCIES = ("detection_latency", "recovery_latency", "time_to_recover")
+
 
 def with_chains(episode: Data, chains: Mapping[str, Data]) -> dict[str, Any]:
     """An episode's record with what is known of each of its faults, by fault id."""
@@ -80,15 +82,11 @@ def _of_fault(name: str, found: Sequence[Data]) -> dict[str, Any]:
             rate: counts[part] / counts[whole] if counts[whole] else None
             for rate, (part, whole) in RATES.items()
         },
-        "detection_latency": _latency(reached, "manifested_at", "detected_at"),
-        "recovery_latency": _latency(reached, "manifested_at", "recovery_at"),
-        "time_to_recover": _latency(reached, "recovery_at", "recovered_at"),
+        **{name: _spread(reached, name) for name in LATENCIES},
     }
 
 
-def _latency(found: Iterable[Data], start: str, end: str) -> dict[str, float] | None:
-    """Median and greatest number of seconds between two events, where both happened."""
-    times = [
-        one[end] - one[start] for one in found if one[start] is not None and one[end] is not None
-    ]
+def _spread(found: Iterable[Data], name: str) -> dict[str, float] | None:
+    """Median and greatest of a latency in s, where it is known."""
+    times = [one[name] for one in found if one[name] is not None]
     return {"median": statistics.median(times), "max": max(times)} if times else None

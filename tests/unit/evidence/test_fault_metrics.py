@@ -12,7 +12,8 @@ from pytest_dura.plugin.fault_lines import chain_line, fault_table
 
 def told(**fields: Any) -> dict[str, Any]:
     chain = {key: fields.pop(key) for key in list(fields) if key in UNFOLLOWED}
-    return {**asdict(FaultRecord("f", "lidar", **fields)), **UNFOLLOWED, **chain}
+    record = FaultRecord("f", "lidar", **fields)
+    return {**asdict(record), **record.latencies(), **UNFOLLOWED, **chain}
 
 
 def metrics(*faults: dict[str, Any]) -> dict[str, Any]:
