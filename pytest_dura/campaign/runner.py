@@ -50,6 +50,7 @@ class Bench:
         on_monitors: Told how good the monitors of a case are, wherever that was measured.
         on_chains: Told what came of each fault of an episode that a verdict rests on.
         twins: Whether fault-free twins are run, to see which faults reached the proposals.
+        recorded: Whether episodes keep what a viewer shows of them.
     """
 
     library: Callable[[], Library]
@@ -65,6 +66,7 @@ class Bench:
     on_monitors: Callable[[Case, list[MonitorQuality]], None] = _nobody_listens
     on_chains: Callable[[Case, JudgedEpisode, list[CausalChain]], None] = _nobody_listens
     twins: bool = True
+    recorded: bool = False
     store: EpisodeStore = field(default_factory=EpisodeStore)
     _chains: dict[int, list[CausalChain]] = field(default_factory=dict, init=False)
     _cases: dict[str, dict[str, Case]] = field(default_factory=dict, init=False)
@@ -213,18 +215,28 @@ class Bench:
             judge = RequirementJudge(
                 [self.library().requirements[name] for name in case.requirements]
             )
-        return JudgedEpisode.of(run_episode(spec, judge, self.metrics))
+        return JudgedEpisode.of(run_episode(spec, judge, self.metrics, recorded=self.recorded))
 
 
 def run_episode(
-    spec: EpisodeSpec, judge: RequirementJudge | None = None, metrics: Metrics = NOTHING
+    spec: EpisodeSpec,
+    judge: RequirementJudge | None = None,
+    metrics: Metrics = NOTHING,
+    *,
+    recorded: bool = False,
 ) -> Episode:
     """The episode of a spec: the same spec gives the same trace, on any machine, in any order.
+
+    Args:
+        spec: What determines it.
+        judge: What ends it at a violation, where the spec says so.
+        metrics: User-defined metrics by name.
+        recorded: Whether to keep what a viewer shows of it.
 
     Raises:
         ConfigurationError: If a part cannot be built.
     """
-    orchestrator = Orchestrator.build(spec, judge, metrics)
+    orchestrator = Orchestrator.build(spec, judge, metrics, recorded=recorded)
     try:
         return orchestrator.run(spec)
     finally:

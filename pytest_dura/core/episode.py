@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.metrics import DependabilityMetrics, FaultRecord
+from pytest_dura.core.recording import Recording
 from pytest_dura.core.roles import RoleSpec
 from pytest_dura.core.state import Event
 
@@ -219,6 +220,7 @@ class Episode:
             proposal, counted from 0 (the tick, unless the policy refines), or -1 for ``reset``. A
             call that could not be stopped stands there as often as it takes to give up on it.
         metrics: What DependabilityMetrics measured.
+        recording: What a viewer shows of it, if it was asked for. It is no part of the digest.
     """
 
     spec: EpisodeSpec
@@ -231,6 +233,7 @@ class Episode:
     metrics: DependabilityMetrics
     failure: str | None = None
     timeouts: tuple[int, ...] = ()
+    recording: Recording | None = None
 
     @property
     def id(self) -> str:

@@ -13,6 +13,7 @@ from pytest_dura.core.episode import Episode, EpisodeSpec
 from pytest_dura.core.errors import InfrastructureError, describe_error
 from pytest_dura.core.metrics import DependabilityMetrics, FaultRecord
 from pytest_dura.core.outputs import check_texts
+from pytest_dura.core.recording import Recording, Scene
 from pytest_dura.core.roles import (
     Alert,
     Assessed,
@@ -60,10 +61,13 @@ class EpisodeLog:
         self._columns: dict[str, list[Any]] = {
             name: [] for name in ("verdict", "source", "proposed", "executed", "attempts")
         }
+        self._said: dict[str, list[str]] = {"explanations": [], "reasons": [], "recoveries": []}
+        self._flags: dict[str, dict[int, int]] = {}
         self._open: dict[tuple[str, str], str] = {}
         self._violated_at: dict[str, int] = {}
         self._alerts: dict[Alert, str] = {}
         self._recovery: str | None = None
+        self._recovery_told = ""
         self._reached: set[str] = set()
 
     def event(
@@ -89,6 +93,9 @@ class EpisodeLog:
         """A monitor has judged the proposal."""
         self.metrics.log_score(name, tick.time, float(output.score))
         unsafe = output.critical or output.verdict is Assessed.UNSAFE
+        self._flags.setdefault(name, {})[tick.index] = int(
+            Assessed.UNSAFE if unsafe else output.verdict
+        )
         if unsafe:
             self._violation(tick, name)
             self.metrics.log_flag(name, tick.index)
@@ -179,6 +186,8 @@ class EpisodeLog:
     def recovered(self, tick: Tick, recovery: Recovery, nanoseconds: int) -> None:
         """The RecoveryPlanner has replaced the proposal."""
         self._recovery = recovery.name
+        told = (recovery.name, recovery.explanation)
+        self._recovery_told = ": ".join(part for part in told if part)
         self.metrics.log_time("recovery_planner", tick.index, nanoseconds)
         before = len(self.metrics.recoveries)
         self.metrics.log_recovery(tick.index)
@@ -199,6 +208,10 @@ class EpisodeLog:
         row = (int(decision.verdict), decision.source, proposed, executed, decision.attempts)
         for column, value in zip(self._columns.values(), row, strict=True):
             column.append(value)
+        self._said["explanations"].append("" if proposal is None else proposal.explanation)
+        self._said["reasons"].append("; ".join(decision.reasons))
+        self._said["recoveries"].append(self._recovery_told)
+        self._recovery_told = ""
 
     def _record(self, fault: str) -> FaultRecord:
         if fault not in self.metrics.faults:
@@ -236,8 +249,18 @@ class EpisodeLog:
         state: StateManager,
         ending: str,
         failure: InfrastructureError | None,
+        *,
+        recorded: bool = False,
     ) -> Episode:
-        """The finished episode. Unusable signals make it an infrastructure error."""
+        """The finished episode. Unusable signals make it an infrastructure error.
+
+        Args:
+            simulator: Whose signals they are.
+            state: What was known at each tick.
+            ending: What ended it.
+            failure: The infrastructure error, if one ended it.
+            recorded: Whether to keep what a viewer shows of it.
+        """
         time = np.array([tick.time for tick in state.ticks], dtype=np.float64)
         signals: dict[str, NDArray[np.float64]] = {}
         if state.ticks:
@@ -253,7 +276,7 @@ class EpisodeLog:
             ending = "infrastructure"
             self.failed(failure)
         # A step that failed leaves a decision behind that no state follows.
-        for column in self._columns.values():
+        for column in (*self._columns.values(), *self._said.values()):
             del column[max(len(time) - 1, 0) :]
         critical = ending == "critical"
         self.metrics.settle_recoveries(len(self._columns["verdict"]) - 1, critical)
@@ -274,7 +297,31 @@ class EpisodeLog:
             metrics=self.metrics,
             failure=str(failure) if failure else None,
             timeouts=tuple(self.timeouts),
+            recording=self._recording(simulator, state) if recorded else None,
         )
+
+    def _recording(self, simulator: Simulator, state: StateManager) -> Recording:
+        decisions = len(self._columns["verdict"])
+        flags = {}
+        for name in sorted(self._flags):
+            column = np.full(decisions, -1, np.int8)
+            for tick, word in self._flags[name].items():
+                if tick < decisions:
+                    column[tick] = word
+            flags[name] = column
+        explanations, reasons, recoveries = map(tuple, self._said.values())
+        scene, problem = _scene(simulator, state)
+        return Recording(explanations, reasons, recoveries, flags, scene, problem)
+
+
+def _scene(simulator: Simulator, state: StateManager) -> tuple[Scene | None, str | None]:
+    """The scene, or why there is none: the verdicts need none, so that the episode stands."""
+    if len(state.percepts) < len(state.ticks) or not state.ticks:
+        return None, None  # the episode failed before it was perceived
+    try:
+        return simulator.scene(state.ticks, state.percepts), None
+    except Exception as error:
+        return None, f"the simulator could not show its scene: {describe_error(error)}"
 
 
 def _in_time(fault: FaultRecord, time: float) -> bool:

@@ -54,6 +54,7 @@ class Orchestrator:
         judge: Asked each tick where the spec ends episodes at a violation.
         metrics: User-defined metrics by name, measured on the complete episode. One that has no
             value for this episode returns NaN; one that raises is an infrastructure error.
+        recorded: Whether episodes keep what a viewer shows of them.
 
     Raises:
         ConfigurationError: If the roles cannot be scheduled or one is of the wrong kind.
@@ -65,8 +66,11 @@ class Orchestrator:
         roles: Mapping[str, Role],
         judge: Judge | None = None,
         metrics: Mapping[str, Callable[[Episode], float]] = NOTHING,
+        *,
+        recorded: bool = False,
     ) -> None:
         self.simulator = simulator
+        self.recorded = recorded
         self.roles = dict(roles)
         for name, role in self.roles.items():
             check_kind(name, role)
@@ -86,6 +90,8 @@ class Orchestrator:
         spec: EpisodeSpec,
         judge: Judge | None = None,
         metrics: Mapping[str, Callable[[Episode], float]] = NOTHING,
+        *,
+        recorded: bool = False,
     ) -> Orchestrator:
         """The orchestrator that a spec describes, of fresh parts."""
         simulator = spec.simulator.create()
@@ -97,7 +103,8 @@ class Orchestrator:
                 expected="a subclass of pytest_dura.Simulator",
                 remedy="derive it from pytest_dura.Simulator",
             )
-        return cls(simulator, {n: r.create() for n, r in spec.roles.items()}, judge, metrics)
+        roles = {name: role.create() for name, role in spec.roles.items()}
+        return cls(simulator, roles, judge, metrics, recorded=recorded)
 
     def run(self, spec: EpisodeSpec) -> Episode:
         """One episode. An infrastructure error ends it and is told by ``Episode.failure``."""
@@ -112,7 +119,9 @@ class Orchestrator:
                 ending = self._loop()
         except InfrastructureError as error:
             failure, ending = error, "infrastructure"
-        episode = self.log.close(self.simulator, self.state, ending, failure)
+        episode = self.log.close(
+            self.simulator, self.state, ending, failure, recorded=self.recorded
+        )
         if episode.failure is None:
             self._measure(episode)
         return episode

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_dura.core.errors import ActionError, ConfigurationError, shorten
+from pytest_dura.core.recording import Scene
 from pytest_dura.core.state import Percept, Tick
 
 
@@ -59,6 +60,17 @@ class Simulator(ABC):
         The episode stores them with the prefix ``percept.``.
         """
         return {}
+
+    def scene(
+        self,
+        ticks: Sequence[Tick],  # noqa: ARG002 - for those who override it
+        percepts: Sequence[Percept],  # noqa: ARG002 - see above
+    ) -> Scene | None:
+        """The episode from above, for the player of the report; ``None`` where there is no such.
+
+        Called at most once per episode, after its end. Nothing is judged by it.
+        """
+        return None
 
     def check_action(self, action: Any) -> Any:
         """The action in the form that ``step`` takes.

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.recording import Scene
 from pytest_dura.core.seeding import stream
 from pytest_dura.core.simulator import Simulator
 from pytest_dura.core.state import Percept, Tick
@@ -26,6 +27,7 @@ from pytest_dura.driving.bodies import COLUMNS, NO_BODIES, BodyList
 from pytest_dura.driving.collisions import Contact, attribute
 from pytest_dura.driving.junction import ARM_LENGTH, ARMS, TURNS, Route, route
 from pytest_dura.driving.maneuvers import Command, Maneuver, acceleration_for
+from pytest_dura.driving.recording import junction_scene
 from pytest_dura.driving.right_of_way import NOT_A_CAR
 from pytest_dura.driving.scenario import DrivingWorld, Traffic
 from pytest_dura.driving.sensors import EgoState, channels, route_map, signs
@@ -145,6 +147,10 @@ class HighwaySimulator(Simulator):
     def percept_signals(self, percepts: Sequence[Percept]) -> dict[str, NDArray[np.float64]]:
         """See ``signals.PERCEPT_NAMES``."""
         return signals.percept_signals(percepts)
+
+    def scene(self, ticks: Sequence[Tick], percepts: Sequence[Percept]) -> Scene:
+        """The junction from above."""
+        return junction_scene(ticks, percepts, self._route)
 
     def check_action(self, action: Any) -> Command:
         """A command; see :meth:`Command.of`."""
