@@ -112,7 +112,7 @@ def session_record(directory=Path("nowhere"), **changes):
         ],
         "component_under_test": {"name": "C", "path": "m:G", "params": {}, "version": "1.2",
                                  "digest": "d" * 64, "opaque": False},
-        "gate": {"result": "failed", "exit_code": 1,
+        "gate": {"result": "failed", "exit_code": 1, "warn_undecided": False,
                  "reasons": ["SAF-1 on a/clear+ghost is violated",
                              "SEC-1 on a/clear+ghost is undecided"]},
         "requirements": [REQUIREMENTS[name].to_json() for name in sorted(REQUIREMENTS)],

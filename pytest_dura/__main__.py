@@ -1,0 +1,50 @@
+"""``python -m pytest_dura``: what is done with evidence after a session."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from pytest_dura.core.errors import ConfigurationError
+
+USAGE_ERROR = 2
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The exit code: 0 if a bundle is intact, 1 if anything differs, 2 for a wrong call."""
+    parser = argparse.ArgumentParser(prog="python -m pytest_dura", description=__doc__)
+    commands = parser.add_subparsers(dest="command", required=True)
+    verify = commands.add_parser(
+        "verify", help="check that a bundle is whole and agrees with itself"
+    )
+    verify.add_argument("directory", metavar="DIR", type=Path, help="the evidence directory")
+    given = parser.parse_args(arguments)
+    try:
+        return _verify(given.directory)
+    except ConfigurationError as error:
+        print(error, file=sys.stderr)
+        return USAGE_ERROR
+
+
+def _verify(directory: Path) -> int:
+    from pytest_dura.evidence.verifying import verify_bundle
+
+    found = verify_bundle(directory)
+    for problem in found.problems:
+        print(problem)
+    if found.counts is not None:
+        counts = found.counts
+        print(
+            f"{found.files} files, {counts.episodes} episodes, "
+            f"{counts.supported + counts.violated + counts.undecided} verdicts, "
+            f"{found.rejudged.judged} violations judged again on their traces; "
+            f"gate {counts.gate}"
+        )
+    print("intact" if found.intact else f"NOT INTACT: {len(found.problems)} differences")
+    return 0 if found.intact else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,85 @@
+"""The whole check of a bundle, from its files to what its formats state."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.evidence.bundle import RECORD, read_session_record
+from pytest_dura.evidence.counts import Counts
+from pytest_dura.evidence.manifest import files_of, manifest_problems
+from pytest_dura.evidence.session_record import SessionRecord
+from pytest_dura.evidence.verifying.references import format_problems
+from pytest_dura.evidence.verifying.sums import record_problems
+from pytest_dura.evidence.verifying.traces import Rejudged, trace_problems
+
+DAMAGED = (AttributeError, LookupError, TypeError, ValueError, ArithmeticError, OSError)
+"""What reading a file meets that is not as it was written."""
+
+
+@dataclass
+class Verification:
+    """What the check of a bundle came to.
+
+    Args:
+        problems: Every difference, as ``file: what``; an intact bundle has none.
+        files: Files that were looked at.
+        counts: What the record holds, if it could be read.
+        rejudged: How many violations were judged again, on their traces.
+    """
+
+    problems: list[str]
+    files: int = 0
+    counts: Counts | None = None
+    rejudged: Rejudged = field(default_factory=Rejudged)
+
+    @property
+    def intact(self) -> bool:
+        """Whether nothing differs. It says nothing of whether the gate passed."""
+        return not self.problems
+
+
+def verify_bundle(directory: Path) -> Verification:
+    """Check a bundle against itself: its hashes, its references, its sums, its formats.
+
+    Nothing of the user's code is run, and nothing is written.
+
+    Raises:
+        ConfigurationError: If there is no such directory.
+    """
+    if not directory.is_dir():
+        raise ConfigurationError(
+            "there is no such directory",
+            key="DIR",
+            found=str(directory),
+            expected="the evidence directory of a session",
+            remedy="name the directory that --dura-evidence named; by default dura-evidence",
+        )
+    found = Verification(list(manifest_problems(directory)), len(files_of(directory)))
+    try:
+        record = read_session_record(directory)
+    except ConfigurationError as error:
+        found.problems.append(f"{RECORD}: {error}")
+        return found
+    try:
+        found.problems += _schema_problems(record)
+        if any(one.startswith(f"{RECORD}: schema") for one in found.problems):
+            return found  # sums and references of what has another shape say nothing
+        found.counts = Counts.of(record)
+        found.problems += record_problems(record, found.counts)
+    except DAMAGED as error:
+        found.problems.append(f"{RECORD}: damaged ({type(error).__name__}: {error})")
+        return found
+    found.problems += format_problems(record, found.counts)
+    found.problems += trace_problems(record, found.rejudged)
+    return found
+
+
+def _schema_problems(record: SessionRecord) -> Iterator[str]:
+    from pytest_dura.evidence.schema import check_record
+
+    whole = {**record.head, "episodes": list(record.episodes())}
+    for problem in check_record(whole):
+        yield f"{RECORD}: schema: {problem}"

@@ -1,0 +1,43 @@
+"""Whether every format states the record's counts, and whether its references lead somewhere."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+from pytest_dura.core.errors import DuraError
+from pytest_dura.evidence.counts import Counts
+from pytest_dura.evidence.formats import Format, all_formats
+from pytest_dura.evidence.session_record import SessionRecord
+
+
+def format_problems(record: SessionRecord, counts: Counts) -> Iterator[str]:
+    """Everything in which the formats differ from the record."""
+    for one in all_formats():
+        for problem in _told(one, record, counts):
+            yield f"{one.FILE}: {problem}"
+
+
+def _told(one: Format, record: SessionRecord, counts: Counts) -> Iterator[str]:
+    try:
+        yield from _format(one, record, counts)
+    except (DuraError, OSError, LookupError, TypeError, ValueError, AttributeError) as error:
+        yield f"cannot be read back ({type(error).__name__}: {error})"
+
+
+def _format(one: Format, record: SessionRecord, counts: Counts) -> Iterator[str]:
+    text = (record.directory / one.FILE).read_text(encoding="utf-8")
+    told, held = one.read_counts(text).to_json(), counts.to_json()
+    for name in held:
+        if told[name] != held[name]:
+            yield f"states {name} = {told[name]}, and the record holds {held[name]}"
+    broken = getattr(one, "broken_references", None)
+    if broken is not None:
+        yield from broken(text, record)
+    for fragment in re.findall(r"report\.html#([\w.:~+%/-]+)", text):
+        if f'id="{fragment}"' not in _report(record):
+            yield f"refers to report.html#{fragment}, which is not there"
+
+
+def _report(record: SessionRecord) -> str:
+    return (record.directory / "report.html").read_text(encoding="utf-8")

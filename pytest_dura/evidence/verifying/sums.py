@@ -1,0 +1,164 @@
+"""Whether a record agrees with itself: its sums, its references, its bounds and its gate."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Mapping
+from math import isclose
+from typing import Any
+
+from pytest_dura.evidence.bundle import RECORD
+from pytest_dura.evidence.counts import Counts
+from pytest_dura.evidence.session_record import SessionRecord
+from pytest_dura.requirements.statistics import METHOD
+from pytest_dura.requirements.statistics.exact import upper_bound
+
+Data = Mapping[str, Any]
+Key = tuple[str, str]
+_COUNTED = ("flagged", "collided", "gridlock")
+
+
+def record_problems(record: SessionRecord, counts: Counts) -> Iterator[str]:
+    """Everything in which a record contradicts itself."""
+    for problem in _problems(record, counts):
+        yield f"{RECORD}: {problem}"
+
+
+def _problems(record: SessionRecord, counts: Counts) -> Iterator[str]:
+    if record["status"] != "complete":
+        yield f"the session is {record['status']}: its evidence is incomplete"
+    if record["totals"] != counts.to_json():
+        yield f"totals: {record['totals']}, and it holds {counts.to_json()}"
+    cases = {(one["id"], one["component"]): one for one in record["cases"]}
+    requirements = {one["id"] for one in record["requirements"]}
+    if len(cases) < len(record["cases"]):
+        yield "cases: one of them is listed twice"
+    if len(requirements) < len(record["requirements"]):
+        yield "requirements: one of them is listed twice"
+    ids: set[tuple[str, str]] = set()
+    sums: dict[Key, Counter[str]] = defaultdict(Counter)
+    for episode in record.episodes():
+        ids.add((episode["id"], episode["component"]))
+        yield from _episode(episode, cases)
+        if episode["planned"]:
+            _add(sums[episode["case"], episode["component"]], episode)
+    for key, case in cases.items():
+        yield from _case(case, sums[key])
+    for one in record["verdicts"]:
+        yield from _verdict(one, cases, requirements, ids)
+    yield from _coverage(record)
+    yield from _gate(record)
+
+
+def _episode(episode: Data, cases: Mapping[Key, Data]) -> Iterator[str]:
+    name, spec = episode["id"], episode["spec"]
+    if (episode["case"], episode["component"]) not in cases:
+        yield f"episode {name}: its case is not listed"
+    if name != f"{spec['case']}#{spec['run']}" or episode["case"] != spec["case"]:
+        yield f"episode {name}: its spec is that of {spec['case']}#{spec['run']}"
+    if episode["seed"] != spec["seed"]:
+        yield f"episode {name}: seed {episode['seed']}, and {spec['seed']} in its spec"
+    if (episode["validity"] == "missing") != (episode["failure"] is not None):
+        yield f"episode {name}: {episode['validity']}, and its failure is {episode['failure']!r}"
+    if (episode["validity"] == "invalid") != (
+        episode["failure"] is None and episode["invalid_reason"] is not None
+    ):
+        yield f"episode {name}: {episode['validity']}, because {episode['invalid_reason']!r}"
+    missing = {one["id"] for one in spec["faults"]} - {one["id"] for one in episode["faults"]}
+    if missing:
+        yield f"episode {name}: nothing is said of its faults {', '.join(sorted(missing))}"
+
+
+def _add(sums: Counter[str], episode: Data) -> None:
+    sums["run"] += 1
+    sums[episode["validity"]] += 1
+    for key in _COUNTED:
+        if episode["outcome"][key]:
+            sums[f"{key}.run"] += 1
+            sums[f"{key}.valid"] += episode["validity"] == "valid"
+
+
+def _case(case: Data, sums: Mapping[str, int]) -> Iterator[str]:
+    metrics = case["metrics"]
+    told = {word: metrics[word] for word in ("run", "valid", "invalid", "missing")}
+    for key in _COUNTED:
+        for over in ("valid", "run"):
+            if metrics[key] is not None:
+                told[f"{key}.{over}"] = metrics[key][over]
+    for name, count in told.items():
+        if count != sums[name]:
+            yield f"case {case['id']}: {name} is {count}, and its episodes say {sums[name]}"
+
+
+def _verdict(
+    one: Data, cases: Mapping[Key, Data], requirements: set[str], episodes: set[Key]
+) -> Iterator[str]:
+    name = f"verdict {one['requirement']} on {one['case']}"
+    if one["requirement"] not in requirements:
+        yield f"{name}: the requirement is not listed"
+    if (one["case"], one["component"]) not in cases:
+        yield f"{name}: the case is not listed"
+    if one["episodes"] + one["invalid"] + one["missing"] != one["run"]:
+        yield f"{name}: valid, invalid and missing episodes do not add up to {one['run']}"
+    if one["violations"] != len(one["counterexamples"]) or one["violations"] > one["episodes"]:
+        listed = len(one["counterexamples"])
+        yield f"{name}: {one['violations']} violations, and {listed} counterexamples"
+    for counterexample in one["counterexamples"]:
+        if (counterexample["episode"], one["component"]) not in episodes:
+            yield f"{name}: its counterexample {counterexample['episode']} is not listed"
+    yield from _word(name, one)
+
+
+def _word(name: str, one: Data) -> Iterator[str]:
+    """Whether the counts allow the word; the statistics are computed again where n is fixed."""
+    bound, word = one["bound"], one["verdict"]
+    exact = bound["method"] == METHOD
+    if exact and one["episodes"] and one["pairs"] is None:
+        upper = upper_bound(one["violations"], one["episodes"], bound["confidence"])
+        if bound["upper"] is None or not isclose(bound["upper"], upper, rel_tol=1e-9):
+            yield f"{name}: the bound is {bound['upper']}, and its counts give {upper}"
+    if word == "violated" and not one["violations"] and one["pairs"] is None:
+        yield f"{name}: violated without a violation"
+    if word != "supported":
+        return
+    if one["missing"] or not one["episodes"]:
+        yield f"{name}: supported, {one['episodes']} episodes valid and {one['missing']} missing"
+    if one["run"] + one["saved"] < one["planned"]:
+        yield f"{name}: supported with {one['run']} of {one['planned']} planned runs"
+    if bound["at_most"] is None and one["violations"]:
+        yield f"{name}: supported with {one['violations']} violations"
+    too_high = exact and bound["at_most"] is not None and one["pairs"] is None
+    if too_high and (bound["upper"] is None or bound["upper"] > bound["at_most"]):
+        yield f"{name}: supported with a bound of {bound['upper']} above {bound['at_most']}"
+
+
+def _coverage(record: SessionRecord) -> Iterator[str]:
+    """Whether each verdict has its cell, and each tested cell its verdict."""
+    decided: dict[tuple[str, str], set[str]] = defaultdict(set)
+    for one in record["verdicts"]:
+        decided[one["requirement"], one["case"]].add(one["verdict"])
+    cells = defaultdict(set)
+    for cell in record["coverage"]["cells"]:
+        if cell["verdict"] is not None:
+            cells[cell["requirement"], cell["case"]].add(cell["verdict"])
+    for requirement, case in sorted(set(cells) - set(decided)):
+        yield f"coverage: {requirement} on {case} counts as tested, and has no verdict"
+    for key, words in sorted(cells.items()):
+        if key in decided and not words <= decided[key]:
+            yield f"coverage: {key[0]} on {key[1]} is not {', '.join(sorted(words))}"
+
+
+def _gate(record: SessionRecord) -> Iterator[str]:
+    gate = record["gate"]
+    accepted = {"supported"} | ({"undecided"} if gate["warn_undecided"] else set())
+    against = [
+        f"{one['requirement']} on {one['case']} is {one['verdict']}"
+        for one in record["verdicts"]
+        if one["verdict"] not in accepted and one["waiver"] is None
+    ]
+    if gate["result"] == "passed":
+        if against or record["status"] != "complete" or gate["exit_code"] != 0:
+            why = against[0] if against else f"status {record['status']}"
+            yield f"gate: passed, although {why} (exit code {gate['exit_code']})"
+    elif not gate["reasons"]:
+        yield f"gate: {gate['result']}, and no reason is given"
