@@ -11,7 +11,8 @@ from pytest_dura.evidence.text import LEAST_LIMIT, code, markdown, name, one_lin
 
 HOSTILE = (
     "\x00\x1b[31m", "\x7f\x9b", "\u202e\u2066\u200b\u2060\ufeff", "\ud800", "\udfff",
-    "\u2028\u2029",    "\ufffe\uffff", "\U0001fffe", "\u3164\u115f\u034f", "\r\n\r\t ", "\xa0\u3000", "]](http://x)",
+    "\u2028\u2029",
+    "\ufffe\uffff", "\U0001fffe", "\u3164\u115f\u034f", "\r\n\r\t ", "\xa0\u3000", "]](http://x)",
     "|", "\\|", "\\", "`", "``", "@me", "#1", "www.x.org", "<script>", "&lt;", "$x$", "- ", "1. ",
     "\U000e0041", "\u0644\u0627", "é\U0001f600",
 )  # fmt: skip
