@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from io import TextIOWrapper
 from pathlib import Path
 
 from pytest_dura.core.errors import ConfigurationError
@@ -32,6 +33,8 @@ def _verify(directory: Path) -> int:
     from pytest_dura.evidence.verifying import verify_bundle
 
     found = verify_bundle(directory)
+    if isinstance(sys.stdout, TextIOWrapper):  # a file's name need not be text
+        sys.stdout.reconfigure(errors="backslashreplace")
     for problem in found.problems:
         print(problem)
     if found.counts is not None:
