@@ -1,0 +1,43 @@
+"""Figures as every format words them: a rate never stands without its n and its confidence."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Any
+
+from pytest_dura.evidence.session_record import SessionRecord
+
+Data = Mapping[str, Any]
+UNREVIEWED = "generated, unreviewed"
+_SHA256 = re.compile(r"[0-9a-f]{64}")
+
+
+def sample(verdict: Data) -> str:
+    """What a verdict rests on: ``12 valid of 15 run, 15 planned; 0 violations``."""
+    told = (
+        f"{verdict['episodes']} valid of {verdict['run']} run, {verdict['planned']} planned; "
+        f"{verdict['violations']} violations"
+    )
+    kinds = ("invalid", "missing", "vacuous")
+    left = [f"{verdict[kind]} {kind}" for kind in kinds if verdict[kind]]
+    return ", ".join([told, *left])
+
+
+def bound(verdict: Data) -> str:
+    """The bound on the rate of violations with its confidence, or that there is none."""
+    told = verdict["bound"]
+    if told["upper"] is None:
+        return "no bound"
+    return f"rate <= {told['upper']:.3g} at {told['confidence']:g} confidence"
+
+
+def components(record: SessionRecord) -> list[Data]:
+    """The components under test that the record describes, the first one first."""
+    first = record["component_under_test"]
+    return [first, *first.get("others", ())]
+
+
+def sha256(text: object) -> str | None:
+    """The digest, if it is a SHA-256 in hexadecimal."""
+    return text if isinstance(text, str) and _SHA256.fullmatch(text) else None
