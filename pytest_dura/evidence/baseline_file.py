@@ -11,6 +11,7 @@ from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.evidence.baseline import compare_claims
 from pytest_dura.evidence.bundle import RECORD, load_record
 from pytest_dura.evidence.claims import Claim, claims_of
+from pytest_dura.evidence.session_record import SessionRecord
 
 OPTION = "--dura-baseline"
 
@@ -56,7 +57,7 @@ class Baseline:
                 status=str(record["status"]),
                 base_seed=_seed(record["base_seed"]),
                 component={"name": None, **record["component_under_test"]},
-                claims=tuple(claims_of(record)),
+                claims=tuple(claims_of(SessionRecord.of(record, file.parent))),
             )
         except (AttributeError, KeyError, TypeError, ValueError, RecursionError) as error:
             raise ConfigurationError(
@@ -78,7 +79,7 @@ class Baseline:
             )
         return baseline
 
-    def to_json(self, record: Mapping[str, Any] | None = None) -> dict[str, Any]:
+    def to_json(self, record: SessionRecord | None = None) -> dict[str, Any]:
         """Plain data for the record's key ``baseline``.
 
         ``tests`` counts what Holm's correction counts, ``comparisons`` are those of

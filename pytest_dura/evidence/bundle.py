@@ -4,37 +4,44 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
-import tempfile
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.evidence.files import write_file
 from pytest_dura.evidence.plain import plain
 from pytest_dura.evidence.record import SCHEMA_VERSION
+from pytest_dura.evidence.session_record import SessionRecord
 
 RECORD = "evidence.json"
+EPISODES = "episodes"
 
 
-def write_record(directory: Path, record: Mapping[str, Any]) -> Path:
-    """Write ``evidence.json`` atomically and return its path.
+def write_record(directory: Path, record: SessionRecord) -> Path:
+    """Write ``evidence.json`` atomically, one episode at a time, and return its path.
 
     Raises:
         ConfigurationError: If the directory cannot be made or written.
     """
-    text = json.dumps(plain(record), indent=1, ensure_ascii=False, allow_nan=False)
-    try:
-        directory.mkdir(parents=True, exist_ok=True)
-        return _replace(directory / RECORD, text + "\n")
-    except OSError as error:
-        raise ConfigurationError(
-            f"the evidence cannot be written: {error.strerror or error}",
-            key="--dura-evidence",
-            found=str(directory),
-            expected="a directory that can be written",
-            remedy="choose another directory",
-        ) from None
+    write_file(directory / RECORD, _text(record))
+    return directory / RECORD
+
+
+def read_session_record(directory: Path) -> SessionRecord:
+    """The record of an evidence directory as renderers read it; it is in memory as a whole.
+
+    Raises:
+        ConfigurationError: If there is none, or it cannot be read, or its file is a link, which
+            leads to what is no part of the directory.
+    """
+    file = directory / RECORD
+    if file.is_symlink():
+        raise _unreadable("the record is a symbolic link", file, "--dura-evidence")
+    record = read_record(directory)
+    if not isinstance(record.get("episodes"), list):
+        raise _unreadable("this record has no episodes", file, "--dura-evidence")
+    return SessionRecord.of(record, directory)
 
 
 def read_record(directory: Path) -> dict[str, Any]:
@@ -87,18 +94,32 @@ def _unreadable(problem: str, file: Path, key: str) -> ConfigurationError:
     )
 
 
-def _replace(file: Path, text: str) -> Path:
-    handle, name = tempfile.mkstemp(dir=file.parent, prefix=f".{file.name}-")
-    try:
-        # A name of a file need not be text; what UTF-8 cannot hold, JSON can, as \\udcff.
-        with os.fdopen(handle, "w", encoding="utf-8", errors="backslashreplace") as stream:
-            stream.write(text)
-            stream.flush()
-            os.fsync(stream.fileno())
-        # mkstemp makes files for the owner alone; the record is for whoever may read the folder.
-        Path(name).chmod(0o644)
-        Path(name).replace(file)
-    except BaseException:  # also on ctrl-C no half-written file stays behind; it is raised again
-        Path(name).unlink(missing_ok=True)
-        raise
-    return file
+def _text(record: SessionRecord) -> Iterator[str]:
+    """The record as JSON, indented by one, with the episodes behind the cases."""
+    head = plain(record.head)
+    names = list(head)
+    place = names.index("cases") + 1 if "cases" in names else len(names)
+    names.insert(place, EPISODES)
+    yield "{"
+    for number, name in enumerate(names):
+        yield ",\n " if number else "\n "
+        yield f"{_json(name)}: "
+        if name == EPISODES:
+            yield from _list(record.episodes())
+        else:
+            yield _json(head[name]).replace("\n", "\n ")
+    yield "\n}\n"
+
+
+def _list(values: Iterable[Any]) -> Iterator[str]:
+    """A list within an object that is no part of anything."""
+    number = -1
+    for number, value in enumerate(values):
+        yield ",\n  " if number else "[\n  "
+        # In JSON a line break is always one between its parts.
+        yield _json(value).replace("\n", "\n  ")
+    yield "[]" if number < 0 else "\n ]"
+
+
+def _json(value: Any) -> str:
+    return json.dumps(value, indent=1, ensure_ascii=False, allow_nan=False)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from pytest_dura.evidence.conditions import Conditions
+from pytest_dura.evidence.session_record import SessionRecord
 
 Data = Mapping[str, Any]
 TOO_MANY = 10**9
@@ -59,7 +60,7 @@ class Claim:
         return [self.conditions[run].seed for run in runs]
 
 
-def claims_of(record: Data) -> list[Claim]:
+def claims_of(record: SessionRecord) -> list[Claim]:
     """The claims of a record, in its order.
 
     Raises:
@@ -70,7 +71,7 @@ def claims_of(record: Data) -> list[Claim]:
     """
     requirements = {one["id"]: one for one in record["requirements"]}
     conditions: dict[tuple[str, str], dict[int, Conditions]] = {}
-    for one in record["episodes"]:
+    for one in record.episodes():
         if one["planned"]:
             runs = conditions.setdefault((one["case"], one["component"]), {})
             runs.setdefault(_count(one["spec"]["run"]), Conditions.of(one["spec"]))

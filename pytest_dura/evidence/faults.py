@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import statistics
-from collections.abc import Iterable, Mapping, Sequence
+from array import array
+from collections import Counter
+from collections.abc import Mapping
 from typing import Any
 
 Data = Mapping[str, Any]
@@ -28,6 +30,10 @@ RATES: Mapping[str, tuple[str, str]] = {
 }
 """Each rate's counts: how many did, of how many that could."""
 
+STEPS = (
+    "run", "activated", "manifested", "followed", "propagated",
+    "detected", "recovery", "recovered", "judged", "violated",
+)  # fmt: skip
 LATENCIES = ("detection_latency", "recovery_latency", "time_to_recover")
 
 
@@ -40,53 +46,74 @@ def with_chains(episode: Data, chains: Mapping[str, Data]) -> dict[str, Any]:
     return {**episode, "faults": faults}
 
 
-def fault_metrics(episodes: Sequence[Data]) -> list[dict[str, Any]]:
+class FaultMetrics:
     """How far each fault got, over the episodes in which it was planned.
 
-    ``activated`` and ``manifested`` are counted over all episodes that were run, what follows over
-    those in which the fault manifested: ``propagated`` beside ``followed``, in which that is known,
-    ``detected``, ``recovery`` (recovery acted) and ``recovered`` (control was handed back).
-    ``violated`` stands beside ``judged``, the episodes whose outcome is known: without a verdict
-    on a campaign nobody asked for it. Rates are shares of those that could: of activation and
-    manifestation over all runs, of propagation over those followed, of detection over those
-    manifested, of recovery over those in which it acted; ``None`` where there are none. Latencies
-    are seconds from the manifestation on: to the alert, to the first recovery action, and from
-    there until the proposal was acceptable again.
+    Of an episode it keeps a few numbers at most, so that there may be many of them.
     """
-    columns: dict[str, list[Data]] = {}
-    for episode in episodes:
+
+    def __init__(self) -> None:
+        self._targets: dict[str, Any] = {}
+        self._counts: dict[str, Counter[str]] = {}
+        self._times: dict[tuple[str, str], array[float]] = {}
+
+    def add(self, episode: Data) -> None:
+        """Take in an episode, of :func:`with_chains`."""
         for fault in episode["faults"]:
-            columns.setdefault(fault["id"], []).append(fault)
-    return [_of_fault(name, found) for name, found in columns.items()]
+            name = fault["id"]
+            self._targets.setdefault(name, fault["target"])
+            self._counts.setdefault(name, Counter()).update(_passed(fault))
+            if fault["manifested_at"] is not None:
+                for latency in LATENCIES:
+                    if fault[latency] is not None:
+                        self._times.setdefault((name, latency), array("d")).append(fault[latency])
+
+    def to_json(self) -> list[dict[str, Any]]:
+        """Plain data, fault by fault.
+
+        ``activated`` and ``manifested`` are counted over all episodes that were run, what follows
+        over those in which the fault manifested: ``propagated`` beside ``followed``, in which that
+        is known, ``detected``, ``recovery`` (recovery acted) and ``recovered`` (control was handed
+        back). ``violated`` stands beside ``judged``, the episodes whose outcome is known: without a
+        verdict on a campaign nobody asked for it. Rates are shares of those that could: of
+        activation and manifestation over all runs, of propagation over those followed, of
+        detection over those manifested, of recovery over those in which it acted; ``None`` where
+        there are none. Latencies are seconds from the manifestation on: to the alert, to the first
+        recovery action, and from there until the proposal was acceptable again.
+        """
+        return [self._of_fault(name, counts) for name, counts in self._counts.items()]
+
+    def _of_fault(self, name: str, counts: Counter[str]) -> dict[str, Any]:
+        return {
+            "id": name,
+            "target": self._targets[name],
+            **{step: counts[step] for step in STEPS},
+            "rates": {
+                rate: counts[part] / counts[whole] if counts[whole] else None
+                for rate, (part, whole) in RATES.items()
+            },
+            **{latency: _spread(self._times.get((name, latency))) for latency in LATENCIES},
+        }
 
 
-def _of_fault(name: str, found: Sequence[Data]) -> dict[str, Any]:
-    reached = [one for one in found if one["manifested_at"] is not None]
-    counts = {
-        "run": len(found),
-        "activated": sum(one["activated_at"] is not None for one in found),
-        "manifested": len(reached),
-        "followed": sum(one["propagation"] in ("propagated", "contained") for one in reached),
-        "propagated": sum(one["propagation"] == "propagated" for one in reached),
-        "detected": sum(one["detected_at"] is not None for one in reached),
-        "recovery": sum(one["recovery_at"] is not None for one in reached),
-        "recovered": sum(one["recovered_at"] is not None for one in reached),
-        "judged": sum(one["outcome"] not in (None, "missing") for one in found),
-        "violated": sum(one["outcome"] == "violated" for one in found),
+def _passed(fault: Data) -> list[str]:
+    """The steps that a fault passed in one episode."""
+    reached = fault["manifested_at"] is not None
+    passed = {
+        "run": True,
+        "activated": fault["activated_at"] is not None,
+        "manifested": reached,
+        "followed": reached and fault["propagation"] in ("propagated", "contained"),
+        "propagated": reached and fault["propagation"] == "propagated",
+        "detected": reached and fault["detected_at"] is not None,
+        "recovery": reached and fault["recovery_at"] is not None,
+        "recovered": reached and fault["recovered_at"] is not None,
+        "judged": fault["outcome"] not in (None, "missing"),
+        "violated": fault["outcome"] == "violated",
     }
-    return {
-        "id": name,
-        "target": found[0]["target"],
-        **counts,
-        "rates": {
-            rate: counts[part] / counts[whole] if counts[whole] else None
-            for rate, (part, whole) in RATES.items()
-        },
-        **{name: _spread(reached, name) for name in LATENCIES},
-    }
+    return [step for step in STEPS if passed[step]]
 
 
-def _spread(found: Iterable[Data], name: str) -> dict[str, float] | None:
+def _spread(times: array[float] | None) -> dict[str, float] | None:
     """Median and greatest of a latency in s, where it is known."""
-    times = [one[name] for one in found if one[name] is not None]
     return {"median": statistics.median(times), "max": max(times)} if times else None

@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any, Literal
 
 from pytest_dura.evidence.attempts import final_outcomes, test_of, worst_by_episode
-from pytest_dura.evidence.episodes import case_metrics
-from pytest_dura.evidence.faults import fault_metrics, with_chains
+from pytest_dura.evidence.case_metrics import CaseMetrics
+from pytest_dura.evidence.session_record import SessionRecord
+from pytest_dura.evidence.spool import EpisodeSpool
 from pytest_dura.requirements.model import Requirement
 from pytest_dura.requirements.verdicts.judging import judge_campaign
 
@@ -36,6 +38,7 @@ class ItemReport:
         outcomes: ``EpisodeVerdict.to_json()`` of tests that look at one episode, with ``case``,
             ``planned``, and the ``at_most`` and ``confidence`` of the requirement.
         claims: ``{requirement, case, each_run}`` of what the item is to decide, told before it.
+        traces: ``{id, component, digest, trace}`` of episodes whose trace was written.
         monitors: ``MonitorQuality.to_json()``, with the ``case`` that it was measured on.
         chains: What came of each fault, with the ``episode`` and its ``case``.
     """
@@ -50,6 +53,7 @@ class ItemReport:
     monitors: list[Data] = field(default_factory=list)
     chains: list[Data] = field(default_factory=list)
     claims: list[Data] = field(default_factory=list)
+    traces: list[Data] = field(default_factory=list)
 
     def to_json(self) -> Data:
         """Plain data."""
@@ -66,20 +70,33 @@ class EvidenceRecord:
 
     Args:
         header: ``created``, ``tool``, ``command``, ``base_seed``, ``environment``.
+        directory: The bundle's, on whose disk the episodes are kept: in memory there are few.
+            Without one they are in a temporary file of the system.
+
+    Raises:
+        ConfigurationError: If the directory cannot be made or written.
     """
 
     header: Data
+    directory: Path | None = None
     _components: dict[str, Data] = field(default_factory=dict)
     _requirements: dict[str, Data] = field(default_factory=dict)
     _cases: dict[tuple[str, str], Data] = field(default_factory=dict)
-    _episodes: dict[tuple[str, str, str], Data] = field(default_factory=dict)
+    _spool: EpisodeSpool = field(init=False)
     _verdicts: dict[tuple[str, ...], Data] = field(default_factory=dict)
     _outcomes: dict[tuple[str, ...], list[Data]] = field(default_factory=dict)
     _monitors: dict[tuple[str, ...], Data] = field(default_factory=dict)
-    _chains: dict[tuple[str, str], dict[str, Data]] = field(default_factory=dict)
     _expected: dict[tuple[str, str, str], Data] = field(default_factory=dict)
     _waivers: dict[str, Data] = field(default_factory=dict)
     _clashes: dict[tuple[str, str], str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Make room for the episodes."""
+        self._spool = EpisodeSpool(self.directory)
+
+    def close(self) -> None:
+        """Forget the episodes, also those of records that were made of them."""
+        self._spool.close()
 
     def expect(self, item: str, requirement: Data, case: Data) -> None:
         """A campaign's item that will run; if it never reports, its verdict is undecided."""
@@ -87,7 +104,11 @@ class EvidenceRecord:
         self._requirements.setdefault(requirement["id"], requirement)
 
     def add(self, report: Mapping[str, Any]) -> None:
-        """What an item told."""
+        """What an item told.
+
+        Raises:
+            ConfigurationError: If its episodes cannot be kept.
+        """
         item = report["item"]
         for claim in report["claims"]:
             case, decides = claim["case"], test_of(item) if claim["each_run"] else item
@@ -98,20 +119,27 @@ class EvidenceRecord:
             self._requirements.setdefault(requirement["id"], requirement)
         for case in report["cases"]:
             self._add_case(case)
-        for episode in report["episodes"]:
-            self._add_episode(episode)
+        self._add_episodes(report)
         for verdict in report["verdicts"]:
             self._add_verdict(item, verdict)
         for monitor in report["monitors"]:
             key = tuple(monitor[name] for name in ("case", "component", "target", "monitor"))
             self._monitors[key] = monitor
-        self._add_chains(report["chains"])
         for outcome in report["outcomes"]:
             # What two tests make of one episode are two answers, and no attempts at one.
             key = test_of(item), outcome["requirement"], outcome["case"], outcome["component"]
             told = self._outcomes.setdefault(key, [])
             if (outcome | {"item": item}) not in told:
                 told.append(outcome | {"item": item})
+
+    def add_traces(self, traces: Iterable[Data]) -> None:
+        """Where traces of episodes are: ``{id, component, digest, trace}``, in any order.
+
+        Raises:
+            ConfigurationError: If that cannot be kept.
+        """
+        for trace in traces:
+            self._spool.add_trace(trace)
 
     def waive(self, item: str, kind: str, reason: str) -> None:
         """The item's failure was excused: ``xfail``, ``rerun`` or ``skip``."""
@@ -122,29 +150,29 @@ class EvidenceRecord:
         """What casts doubt on the whole session; each begins with ``infrastructure:``."""
         return sorted(self._clashes.values())
 
-    def to_json(self, status: Status) -> Data:
-        """The record as plain data, with the keys of the design."""
+    def record(self, status: Status) -> SessionRecord:
+        """The record, with the keys of the design; its episodes are read as long as it is open.
+
+        Raises:
+            ConfigurationError: If the episodes cannot be read.
+        """
         self._add_unheard_cases()
-        episodes = sorted(
-            map(self._followed, self._episodes.values()),
-            key=lambda one: (one["case"], one["component"], one["spec"]["run"], one["seed"]),
-        )
-        cases = [self._case(key, episodes) for key in sorted(self._cases)]
+        verdicts = self.verdicts()
         components = [self._components[name] for name in sorted(self._components)]
         under_test = components[0] if components else {"name": None, "version": None}
         if len(components) > 1:
             under_test = under_test | {"others": components[1:]}
-        return {
+        head = {
             "schema_version": SCHEMA_VERSION,
             "status": status,
             **self.header,
             "component_under_test": under_test,
             "requirements": [self._requirements[name] for name in sorted(self._requirements)],
-            "cases": cases,
-            "episodes": episodes,
-            "verdicts": self.verdicts(),
+            "cases": self._measured_cases(),
+            "verdicts": verdicts,
             "monitors": [self._monitors[key] for key in sorted(self._monitors)],
         }
+        return SessionRecord(head, self.directory or Path(), self._spool.__iter__)
 
     def verdicts(self) -> list[Data]:
         """All verdicts, also of campaigns that never reported, sorted by case and requirement."""
@@ -158,25 +186,22 @@ class EvidenceRecord:
             self._qualify(verdict)
         return sorted(found, key=lambda one: (one["case"], one["requirement"], one["item"]))
 
-    def _add_chains(self, chains: Iterable[Data]) -> None:
-        for chain in chains:
-            key = chain["component"], chain["episode"]
-            self._chains.setdefault(key, {})[chain["id"]] = chain
-
     def _add_case(self, case: Data) -> None:
         known = self._cases.setdefault((case["id"], case["component"]), dict(case))
         known["planned"] = max(known["planned"], case["planned"])
 
-    def _add_episode(self, episode: Data) -> None:
-        inputs = {key: value for key, value in episode["spec"].items() if key != "timeouts"}
-        key = episode["id"], episode["component"], json.dumps(inputs, sort_keys=True)
-        known = self._episodes.setdefault(key, episode)
-        if known["digest"] != episode["digest"]:
-            self._clashes[episode["case"], episode["component"]] = (
-                f"infrastructure: nondeterministic: the episode {episode['id']} was run twice, "
-                f"with the digests {known['digest'][:12]} and {episode['digest'][:12]}"
-            )
-        known["planned"] = known["planned"] or episode["planned"]
+    def _add_episodes(self, report: Mapping[str, Any]) -> None:
+        """The episodes of a report, and what it tells of them beside."""
+        for episode in report["episodes"]:
+            first = self._spool.add(episode)
+            if first != episode["digest"]:
+                self._clashes[episode["case"], episode["component"]] = (
+                    f"infrastructure: nondeterministic: the episode {episode['id']} was run twice, "
+                    f"with the digests {first[:12]} and {episode['digest'][:12]}"
+                )
+        for chain in report["chains"]:
+            self._spool.add_chain(chain)
+        self.add_traces(report["traces"])
 
     def _add_verdict(self, item: str, verdict: Data) -> None:
         # The same item may ask several questions; what is asked again is another attempt.
@@ -277,15 +302,14 @@ class EvidenceRecord:
         if clash is not None and verdict["verdict"] == "supported":
             verdict["verdict"], verdict["reason"] = "undecided", clash
 
-    def _followed(self, episode: Data) -> Data:
-        """An episode with what came of each of its faults."""
-        if not (episode["faults"] and episode["planned"]):
-            return with_chains(episode, {})
-        chains = self._chains.get((episode["component"], episode["id"]), {})
-        return with_chains(episode, chains)
-
-    def _case(self, key: tuple[str, str], episodes: Iterable[Data]) -> Data:
-        case = dict(self._cases[key])
-        own = [one for one in episodes if (one["case"], one["component"]) == key and one["planned"]]
-        metrics = {**case_metrics(own, case["planned"]), "faults": fault_metrics(own)}
-        return {**case, "metrics": metrics}
+    def _measured_cases(self) -> list[Data]:
+        """The cases with what their planned episodes come to, which are seen once."""
+        measured = {key: CaseMetrics() for key in self._cases}
+        for episode in self._spool:
+            key = episode["case"], episode["component"]
+            if episode["planned"] and key in measured:
+                measured[key].add(episode)
+        return [
+            {**self._cases[key], "metrics": measured[key].to_json(self._cases[key]["planned"])}
+            for key in sorted(self._cases)
+        ]

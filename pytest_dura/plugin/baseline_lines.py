@@ -10,6 +10,7 @@ from pytest_dura.plugin.tables import WIDTH, Data, counted
 
 if TYPE_CHECKING:
     from pytest_dura.evidence.baseline_file import Baseline
+    from pytest_dura.evidence.session_record import SessionRecord
 
 NO_EVIDENCE = "no evidence of a change"
 COLOURS: Mapping[str, dict[str, bool]] = {"worse": {"red": True}, "better": {"green": True}}
@@ -34,7 +35,7 @@ def baseline_header(baseline: Baseline | None) -> list[str]:
     return lines
 
 
-def show_baseline(terminal: Any, record: Data) -> None:
+def show_baseline(terminal: Any, record: SessionRecord) -> None:
     """What was violated now or then with its figures, the rest by name, and what they come to."""
     baseline = record["baseline"]
     if baseline is None:

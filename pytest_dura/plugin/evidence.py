@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import json
 import shlex
+from dataclasses import replace
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import pytest
 
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from pytest_dura.campaign.cases import Case
     from pytest_dura.evidence.baseline_file import Baseline
     from pytest_dura.evidence.record import EvidenceRecord, Status
+    from pytest_dura.evidence.session_record import SessionRecord
     from pytest_dura.plugin.session import DuraSession
 
 
@@ -39,7 +41,7 @@ class SessionEvidence:
         self.session = session
         self.record: EvidenceRecord | None = None
         self.file: Path | None = None
-        self.final: dict[str, Any] | None = None
+        self.final: SessionRecord | None = None
         self.baseline: Baseline | None = None
         self.objections: list[str] = []
 
@@ -76,7 +78,8 @@ class SessionEvidence:
                 "command": shlex.join(["pytest", *map(str, config.invocation_params.args)]),
                 "base_seed": options.seed,
                 "environment": describe_environment(config.rootpath, options.evidence),
-            }
+            },
+            options.evidence,
         )
         self._write("running")
 
@@ -103,7 +106,11 @@ class SessionEvidence:
         if told is not None:
             self.start()
             if self.record is not None:
-                self.record.add(json.loads(told))
+                try:
+                    self.record.add(json.loads(told))
+                except ConfigurationError as error:
+                    # Without its episodes there is nothing that the session could still show.
+                    pytest.exit(str(error))
         if self.record is not None:
             self._waive(report)
 
@@ -175,8 +182,8 @@ class SessionEvidence:
         assert self.record is not None
         from pytest_dura.evidence.bundle import write_record
 
-        record = self.record.to_json(status)
+        record = self.record.record(status)
         finished = None if status == "running" else record
         baseline = None if self.baseline is None else self.baseline.to_json(finished)
-        self.final = {**record, "baseline": baseline}
+        self.final = replace(record, head={**record.head, "baseline": baseline})
         self.file = write_record(self.session.options.evidence, self.final)

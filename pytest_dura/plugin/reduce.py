@@ -105,6 +105,7 @@ def _record(record: Data, recorded: Recorded, reduction: Reduction, folder: Path
     """A record with the reduced episode alone, in the form of the one that it came from."""
     from pytest_dura.evidence.bundle import write_record
     from pytest_dura.evidence.episodes import episode_record
+    from pytest_dura.evidence.session_record import SessionRecord
 
     episode = reduction.episode
     assert episode is not None
@@ -121,4 +122,4 @@ def _record(record: Data, recorded: Recorded, reduction: Reduction, folder: Path
         "baseline": None,
         "reduced_from": recorded.spec.id,
     }
-    write_record(folder, {**record, **told})
+    write_record(folder, SessionRecord.of({**record, **told}, folder))

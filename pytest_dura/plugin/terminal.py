@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Any
 from pytest_dura.plugin.baseline_lines import baseline_header, show_baseline
 from pytest_dura.plugin.fault_lines import fault_table
 from pytest_dura.plugin.overrides import overrides_deeper_down, root_conftest_with
-from pytest_dura.plugin.tables import Data, case_table, counted, monitor_table, pair_table
+from pytest_dura.plugin.tables import case_table, counted, monitor_table, pair_table
 from pytest_dura.plugin.verdict_lines import show_verdicts
 
 if TYPE_CHECKING:
+    from pytest_dura.evidence.session_record import SessionRecord
     from pytest_dura.plugin.session import DuraSession
 
 
@@ -75,7 +76,7 @@ def summary(session: DuraSession, terminal: Any) -> None:
         terminal.line(f"evidence: {_relative(session, session.evidence.file)}")
 
 
-def _show_cases(session: DuraSession, terminal: Any, record: Data) -> None:
+def _show_cases(session: DuraSession, terminal: Any, record: SessionRecord) -> None:
     """What was run, and the tables of what it came to."""
     terminal.line(f"component under test: {_names(record)}, base seed {record['base_seed']}")
     if session.options.runs is not None:
@@ -86,7 +87,7 @@ def _show_cases(session: DuraSession, terminal: Any, record: Data) -> None:
     shown = [case for case in record["cases"] if not case["without"] or case["id"] not in twins]
     for line in case_table(shown):
         terminal.line(line)
-    by_hand = sum(not episode["planned"] for episode in record["episodes"])
+    by_hand = sum(not episode["planned"] for episode in record.episodes())
     if by_hand:
         terminal.line(f"and {counted(by_hand, 'episode')} with a seed chosen by hand")
     for lines in (
@@ -98,7 +99,7 @@ def _show_cases(session: DuraSession, terminal: Any, record: Data) -> None:
             terminal.line(line)
 
 
-def _names(record: Data) -> str:
+def _names(record: SessionRecord) -> str:
     names = sorted({case["component"] for case in record["cases"]})
     under_test = record["component_under_test"]
     opaque = " (a bare instance, in this process only)" if under_test.get("opaque") else ""

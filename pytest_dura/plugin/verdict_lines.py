@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from pytest_dura.plugin.commands import replay_command, rerun_command
@@ -11,6 +11,7 @@ from pytest_dura.plugin.fault_lines import chain_line
 from pytest_dura.plugin.tables import WIDTH, Data, counted
 
 if TYPE_CHECKING:
+    from pytest_dura.evidence.session_record import SessionRecord
     from pytest_dura.plugin.session import DuraSession
 
 TOGETHER = "\N{NO-BREAK SPACE}"
@@ -18,7 +19,7 @@ TOGETHER = "\N{NO-BREAK SPACE}"
 COLOURS = {"supported": {"green": True}, "violated": {"red": True}, "undecided": {"yellow": True}}
 
 
-def show_verdicts(session: DuraSession, terminal: Any, record: Data) -> None:
+def show_verdicts(session: DuraSession, terminal: Any, record: SessionRecord) -> None:
     """Every verdict with its figures, and then each failure with what helps to mend it."""
     verdicts = record["verdicts"]
     if not verdicts:
@@ -43,8 +44,10 @@ def show_verdicts(session: DuraSession, terminal: Any, record: Data) -> None:
             cause = verdict["reason"], (verdict["spoilt"] or {}).get("detail", "")
             apart = (verdict["requirement"],) if verdict["verdict"] == "violated" else cause
             alike.setdefault((verdict["case"], verdict["component"], *apart), []).append(verdict)
+    episodes = _named(record, [group[0] for group in alike.values()])
     for group in alike.values():
-        _show_failure(session, terminal, record, group)
+        check = _check_of(record, group[0])
+        _show_failure(session, terminal, check, group, episodes)
 
 
 def _counts(verdict: Data) -> str:
@@ -72,7 +75,11 @@ def _with_margin(verdict: Data) -> str:
 
 
 def _show_failure(
-    session: DuraSession, terminal: Any, record: Data, verdicts: Sequence[Data]
+    session: DuraSession,
+    terminal: Any,
+    check: str,
+    verdicts: Sequence[Data],
+    episodes: Mapping[tuple[str, str], Data],
 ) -> None:
     first = verdicts[0]
     names = ", ".join(dict.fromkeys(one["requirement"] for one in verdicts))
@@ -83,10 +90,9 @@ def _show_failure(
     )
     for line in textwrap.wrap(first["reason"], WIDTH - 2):
         terminal.line(f"  {line}")
-    check = first["check"] or _check_of(record, first["requirement"])
     if check and len(verdicts) == 1 and check != first["requirement"]:
         terminal.line(f"  check:  {check}")
-    _show_episode(session, terminal, record, first)
+    _show_episode(session, terminal, first, episodes)
     items = list(dict.fromkeys(item for one in verdicts for item in one["item"].split(", ")))
     if len(items) > 1 and all(item.startswith(f"{first['case']}::") for item in items):
         items = [first["case"]]
@@ -94,40 +100,60 @@ def _show_failure(
         terminal.line(f"  rerun:  {rerun_command(session, item)}")
 
 
-def _check_of(record: Data, requirement: str) -> str:
-    return next((one["check"] for one in record["requirements"] if one["id"] == requirement), "")
+def _check_of(record: SessionRecord, verdict: Data) -> str:
+    known = {one["id"]: one["check"] for one in record["requirements"]}
+    return str(verdict["check"] or known.get(verdict["requirement"], ""))
 
 
-def _show_episode(session: DuraSession, terminal: Any, record: Data, verdict: Data) -> None:
+def _show_episode(
+    session: DuraSession,
+    terminal: Any,
+    verdict: Data,
+    episodes: Mapping[tuple[str, str], Data],
+) -> None:
     """The worst episode, or one that spoilt the campaign, and how to see it again."""
+    name = _name(verdict)
+    if name is None:
+        return
+    episode = episodes.get((name, verdict["component"]), {"faults": [], "events": []})
     if verdict["counterexamples"]:
         from pytest_dura.campaign.reasons import describe_counterexample
 
-        episode = verdict["counterexamples"][0]["episode"]
         terminal.line(f"  worst:  {describe_counterexample(verdict['counterexamples'][0])}")
         # What ended the episode before its time, if anything did.
-        for event in _episode(record, episode, verdict["component"])["events"]:
+        for event in episode["events"]:
             if event["kind"] == "critical":
                 terminal.line(f"  event:  at t = {event['time']:.2f} s {event['detail']}")
-    elif verdict["spoilt"] is not None:
-        episode, told = verdict["spoilt"]["episode"], str(verdict["spoilt"]["detail"])
+    else:
+        told = str(verdict["spoilt"]["detail"])
         if verdict["spoilt"]["verdict"] == "invalid" and not told.startswith("invalid: "):
             told = f"invalid: {told}"
         terminal.line(f"  {told}")
-    else:
-        return
-    for fault in _episode(record, episode, verdict["component"])["faults"]:
+    for fault in episode["faults"]:
         first, *rest = textwrap.wrap(chain_line(fault), WIDTH - 12, break_on_hyphens=False)
         terminal.line(f"  fault:  {first}")
         for line in rest:
             terminal.line(f"            {line}")
-    terminal.line(f"  replay: {replay_command(session, episode)}")
+    terminal.line(f"  replay: {replay_command(session, name)}")
 
 
-def _episode(record: Data, name: str, component: str) -> Data:
-    """The episode that a verdict on a component names: not another one's, nor one run by hand."""
-    found = [
-        one for one in record["episodes"] if (one["id"], one["component"]) == (name, component)
-    ]
-    found.sort(key=lambda one: not one["planned"])
-    return found[0] if found else {"faults": [], "events": []}
+def _name(verdict: Data) -> str | None:
+    """The id of the episode that stands for a verdict which is not "supported"."""
+    if verdict["counterexamples"]:
+        return str(verdict["counterexamples"][0]["episode"])
+    return None if verdict["spoilt"] is None else str(verdict["spoilt"]["episode"])
+
+
+def _named(record: SessionRecord, verdicts: Iterable[Data]) -> dict[tuple[str, str], Data]:
+    """The episodes that stand for verdicts: of their components, and run by hand only if no other.
+
+    They are found in one go, since a record may have a great many.
+    """
+    named = [(_name(one), one["component"]) for one in verdicts]
+    wanted = {(name, component) for name, component in named if name is not None}
+    found: dict[tuple[str, str], Data] = {}
+    for episode in record.episodes() if wanted else ():
+        key = episode["id"], episode["component"]
+        if key in wanted and (key not in found or episode["planned"] > found[key]["planned"]):
+            found[key] = episode
+    return found

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 from baseline_records import record, spec, verdict
 
 from pytest_dura.evidence.baseline import compare_claims
 from pytest_dura.evidence.claims import claims_of
+from pytest_dura.evidence.session_record import SessionRecord
 
 
 def compared(new, old):
-    return compare_claims(claims_of(new), claims_of(old))
+    return compare_claims(*(claims_of(SessionRecord.of(one, Path())) for one in (new, old)))
 
 
 def one_compared(new, old):

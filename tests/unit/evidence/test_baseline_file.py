@@ -12,6 +12,7 @@ from baseline_records import record, verdict
 
 from pytest_dura import ConfigurationError
 from pytest_dura.evidence.baseline_file import Baseline
+from pytest_dura.evidence.session_record import SessionRecord
 
 
 def written(folder, told):
@@ -27,7 +28,9 @@ def test_a_baseline_is_a_file_or_the_directory_that_holds_it(tmp_path, given):
     baseline = Baseline.read(given, tmp_path)
     assert (baseline.path, baseline.created) == (given, "2026-01-02T03:04:05+00:00")
     assert baseline.sha256 == hashlib.sha256(file.read_bytes()).hexdigest()
-    told = baseline.to_json(record(verdict(3), verdict(3, requirement="N")))
+    told = baseline.to_json(
+        SessionRecord.of(record(verdict(3), verdict(3, requirement="N")), tmp_path)
+    )
     assert (told["tests"], told["correction"]) == (1, "Holm")
     assert told["component"] == {"name": "C", "digest": "d"}
     assert [one["word"] for one in told["comparisons"]] == ["new", "no evidence of a change"]

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from pytest_dura import ConfigurationError
-from pytest_dura.evidence import bundle
+from pytest_dura.evidence import bundle, files
 from pytest_dura.evidence.plain import plain
+from pytest_dura.evidence.session_record import SessionRecord
 
 
 def test_plain_data_holds_builtins_only():
@@ -30,23 +31,27 @@ def test_what_is_no_data_is_refused():
         plain({"a": [object()]})
 
 
-RECORD = {"schema_version": "1", "text": "gap ≥ 0.5", "number": 0.1}
+RECORD = {"schema_version": "1", "text": "gap ≥ 0.5", "number": 0.1, "cases": [], "episodes": []}
+
+
+def write(folder, record):
+    return bundle.write_record(folder, SessionRecord.of(record, folder))
 
 
 def test_what_is_written_and_read_back_is_equal(tmp_path):
-    file = bundle.write_record(tmp_path / "new" / "folder", RECORD)
+    file = write(tmp_path / "new" / "folder", RECORD)
     assert bundle.read_record(file.parent) == RECORD
 
 
 def test_a_failed_write_leaves_the_old_record_and_no_rubbish(tmp_path, monkeypatch):
-    bundle.write_record(tmp_path, RECORD)
+    write(tmp_path, RECORD)
 
     def full(descriptor):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(bundle.os, "fsync", full)
+    monkeypatch.setattr(files.os, "fsync", full)
     with pytest.raises(ConfigurationError, match="No space left on device"):
-        bundle.write_record(tmp_path, {**RECORD, "number": 2})
+        write(tmp_path, {**RECORD, "number": 2})
     assert [file.name for file in tmp_path.iterdir()] == ["evidence.json"]
     assert json.loads((tmp_path / "evidence.json").read_text()) == RECORD
 

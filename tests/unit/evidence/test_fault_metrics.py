@@ -6,8 +6,15 @@ from dataclasses import asdict
 from typing import Any
 
 from pytest_dura.core.metrics import FaultRecord
-from pytest_dura.evidence.faults import UNFOLLOWED, fault_metrics, with_chains
+from pytest_dura.evidence.faults import UNFOLLOWED, FaultMetrics, with_chains
 from pytest_dura.plugin.fault_lines import chain_line, fault_table
+
+
+def fault_metrics(episodes):
+    metrics = FaultMetrics()
+    for one in episodes:
+        metrics.add(one)
+    return metrics.to_json()
 
 
 def told(**fields: Any) -> dict[str, Any]:

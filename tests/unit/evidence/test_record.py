@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import copy
 
-from pytest_dura.evidence.episodes import case_metrics
+from pytest_dura.evidence.case_metrics import CaseMetrics
 from pytest_dura.evidence.record import UNKNOWN, EvidenceRecord
 from pytest_dura.requirements.model import Requirement
 from pytest_dura.requirements.verdicts import EpisodeVerdict, judge_campaign
@@ -52,6 +52,7 @@ def report(item="a/b::R", **parts):
             "monitors",
             "claims",
             "chains",
+            "traces",
         )
     }
     return {"item": item, **empty, **parts}
@@ -66,14 +67,26 @@ def record():
     return EvidenceRecord({"created": "now"})
 
 
+def evidence(made, status="complete"):
+    found = made.record(status)
+    return {**found.head, "episodes": list(found.episodes())}
+
+
+def case_metrics(episodes, planned):
+    metrics = CaseMetrics()
+    for one in episodes:
+        metrics.add(one)
+    return metrics.to_json(planned)
+
+
 def test_the_same_report_may_come_twice():
     made = record()
     told = report(cases=[case()], episodes=[episode(0), episode(1)],
                   verdicts=[campaign("satisfied", "satisfied")])  # fmt: skip
     made.add(copy.deepcopy(told))
-    once = copy.deepcopy(made.to_json("complete"))
+    once = copy.deepcopy(evidence(made))
     made.add(copy.deepcopy(told))
-    assert made.to_json("complete") == once
+    assert evidence(made) == once
     assert len(once["episodes"]) == 2
     assert once["verdicts"][0]["attempts"] == []
 
@@ -86,14 +99,14 @@ def test_the_order_of_reports_does_not_matter():
         forth.add(copy.deepcopy(told))
     for told in (second, first):
         back.add(copy.deepcopy(told))
-    assert forth.to_json("complete") == back.to_json("complete")
+    assert evidence(forth) == evidence(back)
 
 
 def test_two_digests_of_one_episode_leave_the_claim_undecided():
     made = record()
     made.add(report(cases=[case()], episodes=[episode(0)], verdicts=[campaign("satisfied")]))
     made.add(report("other", episodes=[episode(0, digest="e")]))
-    (found,) = made.to_json("complete")["verdicts"]
+    (found,) = evidence(made)["verdicts"]
     assert found["verdict"] == "undecided"
     assert found["reason"].startswith("infrastructure: nondeterministic: the episode a/b#0")
     assert made.problems == [found["reason"]]
@@ -103,7 +116,7 @@ def test_two_digests_do_not_excuse_a_violation():
     made = record()
     made.add(report(cases=[case()], episodes=[episode(0)], verdicts=[campaign("violated")]))
     made.add(report("other", episodes=[episode(0, digest="e")]))
-    assert made.to_json("complete")["verdicts"][0]["verdict"] == "violated"
+    assert evidence(made)["verdicts"][0]["verdict"] == "violated"
 
 
 def test_other_inputs_are_another_episode():
@@ -112,7 +125,7 @@ def test_other_inputs_are_another_episode():
     other["spec"] = {"run": 0, "seed": 7, "timeouts": []}
     made.add(report(cases=[case()], episodes=[episode(0), other]))
     assert made.problems == []
-    assert len(made.to_json("complete")["episodes"]) == 2
+    assert len(evidence(made)["episodes"]) == 2
 
 
 def test_of_several_attempts_a_violation_counts_and_all_are_kept():
@@ -120,7 +133,7 @@ def test_of_several_attempts_a_violation_counts_and_all_are_kept():
         made = record()
         for word in order:
             made.add(report(cases=[case()], verdicts=[campaign(word)]))
-        (found,) = made.to_json("complete")["verdicts"]
+        (found,) = evidence(made)["verdicts"]
         assert found["verdict"] == "violated"
         assert len(found["attempts"]) == 1
 
@@ -128,21 +141,21 @@ def test_of_several_attempts_a_violation_counts_and_all_are_kept():
 def test_an_expected_item_that_never_reports_is_undecided():
     made = record()
     made.expect("a/b::R", REQUIREMENT, case(planned=3))
-    evidence = made.to_json("complete")
-    (found,) = evidence["verdicts"]
+    told = evidence(made)
+    (found,) = told["verdicts"]
     assert (found["verdict"], found["planned"], found["run"]) == ("undecided", 3, 0)
-    assert [one["id"] for one in evidence["cases"]] == ["a/b"]
-    assert evidence["requirements"] == [REQUIREMENT]
+    assert [one["id"] for one in told["cases"]] == ["a/b"]
+    assert told["requirements"] == [REQUIREMENT]
 
 
 def test_an_expected_item_takes_the_components_name_when_it_is_known():
     made = record()
     made.expect("a/b::R", REQUIREMENT, case(component=UNKNOWN))
-    assert made.to_json("running")["verdicts"][0]["component"] == UNKNOWN
+    assert evidence(made, "running")["verdicts"][0]["component"] == UNKNOWN
     made = record()
     made.expect("a/b::R", REQUIREMENT, case(component=UNKNOWN))
     made.add(report("other", components=[{"name": "C"}]))
-    assert made.to_json("complete")["verdicts"][0]["component"] == "C"
+    assert evidence(made)["verdicts"][0]["component"] == "C"
 
 
 def test_tests_on_single_episodes_make_one_verdict():
@@ -150,7 +163,7 @@ def test_tests_on_single_episodes_make_one_verdict():
     for run, word in enumerate(["satisfied", "violated"]):
         told = looked_at(verdict(word, run), planned=3)
         made.add(report(f"t.py::f[a/b#{run}]", cases=[case(planned=3)], outcomes=[told]))
-    (found,) = made.to_json("complete")["verdicts"]
+    (found,) = evidence(made)["verdicts"]
     assert (found["verdict"], found["planned"], found["run"]) == ("violated", 3, 2)
     assert found["item"] == "t.py::f"
     assert [one["episode"] for one in found["counterexamples"]] == ["a/b#1"]
@@ -166,7 +179,7 @@ def test_what_two_tests_make_of_an_episode_is_told_apart():
     for run in range(2):
         told_by(made, "t.py::skips", "invalid", run)
         told_by(made, "t.py::passes", "satisfied", run)
-    words = {one["item"]: one["verdict"] for one in made.to_json("complete")["verdicts"]}
+    words = {one["item"]: one["verdict"] for one in evidence(made)["verdicts"]}
     assert words == {"t.py::skips": "undecided", "t.py::passes": "supported"}
 
 
@@ -177,9 +190,9 @@ def test_of_several_looks_at_an_episode_the_worst_counts_and_of_attempts_the_las
             outcomes = [looked_at(verdict(word), planned=1)]
             looks.add(report(f"t.py::f[a/b#0-{parameter}]", cases=[case()], outcomes=outcomes))
             attempts.add(report("t.py::f[a/b#0]", cases=[case()], outcomes=outcomes))
-        assert looks.to_json("complete")["verdicts"][0]["verdict"] == "undecided"
+        assert evidence(looks)["verdicts"][0]["verdict"] == "undecided"
         last = "supported" if words[-1] == "satisfied" else "undecided"
-        assert attempts.to_json("complete")["verdicts"][0]["verdict"] == last
+        assert evidence(attempts)["verdicts"][0]["verdict"] == last
 
 
 def test_a_waiver_of_one_run_does_not_excuse_another():
@@ -189,7 +202,7 @@ def test_a_waiver_of_one_run_does_not_excuse_another():
         if second is not None:
             told_by(made, "t.py::f", second, 1)
         made.waive("t.py::f[a/b#0]", "xfail", "ticket 7")
-        (found,) = made.to_json("complete")["verdicts"]
+        (found,) = evidence(made)["verdicts"]
         assert found["verdict"] == "violated"
         assert (found["waiver"] is not None) is excused
 
@@ -204,7 +217,7 @@ def test_several_questions_of_an_item_are_no_attempts_at_one():
     ]
     for told in (one, *others):
         made.add(report(cases=[case()], verdicts=[told]))
-    found = made.to_json("complete")["verdicts"]
+    found = evidence(made)["verdicts"]
     assert [verdict["attempts"] for verdict in found] == [[], [], [], []]
 
 
@@ -219,7 +232,7 @@ def test_what_a_test_was_to_decide_and_did_not_is_undecided():
     single = {"requirement": "R", "case": case(), "each_run": True}
     made.add(report("t.py::g[a/b#0]", claims=[single]))
     made.waive("t.py::g[a/b#0]", "skip", "too cold")
-    found = made.to_json("complete")["verdicts"]
+    found = evidence(made)["verdicts"]
     assert [(one["item"], one["requirement"], one["verdict"]) for one in found] == [
         ("t.py::f[a/b]", "R", "supported"),
         ("t.py::g", "R", "undecided"),
@@ -233,7 +246,7 @@ def test_waivers_are_recorded_beside_the_verdict():
     made = record()
     made.add(report(cases=[case()], verdicts=[campaign("violated")]))
     made.waive("a/b::R", "xfail", "ticket 7")
-    (found,) = made.to_json("complete")["verdicts"]
+    (found,) = evidence(made)["verdicts"]
     assert found["verdict"] == "violated"
     assert found["waiver"] == {"kind": "xfail", "reason": "ticket 7"}
 

@@ -1,0 +1,125 @@
+"""CaseMetrics: what a case's episodes come to, which are seen one at a time."""
+
+from __future__ import annotations
+
+import statistics
+from array import array
+from collections import Counter
+from collections.abc import Mapping
+from typing import Any
+
+from pytest_dura.evidence.faults import FaultMetrics
+
+COUNTED = ("flagged", "collided", "gridlock")
+SUMMED = ("decisions", "recovered", "takeovers", "switches", "censored")
+
+Data = Mapping[str, Any]
+
+
+class CaseMetrics:
+    """What the planned episodes of a case with one component come to.
+
+    Of an episode it keeps a few numbers at most, so that there may be many of them.
+    """
+
+    def __init__(self) -> None:
+        self._words: Counter[str] = Counter()
+        self._known: set[str] = set()
+        self._in_run: Counter[str] = Counter()
+        self._in_valid: Counter[str] = Counter()
+        self._sums: Counter[str] = Counter()
+        self._clears = False
+        self._times = array("d")
+        self._switching: Counter[str] = Counter()
+        self._times_to_safe = array("d")
+        self._user: dict[str, array[float]] = {}
+        self._faults = FaultMetrics()
+
+    def add(self, episode: Data) -> None:
+        """Take in an episode.
+
+        Args:
+            episode: Of :func:`episode_record`.
+        """
+        told = episode["outcome"]
+        raised = [key for key in COUNTED if told[key]]
+        self._words[episode["validity"]] += 1
+        self._known.update(key for key in COUNTED if told[key] is not None)
+        self._in_run.update(raised)
+        self._faults.add(episode)
+        if episode["validity"] != "valid":
+            return
+        self._in_valid.update(raised)
+        self._sums.update({key: told[key] for key in ("recoveries", "alerts")})
+        self._clears |= told["gridlock"] is not None
+        if told["clearance_time"] is not None:
+            self._times.append(told["clearance_time"])
+        if told["switching"]["decisions"]:
+            self._add_switching(told["switching"])
+        for name, value in episode["metrics"]["user"].items():
+            column = self._user.setdefault(name, array("d"))
+            if value is not None:
+                column.append(value)
+
+    def _add_switching(self, told: Data) -> None:
+        self._switching["episodes"] += 1
+        self._switching.update({key: told[key] for key in SUMMED})
+        self._times_to_safe.extend(time for time in told["time_to_safe"] if time is not None)
+
+    def to_json(self, planned: int) -> dict[str, Any]:
+        """Plain data.
+
+        Counts of ``flagged``, ``collided`` and ``gridlock`` are given over valid episodes and over
+        all that were run, each with its share: of the valid ones, and of the planned ones.
+
+        Args:
+            planned: Episodes that were planned.
+        """
+        times = self._times
+        clearance = {
+            "runs": len(times),
+            "mean": statistics.fmean(times) if times else None,
+            "sd": statistics.stdev(times) if len(times) > 1 else None,
+        }
+        return {
+            "planned": planned,
+            "run": self._words.total(),
+            **{word: self._words[word] for word in ("valid", "invalid", "missing")},
+            **{key: self._share(key, planned) for key in COUNTED},
+            "clearance_time": clearance if self._clears else None,
+            **{key: self._sums[key] for key in ("recoveries", "alerts")},
+            "switching": self._shared_control(),
+            "user": {
+                name: {"mean": statistics.fmean(column) if column else None, "runs": len(column)}
+                for name, column in self._user.items()
+            },
+            "faults": self._faults.to_json(),
+        }
+
+    def _share(self, key: str, planned: int) -> dict[str, Any] | None:
+        """``None`` where no episode has such a signal."""
+        if key not in self._known:
+            return None
+        valid = self._words["valid"]
+        return {
+            "valid": self._in_valid[key],
+            "run": self._in_run[key],
+            "share_of_valid": self._in_valid[key] / valid if valid else None,
+            "share_of_planned": self._in_run[key] / planned if planned else None,
+        }
+
+    def _shared_control(self) -> dict[str, Any] | None:
+        """How control was shared over the valid episodes: see :class:`Switching` for the terms."""
+        sums, times = self._switching, self._times_to_safe
+        if not sums["episodes"]:
+            return None
+        return {
+            "share": sums["recovered"] / sums["decisions"],
+            "takeovers": sums["takeovers"],
+            "switches_per_episode": sums["switches"] / sums["episodes"],
+            "time_to_safe": {
+                "median": statistics.median(times) if times else None,
+                "max": max(times) if times else None,
+                "censored": sums["censored"],
+            },
+        }

@@ -1,0 +1,92 @@
+"""Writing files such that no reader ever sees half of one."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import tempfile
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from pytest_dura.core.errors import ConfigurationError
+
+
+@dataclass(frozen=True)
+class Written:
+    """What was written.
+
+    Args:
+        sha256: Digest of the file, in hexadecimal digits.
+        bytes: Its size.
+    """
+
+    sha256: str
+    bytes: int
+
+
+def write_file(file: Path, chunks: Iterable[str | bytes]) -> Written:
+    r"""Write a file atomically; whatever goes wrong leaves the old one as it was.
+
+    A symbolic link of that name is replaced and not followed. Text is written as UTF-8; what that
+    cannot hold, as JSON can: ``\udcff``.
+
+    Args:
+        file: Where. Missing folders are made.
+        chunks: What it holds, one part after the other; they are never in memory at once.
+
+    Raises:
+        ConfigurationError: If it cannot be written.
+    """
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        return _replace(file, chunks)
+    except OSError as error:
+        raise ConfigurationError(
+            f"the evidence cannot be written: {error.strerror or error}",
+            key="--dura-evidence",
+            found=str(file),
+            expected="a directory that can be written, with room for the evidence",
+            remedy="make room, or choose another directory",
+        ) from None
+
+
+def temporary_prefix(name: str) -> str:
+    """How the names begin of what a killed session leaves behind of a file of this name."""
+    return f".{name}-"
+
+
+def _replace(file: Path, chunks: Iterable[str | bytes]) -> Written:
+    handle, name = tempfile.mkstemp(dir=file.parent, prefix=temporary_prefix(file.name))
+    digest, size = hashlib.sha256(), 0
+    try:
+        with os.fdopen(handle, "wb") as stream:
+            for chunk in chunks:
+                # A name of a file need not be text.
+                data = chunk
+                if isinstance(data, str):
+                    data = data.encode(errors="backslashreplace")
+                stream.write(data)
+                digest.update(data)
+                size += len(data)
+            stream.flush()
+            os.fsync(stream.fileno())
+        # mkstemp makes files for the owner alone; evidence is for whoever may read the folder.
+        Path(name).chmod(0o644)
+        Path(name).replace(file)
+    except BaseException:  # also on ctrl-C no half-written file stays behind; it is raised again
+        Path(name).unlink(missing_ok=True)
+        raise
+    _keep_name(file.parent)
+    return Written(digest.hexdigest(), size)
+
+
+def _keep_name(directory: Path) -> None:
+    """Let the new name survive a loss of power, where directories can be synchronised."""
+    if not hasattr(os, "O_DIRECTORY"):
+        return
+    handle = os.open(directory, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
