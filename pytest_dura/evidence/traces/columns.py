@@ -151,7 +151,8 @@ def _array(data: bytes) -> Column:
     if dtype.kind not in _KINDS or by_columns or len(data) - start != count * dtype.itemsize:
         raise ValueError("a column is not what its header says")
     # A copy: of a buffer of bytes nobody could make an array that can be written.
-    return np.frombuffer(data, dtype, count, start).reshape(shape).copy()
+    found: Column = np.frombuffer(data, dtype, count, start).reshape(shape).copy()
+    return found
 
 
 def _trace(arrays: Mapping[str, Column]) -> Trace:

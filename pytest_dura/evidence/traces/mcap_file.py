@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.evidence.traces.columns import LIMIT, pack_columns, unpack_columns
 from pytest_dura.evidence.traces.messages import (
-    Message,
     Texts,
     decision_messages,
     event_messages,
@@ -100,7 +99,7 @@ def trace_bytes(trace: Trace, verdicts: Sequence[Mapping[str, Any]] = ()) -> byt
         told = {str(n): json.dumps(dict(one), sort_keys=True) for n, one in enumerate(verdicts)}
         writer.add_metadata("verdicts", told)
     writer.add_attachment(0, 0, COLUMNS, "application/x-npz", columns)
-    writer.finish()
+    writer.finish()  # type: ignore[no-untyped-call]
     return stream.getvalue()
 
 
@@ -111,9 +110,7 @@ def read_trace(file: Path) -> Trace:
         ConfigurationError: If there is none, it is damaged, or of another version.
     """
     try:
-        if file.stat().st_size > LIMIT:
-            raise ValueError(f"it is larger than {LIMIT} bytes")
-        version, columns = _read(file.read_bytes())
+        version, columns = _read(_content(file))
         if version == VERSION:
             return unpack_columns(columns)
     except OSError as error:
@@ -128,6 +125,13 @@ def read_trace(file: Path) -> Trace:
         expected=VERSION,
         remedy="use the version that the evidence names under `tool`",
     )
+
+
+def _content(file: Path) -> bytes:
+    size = file.stat().st_size
+    if size > LIMIT:
+        raise ValueError(f"it has {size} bytes, and no trace has more than {LIMIT}")
+    return file.read_bytes()
 
 
 def _read(data: bytes) -> tuple[str, bytes]:

@@ -57,7 +57,8 @@ class Texts:
 
 def signal_messages(trace: Trace, texts: Texts) -> Iterator[Message]:
     """One for each tick: the truth, and what was perceived; ``null`` where there is no number."""
-    truth, percept = [], []
+    truth: list[tuple[str, list[str]]] = []
+    percept: list[tuple[str, list[str]]] = []
     for name, column in trace.signals.items():
         own = percept if name.startswith(_PERCEPT) else truth
         own.append((texts(name.removeprefix(_PERCEPT)), _numbers(column)))
@@ -67,11 +68,9 @@ def signal_messages(trace: Trace, texts: Texts) -> Iterator[Message]:
         _rows([name for name, _ in percept], [column for _, column in percept], len(time)),
         strict=True,
     )
-    for tick, (own, perceived) in enumerate(rows):
-        yield (
-            nanoseconds(time[tick]),
-            f'{{"tick":{tick},"time":{_number(time[tick])},"truth":{own},"percept":{perceived}}}',
-        )
+    for tick, (shown, perceived) in enumerate(rows):
+        told = f'"tick":{tick},"time":{_number(time[tick])},"truth":{shown},"percept":{perceived}'
+        yield nanoseconds(time[tick]), f"{{{told}}}"
 
 
 def _rows(names: Sequence[str], columns: Sequence[Sequence[str]], length: int) -> Iterator[str]:
@@ -120,11 +119,11 @@ def decision_messages(trace: Trace, texts: Texts) -> Iterator[Message]:
     ]
     rows = zip(decisions, flags, *said, strict=True)
     for tick, (own, flag, explanation, reason, recovery) in enumerate(rows):
-        yield (
-            nanoseconds(time[tick]),
-            f'{{"tick":{tick},"time":{_number(time[tick])},"columns":{own},'
-            f'"explanation":{explanation},"reason":{reason},"recovery":{recovery},"flags":{flag}}}',
+        told = (
+            f'"tick":{tick},"time":{_number(time[tick])},"columns":{own},'
+            f'"explanation":{explanation},"reason":{reason},"recovery":{recovery},"flags":{flag}'
         )
+        yield nanoseconds(time[tick]), f"{{{told}}}"
 
 
 def event_messages(trace: Trace, texts: Texts) -> Iterator[Message]:
@@ -132,12 +131,12 @@ def event_messages(trace: Trace, texts: Texts) -> Iterator[Message]:
     for event in trace.events:
         time = nanoseconds(_time_of(event))
         kind, subject, detail = (str(event.get(key, "")) for key in ("kind", "subject", "detail"))
-        told = f"{kind} {subject}" + (f": {detail}" if detail else "")
-        yield (
-            time,
-            f'{{"timestamp":{moment(time)},"level":{_LEVELS.get(kind, _INFO)},'
-            f'"message":{texts(told)},"name":{texts(kind)},"file":"","line":0}}',
+        message = f"{kind} {subject}" + (f": {detail}" if detail else "")
+        told = (
+            f'"timestamp":{moment(time)},"level":{_LEVELS.get(kind, _INFO)},'
+            f'"message":{texts(message)},"name":{texts(kind)},"file":"","line":0'
         )
+        yield time, f"{{{told}}}"
 
 
 def _time_of(event: Mapping[str, Any]) -> float:

@@ -71,12 +71,11 @@ def truth_messages(trace: Trace, texts: Texts) -> Iterator[Message]:
     scene = trace.recording.scene
     if scene is None:
         return
-    ticks = min(len(trace.time), len(scene.truth.poses))
-    cubes, labels = _empty(ticks), _empty(ticks)
+    canvas = _Canvas(min(len(trace.time), len(scene.truth.poses)))
     for number, name in enumerate(scene.truth.ids):
-        poses, color = scene.truth.poses[:ticks, number], EGO if name == scene.ego else OTHER
-        _show(poses, _present(poses), color, texts(name), cubes, labels)
-    yield from _updates(trace, texts("truth"), cubes, labels)
+        poses = scene.truth.poses[: canvas.ticks, number]
+        canvas.show(poses, _present(poses), EGO if name == scene.ego else OTHER, texts(name))
+    yield from canvas.updates(trace, texts("truth"))
 
 
 def percept_messages(trace: Trace, texts: Texts) -> Iterator[Message]:
@@ -84,15 +83,14 @@ def percept_messages(trace: Trace, texts: Texts) -> Iterator[Message]:
     scene = trace.recording.scene
     if scene is None:
         return
-    ticks = min(len(trace.time), len(scene.truth.poses), len(scene.percept.poses))
-    cubes, labels = _empty(ticks), _empty(ticks)
-    there = _presence(scene, ticks)
+    canvas = _Canvas(min(len(trace.time), len(scene.truth.poses), len(scene.percept.poses)))
+    there = _presence(scene, canvas.ticks)
     for number, name in enumerate(scene.percept.ids):
-        poses = scene.percept.poses[:ticks, number]
-        present, real = _present(poses), there.get(name, np.zeros(ticks, bool))
-        _show(poses, present & real, PERCEIVED, None, cubes, labels)
-        _show(poses, present & ~real, GHOST, texts(f"{name} (ghost)"), cubes, labels)
-    yield from _updates(trace, texts("percept"), cubes, labels)
+        poses = scene.percept.poses[: canvas.ticks, number]
+        present, real = _present(poses), there.get(name, np.zeros(canvas.ticks, bool))
+        canvas.show(poses, present & real, PERCEIVED)
+        canvas.show(poses, present & ~real, GHOST, texts(f"{name} (ghost)"))
+    yield from canvas.updates(trace, texts("percept"))
 
 
 def _presence(scene: Scene, ticks: int) -> Mapping[str, NDArray[np.bool_]]:
@@ -102,45 +100,40 @@ def _presence(scene: Scene, ticks: int) -> Mapping[str, NDArray[np.bool_]]:
 
 
 def _present(poses: NDArray[np.float32]) -> NDArray[np.bool_]:
-    found: NDArray[np.bool_] = np.isfinite(poses).all(axis=1)
-    return found
+    return np.array(np.isfinite(poses).all(axis=1), np.bool_)
 
 
-def _empty(ticks: int) -> list[list[str]]:
-    return [[] for _ in range(ticks)]
+class _Canvas:
+    """What is to be shown at each of so many ticks."""
 
+    def __init__(self, ticks: int) -> None:
+        self.ticks = ticks
+        self._cubes: list[list[str]] = [[] for _ in range(ticks)]
+        self._labels: list[list[str]] = [[] for _ in range(ticks)]
 
-def _show(
-    poses: NDArray[np.float32],
-    chosen: NDArray[np.bool_],
-    color: str,
-    label: str | None,
-    cubes: list[list[str]],
-    labels: list[list[str]],
-) -> None:
-    """Add a thing to the ticks that are chosen."""
-    ticks = np.flatnonzero(chosen)
-    if not len(ticks):
-        return
-    own = poses[ticks].astype(np.float64)
-    half = -own[:, 2] / 2.0
-    columns = np.column_stack(
-        [own[:, 0], -own[:, 1], np.sin(half), np.cos(half), own[:, 4], own[:, 5]]
-    )
-    cube = _CUBE % (HEIGHT / 2.0, HEIGHT, color)
-    text = None if label is None else _TEXT % (HEIGHT + 0.5, color, label.replace("%", "%%"))
-    for tick, row in zip(ticks.tolist(), columns.tolist(), strict=True):
-        cubes[tick].append(cube % tuple(row))
-        if text is not None:
-            labels[tick].append(text % (row[0], row[1]))
+    def show(
+        self, poses: NDArray[np.float32], when: NDArray[np.bool_], color: str, label: str = ""
+    ) -> None:
+        """Add a thing to the ticks at which it is to be seen."""
+        ticks = np.flatnonzero(when)
+        own = poses[ticks].astype(np.float64)
+        half = -own[:, 2] / 2.0
+        columns = np.column_stack(
+            [own[:, 0], -own[:, 1], np.sin(half), np.cos(half), own[:, 4], own[:, 5]]
+        )
+        cube = _CUBE % (HEIGHT / 2.0, HEIGHT, color)
+        text = _TEXT % (HEIGHT + 0.5, color, label.replace("%", "%%"))
+        for tick, row in zip(ticks.tolist(), columns.tolist(), strict=True):
+            self._cubes[tick].append(cube % tuple(row))
+            if label:
+                self._labels[tick].append(text % (row[0], row[1]))
 
-
-def _updates(
-    trace: Trace, name: str, cubes: list[list[str]], labels: list[list[str]]
-) -> Iterator[Message]:
-    for seconds, boxes, own in zip(trace.time.tolist(), cubes, labels, strict=False):
-        time = nanoseconds(seconds)
-        yield time, _update(time, name, cubes=",".join(boxes), labels=",".join(own))
+    def updates(self, trace: Trace, name: str) -> Iterator[Message]:
+        """One for each tick."""
+        for tick, seconds in enumerate(trace.time[: self.ticks].tolist()):
+            time = nanoseconds(seconds)
+            cubes, labels = ",".join(self._cubes[tick]), ",".join(self._labels[tick])
+            yield time, _update(time, name, cubes=cubes, labels=labels)
 
 
 def _update(time: int, name: str, cubes: str = "", lines: str = "", labels: str = "") -> str:
