@@ -1,0 +1,68 @@
+// Elements, numbers and words. All data enters the page as text nodes.
+
+let counter = 0;
+
+/** An element; children that are strings become text. Attribute names are never data. */
+function make(tag, attributes, ...children) {
+  const node = document.createElement(tag);
+  for (const [name, value] of Object.entries(attributes || {})) {
+    if (value === null || value === undefined || value === false) continue;
+    if (typeof value === "function") node.addEventListener(name, value);
+    else node.setAttribute(name, value === true ? "" : value);
+  }
+  node.append(...children.flat().filter((one) => one !== null && one !== undefined));
+  return node;
+}
+
+function svg(tag, attributes) {
+  const node = document.createElementNS("http://www.w3.org/2000/svg", tag);
+  for (const [name, value] of Object.entries(attributes)) node.setAttribute(name, value);
+  return node;
+}
+
+/** Sets a text only where it changes, so that playing costs little and says nothing twice. */
+function say(node, text) {
+  if (node.textContent !== text) node.textContent = text;
+}
+
+function button(text, name, act, attributes) {
+  return make("button", {type: "button", "aria-label": name, title: name, click: act, ...attributes},
+    make("span", {"aria-hidden": "true"}, text));
+}
+
+const unique = (name) => `dura-${name}-${(counter += 1)}`;
+const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
+const words = (kind) => kind.replaceAll("_", " ");
+const shorter = (text, limit) => (text.length > limit ? `${text.slice(0, limit - 1)}…` : text);
+
+function number(value) {
+  if (value === null || value === undefined || Number.isNaN(value)) return "no value";
+  if (!Number.isFinite(value)) return value > 0 ? "∞" : "−∞";
+  const size = Math.abs(value);
+  if (size >= 1e6 || (size > 0 && size < 1e-3)) return value.toExponential(2).replace("-", "−");
+  const digits = size >= 100 ? 1 : size >= 1 ? 2 : 3;
+  return String(Number(value.toFixed(digits))).replace("-", "−");
+}
+
+const seconds = (value) => `${value.toFixed(2)} s`;
+
+/** Stretches of equal values: {from, to, value}, both ends included. */
+function stretches(values) {
+  const found = [];
+  values.forEach((value, index) => {
+    const last = found[found.length - 1];
+    if (last && last.value === value) last.to = index;
+    else found.push({from: index, to: index, value});
+  });
+  return found;
+}
+
+/** The JSON that was packed as deflate in base64. */
+async function unpack(text) {
+  if (typeof DecompressionStream === "undefined") {
+    throw new Error("this browser cannot unpack it: it has no DecompressionStream");
+  }
+  const bytes = Uint8Array.from(atob(text.trim()), (one) => one.charCodeAt(0));
+  const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
+  return new Response(stream).json();
+}

@@ -1,0 +1,46 @@
+// The keyboard.
+
+const HELP = [["Space", "play or pause"], ["← →", "a tick back, a tick on; with Shift ten"],
+  ["Home End", "to the begin, to the end"], ["+ −", "zoom"], [", .", "slower, faster"],
+  ["P N", "previous, next event"], ["V", "next violation"], ["F", "camera follows or stands"]];
+
+/** Acts on a key, unless the control that has the focus wants it for itself. */
+function pressed(player, event) {
+  if (event.ctrlKey || event.metaKey || event.altKey || event.defaultPrevented) return;
+  const kind = event.target.tagName;
+  const wanted = kind === "SELECT"
+    || (kind === "INPUT" && event.target.type === "checkbox" && event.key === " ")
+    || ((kind === "BUTTON" || kind === "SUMMARY") && [" ", "Enter"].includes(event.key))
+    || (event.target.closest?.(".dura-scroll") && event.key.startsWith("Arrow"));
+  if (wanted) return;
+  const act = keys(player).get(event.key.length === 1 ? event.key.toLowerCase() : event.key);
+  if (!act) return;
+  event.preventDefault();
+  act(event.shiftKey ? 10 : 1);
+}
+
+function keys(player) {
+  const {episode, tick, speed} = player;
+  const faster = (step) => player.setSpeed(
+    SPEEDS[clamp(SPEEDS.indexOf(speed) + step, 0, SPEEDS.length - 1)]);
+  const ticks = episode.events.map((one) => one[0]);
+  const violations = episode.verdicts.filter((one) => one.verdict === "violated")
+    .map((one) => one.tick).filter((one) => one !== null).sort((one, other) => one - other);
+  const next = (found) => found !== undefined && player.jump(found);
+  return new Map([
+    [" ", () => player.toggle()],
+    ["ArrowLeft", (steps) => player.jump(tick - steps)],
+    ["ArrowRight", (steps) => player.jump(tick + steps)],
+    ["Home", () => player.jump(0)],
+    ["End", () => player.jump(episode.last)],
+    ["+", () => player.zoom(1.25)],
+    ["=", () => player.zoom(1.25)],
+    ["-", () => player.zoom(1 / 1.25)],
+    [",", () => faster(-1)],
+    [".", () => faster(1)],
+    ["n", () => next(ticks.find((one) => one > tick))],
+    ["p", () => next(ticks.filter((one) => one < tick).pop())],
+    ["v", () => next(violations.find((one) => one > tick) ?? violations[0])],
+    ["f", () => player.turnCamera()],
+  ]);
+}

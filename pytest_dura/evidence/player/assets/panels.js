@@ -1,0 +1,117 @@
+// What was decided, what happened, and what was found.
+
+class Decision {
+  constructor(episode) {
+    this.episode = episode;
+    this.cells = {};
+    const pairs = [["proposed", "Proposed"], ["executed", "Executed"], ["source", "In control"],
+      ["explanation", "Explanation"], ["reasons", "Doubts"], ["recovery", "Recovery"]];
+    const list = make("dl", {}, pairs.map(([key, label]) => {
+      this.cells[key] = make("dd", {class: `dura-said dura-${key}`});
+      return make("div", {}, make("dt", {}, label), this.cells[key]);
+    }));
+    this.node = make("section", {class: "dura-panel dura-decision", "aria-label": "Decision"},
+      make("h3", {}, "Decision"), list);
+  }
+
+  update(tick) {
+    const {said, decided, attempts} = this.episode;
+    const known = tick < decided;
+    const told = (text) => (known ? text || "–" : "–");
+    const [proposed, executed] = [said.proposed(tick), said.executed(tick)];
+    say(this.cells.proposed, known ? told(proposed) : "the episode has ended");
+    say(this.cells.executed, told(executed));
+    this.cells.executed.classList.toggle("dura-differs", known && proposed !== executed);
+    const again = known && attempts[tick] ? `, after ${attempts[tick]} refused` : "";
+    say(this.cells.source, told(said.source(tick)) + again);
+    this.cells.source.dataset.source = known ? said.source(tick) : "";
+    say(this.cells.explanation, told(said.explanations(tick)));
+    say(this.cells.reasons, told(said.reasons(tick)));
+    say(this.cells.recovery, told(said.recoveries(tick)));
+  }
+
+  /** One sentence, for who cannot see the panel. */
+  inWords(tick) {
+    const {said, decided} = this.episode;
+    if (tick >= decided) return "The episode has ended.";
+    return `Proposed ${said.proposed(tick)}, executed ${said.executed(tick)}, `
+      + `from ${said.source(tick)}. ${said.reasons(tick)}`;
+  }
+}
+
+class Events {
+  constructor(player) {
+    const {episode} = player;
+    this.events = episode.events;
+    this.buttons = this.events.map(([tick, kind, subject, detail]) =>
+      make("button", {type: "button", class: "dura-event", click: () => player.jump(tick)},
+        make("span", {class: "dura-time"}, seconds(episode.time[tick] ?? 0)),
+        make("span", {class: `dura-kind dura-kind-${eventLook(kind)}`}, words(kind)),
+        make("span", {class: "dura-detail"}, detail ? `${subject}: ${detail}` : subject)));
+    this.list = make("ol", {class: "dura-events"},
+      this.buttons.map((one) => make("li", {}, one)));
+    this.node = make("section", {class: "dura-panel", "aria-label": "Events"},
+      make("h3", {}, `Events (${this.events.length})`),
+      this.events.length ? this.list : make("p", {class: "dura-note"}, "Nothing happened."));
+    this.current = -1;
+  }
+
+  /** Marks the last event that has happened, and keeps it in sight within the list. */
+  update(tick) {
+    let current = -1;
+    this.events.forEach(([at], index) => {
+      if (at <= tick) current = index;
+    });
+    if (current === this.current) return;
+    this.buttons[this.current]?.removeAttribute("aria-current");
+    this.buttons.forEach((one, index) => one.classList.toggle("dura-ahead", index > current));
+    this.current = current;
+    const found = this.buttons[current];
+    if (!found) {
+      this.list.scrollTop = 0;
+      return;
+    }
+    found.setAttribute("aria-current", "true");
+    const [item, list] = [found.parentElement, this.list];
+    const top = item.offsetTop - list.offsetTop;
+    if (top < list.scrollTop || top + item.offsetHeight > list.scrollTop + list.clientHeight) {
+      list.scrollTop = top - list.clientHeight / 2;
+    }
+  }
+}
+
+const SIGNS = new Map([["satisfied", "✓"], ["violated", "✕"], ["invalid", "?"]]);
+
+function verdictPanel(player) {
+  const {episode} = player;
+  const items = episode.verdicts.map(({requirement, verdict, time, margin, check, tick}) => {
+    const violated = verdict === "violated";
+    const known = SIGNS.has(verdict) ? verdict : "other";
+    const facts = [margin === null ? null : `margin ${number(Number(margin))}`,
+      violated && time === null ? "time unknown" : null].filter(Boolean).join(", ");
+    return make("li", {class: `dura-verdict dura-is-${known}`},
+      make("span", {class: "dura-word"},
+        make("span", {"aria-hidden": "true"}, `${SIGNS.get(verdict) ?? "?"} `), verdict),
+      make("span", {class: "dura-requirement"}, make("strong", {}, requirement),
+        check ? make("code", {}, check) : null,
+        facts ? make("span", {class: "dura-note"}, facts) : null),
+      violated && tick !== null
+        ? make("button", {type: "button", class: "dura-jump", click: () => player.jump(tick)},
+          `Jump to violation of ${shorter(requirement, 40)} at ${seconds(episode.time[tick])}`)
+        : null);
+  });
+  return make("section", {class: "dura-panel dura-verdicts", "aria-label": "Verdicts"},
+    make("h3", {}, "Verdicts"), make("ul", {}, items));
+}
+
+function heading(episode, level) {
+  const {about} = episode;
+  const facts = [["component", about.component], ["seed", about.seed], ["validity", about.validity],
+    ["ended by", about.termination]]
+    .filter(([, value]) => value !== null && value !== undefined && value !== "");
+  return make("header", {class: "dura-head"},
+    make(`h${level}`, {class: "dura-title"}, String(about.id ?? "Episode")),
+    make("ul", {class: "dura-facts"}, facts.map(([label, value]) =>
+      make("li", {}, `${label} `, make("strong", {}, words(String(value)))))),
+    about.failure ? make("p", {class: "dura-failure"}, String(about.failure)) : null);
+}

@@ -1,0 +1,282 @@
+// The player: time, its controls, and what follows them.
+
+const SPEEDS = [0.25, 0.5, 1, 2, 4, 8];
+let active = null; // the one player that plays
+
+class Player {
+  constructor(episode, options) {
+    this.episode = episode;
+    this.tick = 0;
+    this.clock = episode.start;
+    this.speed = 1;
+    this.playing = false;
+    this.calm = matchMedia("(prefers-reduced-motion: reduce)");
+    this.view = episode.scene && episode.ticks ? new View(episode) : null;
+    this.decision = new Decision(episode);
+    this.events = new Events(this);
+    this.lanes = new Lanes(this);
+    this.plots = new Plots(this);
+    this.live = make("p", {class: "dura-hidden", role: "status", "aria-live": "polite"});
+    this.node = this.build(options);
+    this.node.addEventListener("keydown", (event) => pressed(this, event));
+    if (options.page) {
+      document.addEventListener("keydown", (event) => {
+        if (event.target === document.body) pressed(this, event);
+      });
+    }
+    this.update();
+  }
+
+  build({level = 2}) {
+    const {episode} = this;
+    const problem = episode.problem ?? (episode.ticks ? null : "This episode has no tick.");
+    return make("section", {class: "dura-player",
+      "aria-label": `Episode player: ${shorter(String(episode.about.id ?? ""), 200)}`},
+    heading(episode, level),
+    episode.verdicts.length ? verdictPanel(this) : null,
+    problem ? make("p", {class: "dura-failure"}, `No scene: ${problem}`) : null,
+    make("div", {class: this.view ? "dura-top" : "dura-top dura-flat"},
+      this.view ? this.stage() : null,
+      make("div", {class: "dura-side"}, this.decision.node, this.events.node)),
+    this.transport(),
+    make("div", {class: "dura-timeline"}, this.scrubRow(), this.lanes.node, this.plots.node,
+      axis(episode)),
+    this.plotLegend(), this.plots.chooser, this.lanes.table, this.help(), this.live);
+  }
+
+  stage() {
+    const {view} = this;
+    const toggle = (key, label) => make("label", {class: "dura-check"},
+      make("input", {type: "checkbox", checked: true, change: (event) => {
+        view.show[key] = event.target.checked;
+        this.update();
+      }}), make("span", {}, label));
+    this.follow = make("input", {type: "checkbox", checked: true, change: () => this.camera()});
+    const legend = [["ego", "ego"], ["truth", "truth"], ["percept", "percept"], ["ghost", "ghost"],
+      ["missing", "not perceived"], ["route", "route"]].map(([look, label]) =>
+      make("li", {}, make("span", {class: `dura-key dura-key-${look}`}), label));
+    return make("div", {class: "dura-scene"}, view.box,
+      make("div", {class: "dura-tools"},
+        make("div", {class: "dura-group"},
+          button("−", "Zoom out", () => this.zoom(1 / 1.25)),
+          button("+", "Zoom in", () => this.zoom(1.25))),
+        make("label", {class: "dura-check"}, this.follow, make("span", {}, "follow ego")),
+        toggle("truth", "truth"), toggle("percept", "percept"), toggle("labels", "labels")),
+      make("ul", {class: "dura-legend", "aria-label": "Legend"}, legend));
+  }
+
+  transport() {
+    this.playButton = button("▶", "Play", () => this.toggle(), {class: "dura-play"});
+    const select = make("select", {id: unique("speed"),
+      change: (event) => this.setSpeed(Number(event.target.value))},
+    SPEEDS.map((one) => make("option", {value: one, selected: one === 1}, `${one} ×`)));
+    this.speedSelect = select;
+    this.clockText = make("span", {class: "dura-clock"});
+    return make("div", {class: "dura-transport", role: "group", "aria-label": "Playback"},
+      make("div", {class: "dura-group"},
+        button("⏮", "Restart", () => this.jump(0)),
+        button("‹", "Step back", () => this.jump(this.tick - 1)),
+        this.playButton,
+        button("›", "Step forward", () => this.jump(this.tick + 1))),
+      make("div", {class: "dura-group"},
+        make("label", {for: select.id}, "Speed"), select),
+      this.clockText);
+  }
+
+  scrubRow() {
+    const id = unique("scrub");
+    this.scrub = make("input", {type: "range", id, min: 0, max: this.episode.last, step: 1,
+      value: 0, class: "dura-scrub", input: (event) => this.jump(Number(event.target.value))});
+    return make("div", {class: "dura-row dura-scrubrow"},
+      make("div", {class: "dura-label"}, make("label", {for: id, class: "dura-name"}, "time")),
+      this.scrub);
+  }
+
+  plotLegend() {
+    const entry = (look, label) =>
+      make("li", {}, make("span", {class: `dura-key dura-key-${look}`}), label);
+    return make("ul", {class: "dura-legend", "aria-label": "Legend of the rows"},
+      entry("line", "signal"), entry("dashed", "as perceived"), entry("fault", "fault active"),
+      entry("safe", "safe"), entry("warning", "W warning"), entry("unsafe", "U unsafe"),
+      entry("silent", "not asked"), entry("recovery", "R recovery"));
+  }
+
+  help() {
+    return make("p", {class: "dura-help"}, "Keys: ", HELP.map(([keys, what], index) => [
+      index ? ", " : "", make("kbd", {}, keys), ` ${what}`]).flat(), ".");
+  }
+
+  // Time
+
+  play() {
+    if (this.playing || this.episode.last === 0) return;
+    if (active) active.pause();
+    if (this.tick >= this.episode.last) this.seek(0);
+    active = this;
+    this.playing = true;
+    this.clock = this.episode.time[this.tick];
+    this.showPlaying();
+    let before = performance.now();
+    const frame = (now) => {
+      if (!this.playing) return;
+      this.clock += Math.min(Math.max(now - before, 0) / 1000, 0.25) * this.speed;
+      before = now;
+      if (!this.node.isConnected) this.pause();
+      else if (this.clock >= this.episode.end) {
+        this.seek(this.episode.last);
+        this.pause();
+      } else {
+        this.advance();
+        requestAnimationFrame(frame);
+      }
+    };
+    requestAnimationFrame(frame);
+  }
+
+  /** Between ticks bodies move on; texts and signals change with the tick. */
+  advance() {
+    const {episode} = this;
+    const tick = episode.tickAt(this.clock);
+    const step = episode.time[Math.min(tick + 1, episode.last)] - episode.time[tick];
+    const part = step > 0 && !this.calm.matches ? (this.clock - episode.time[tick]) / step : 0;
+    if (tick !== this.tick) {
+      this.tick = tick;
+      this.update(part);
+    } else if (part) this.view?.draw(tick, clamp(part, 0, 1));
+  }
+
+  pause() {
+    if (active === this) active = null;
+    if (!this.playing) return;
+    this.playing = false;
+    this.showPlaying();
+    this.update();
+    this.announce(`Paused. ${this.inWords()}`);
+  }
+
+  toggle() {
+    if (this.playing) this.pause();
+    else this.play();
+  }
+
+  showPlaying() {
+    const name = this.playing ? "Pause" : "Play";
+    this.playButton.setAttribute("aria-label", name);
+    this.playButton.title = name;
+    say(this.playButton.firstChild, this.playing ? "❚❚" : "▶");
+    this.node.toggleAttribute("data-playing", this.playing);
+  }
+
+  seek(tick) {
+    this.tick = clamp(Math.round(tick) || 0, 0, this.episode.last);
+    this.clock = this.episode.time[this.tick] ?? 0;
+    this.update();
+  }
+
+  /** What a user asked for: playing ends, and the new tick is told once. */
+  jump(tick) {
+    this.pause();
+    this.seek(tick);
+    this.announce(this.inWords());
+  }
+
+  setSpeed(speed) {
+    this.speed = speed;
+    this.speedSelect.value = String(speed);
+  }
+
+  zoom(factor) {
+    if (!this.view) return;
+    this.view.zoom = clamp(this.view.zoom * factor, 0.2, 8);
+    this.view.draw();
+  }
+
+  camera() {
+    if (!this.view) return;
+    this.view.follow = this.follow.checked;
+    this.view.zoom = 1;
+    this.view.draw();
+  }
+
+  turnCamera() {
+    if (!this.view) return;
+    this.follow.checked = !this.follow.checked;
+    this.camera();
+  }
+
+  // What follows
+
+  update(part = 0) {
+    const {episode, tick} = this;
+    this.node.style.setProperty("--dura-at", `${episode.share(tick) * 100}%`);
+    this.node.dataset.tick = tick;
+    const time = episode.time[tick] ?? 0;
+    say(this.clockText, `${seconds(time)} of ${seconds(episode.end)} · tick ${tick}`);
+    this.scrub.value = tick;
+    this.scrub.setAttribute("aria-valuetext", `${seconds(time)}, tick ${tick} of ${episode.last}`);
+    this.decision.update(tick);
+    this.events.update(tick);
+    this.lanes.update(tick);
+    this.plots.update(tick);
+    if (!this.view) return;
+    this.view.draw(tick, part);
+    if (!this.playing) {
+      this.view.canvas.setAttribute("aria-label",
+        `Seen from above at ${seconds(time)}. ${episode.described(tick)}`);
+    }
+  }
+
+  inWords() {
+    const {episode, tick} = this;
+    const flags = Object.entries(episode.flags).filter(([, column]) => column[tick] > 0)
+      .map(([monitor, column]) => `${monitor} says ${FLAGS.get(column[tick])?.word}.`);
+    return [`${seconds(episode.time[tick] ?? 0)}.`, this.decision.inWords(tick), ...flags,
+      episode.described(tick)].join(" ");
+  }
+
+  /** Told once a user rests, never while it plays. */
+  announce(text) {
+    clearTimeout(this.telling);
+    this.telling = setTimeout(() => {
+      if (!this.playing) say(this.live, shorter(text, 600));
+    }, 300);
+  }
+}
+
+/** Puts a player into an element; nothing is unpacked until it is opened. */
+function mount(element, packed, options = {}) {
+  let player = null;
+  let opening = null;
+  const load = async () => {
+    try {
+      const data = await unpack(typeof packed === "function" ? packed() : packed);
+      player = new Player(new Episode(data), options);
+      element.replaceChildren(player.node);
+      player.view?.draw();
+    } catch (error) {
+      element.replaceChildren(make("p", {class: "dura-failure", role: "alert"},
+        `The episode cannot be shown: ${error.message}`));
+      throw error;
+    }
+  };
+  const open = () => (opening ??= load());
+  if (options.open) open().catch(() => {}); // the page says so
+  else {
+    element.replaceChildren(make("button", {type: "button", class: "dura-open",
+      click: async () => {
+        await open().catch(() => {}); // the page says so
+        player?.playButton.focus();
+      }}, options.label ?? "Open the episode player"));
+  }
+  return {
+    open,
+    play: () => player?.play(),
+    pause: () => player?.pause(),
+    seek: (tick) => player?.jump(tick),
+    get state() {
+      if (!player) return null;
+      const {tick, playing, speed, episode} = player;
+      return {tick, time: episode.time[tick], playing, speed, ...episode.seen(tick)};
+    },
+  };
+}
