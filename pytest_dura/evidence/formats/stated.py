@@ -17,7 +17,7 @@ def sample(verdict: Data) -> str:
     """What a verdict rests on: ``12 valid of 15 run, 15 planned; 0 violations``."""
     told = (
         f"{verdict['episodes']} valid of {verdict['run']} run, {verdict['planned']} planned; "
-        f"{verdict['violations']} violations"
+        f"{verdict['violations']} violation{'' if verdict['violations'] == 1 else 's'}"
     )
     kinds = ("invalid", "missing", "vacuous")
     left = [f"{verdict[kind]} {kind}" for kind in kinds if verdict[kind]]

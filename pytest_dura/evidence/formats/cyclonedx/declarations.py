@@ -62,7 +62,7 @@ def declarations(record: SessionRecord) -> Data:
         ],
         "attestations": [
             {
-                "summary": f"pytest-dura, a test tool, {UNREVIEWED}. The gate of the session: "
+                "summary": f"By a test tool, {UNREVIEWED}. The gate of the session: "
                 f"{record['gate']['result']}.",
                 "assessor": "assessor",
                 "map": list(_map(record)),
@@ -167,8 +167,7 @@ def _counterexamples(number: int, verdict: Data, places: Mapping[Any, Any]) -> D
     return {
         "bom-ref": f"evidence/{number}/counterexamples",
         "propertyName": f"{PREFIX}counterexamples",
-        "description": f"{len(found)} counterexamples, {min(len(found), LISTED)} of them listed, "
-        "the largest violation first.",
+        "description": f"{min(len(found), LISTED)} of {len(found)} listed, the largest violation first.",
         "data": data,
     }
 

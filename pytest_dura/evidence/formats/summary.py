@@ -1,0 +1,260 @@
+"""``summary.md``: the session on one page of GitHub-flavoured Markdown, for the page of a CI job.
+
+GitHub takes at most 1024 KiB. Each table has its share of that and begins with what failed; what
+does not fit is left out, and a sentence says how much. No text of a user is a link, a mention,
+HTML or the end of a cell.
+"""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+from pytest_dura.evidence.counts import Counts
+from pytest_dura.evidence.formats.stated import UNREVIEWED, bound, components, sample
+from pytest_dura.evidence.session_record import SessionRecord
+from pytest_dura.evidence.text import code, markdown, name
+
+FILE = "summary.md"
+LIMIT = 1024 * 1024
+"""Bytes that GitHub takes."""
+
+Data = dict[str, Any]
+_KIB = 1024
+_SHARES = {"failures": 300 * _KIB, "verdicts": 350 * _KIB, "requirements": 100 * _KIB,
+           "cases": 150 * _KIB}  # fmt: skip
+"""Bytes of the tables; the rest is for what has a small bound: the head, reasons, provenance."""
+_REASONS = 20
+_CELLS = 10
+_WORDS = ("violated", "undecided", "supported")
+_LEFT_OUT = re.compile(r"^_(\d+) of (\d+) are left out here", re.MULTILINE)
+
+
+def render(record: SessionRecord) -> str:
+    """The page as text, of at most ``LIMIT`` bytes in UTF-8."""
+    verdicts = sorted(record["verdicts"], key=_urgency)
+    failures = [one for one in verdicts if one["verdict"] != "supported"]
+    lines = [
+        *_head(record),
+        *_section("Not supported", [], (_failure(record, one) for one in failures), "failures"),
+        *_section("Verdicts", _VERDICTS, map(_verdict, verdicts), "verdicts"),
+        *_section("Requirements", _REQUIREMENTS, _requirements(record), "requirements"),
+        *_section("Cases", _CASES, map(_case, record["cases"]), "cases"),
+        *_coverage(record["coverage"]["cells"]),
+        *_provenance(record),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def read_counts(text: str) -> Counts:
+    """What the page states: counted in the rows of its tables where none is left out.
+
+    Raises:
+        ValueError: If the text is no such page, or its rows are not what it states.
+    """
+    stated = _stated(text)
+    for heading, count in (("Requirements", _rows), ("Cases", _rows), ("Verdicts", _words)):
+        body = text.partition(f"\n## {heading}\n")[2].partition("\n## ")[0]
+        if not body:
+            raise ValueError(f"the page has no section {heading}")
+        if not _LEFT_OUT.search(body):
+            found = count(heading, body)
+            differ = [key for key, number in found.items() if stated[key] != number]
+            if differ:
+                told = f"{differ[0]} = {stated[differ[0]]}, and lists {found[differ[0]]}"
+                raise ValueError(f"the page states {told}")
+            stated |= found
+    return Counts.from_json(stated)
+
+
+def _stated(text: str) -> Data:
+    """The table of totals."""
+    keys = list(Counts.__dataclass_fields__)
+    header = f"| {' | '.join(keys)} |\n|{' --- |' * len(keys)}\n| "
+    row = text.partition(header)[2].partition(" |\n")[0].split(" | ")
+    if len(row) != len(keys):
+        raise ValueError("the page has no table of totals")
+    return {
+        key: value if key == "gate" else int(value) for key, value in zip(keys, row, strict=True)
+    }
+
+
+def _rows(heading: str, body: str) -> Data:
+    # The first two rows are the header and its rule.
+    return {heading.lower(): sum(line.startswith("| ") for line in body.split("\n")) - 2}
+
+
+def _words(_: str, body: str) -> Data:
+    found = re.findall(r"^\| (supported|violated|undecided) \| (waived|-) \|", body, re.MULTILINE)
+    words = Counter(word for word, _ in found)
+    return {word: words[word] for word in _WORDS} | {
+        "waived": [one for _, one in found].count("waived")
+    }
+
+
+def _urgency(verdict: Data) -> tuple[bool, int]:
+    """What makes the gate fail comes first, violations before what is undecided."""
+    word = verdict["verdict"]
+    return word == "supported" or verdict["waiver"] is not None, _WORDS.index(word)
+
+
+def _head(record: SessionRecord) -> Iterator[str]:
+    counts, gate, status = Counts.of(record).to_json(), record["gate"], record["status"]
+    if status != "complete" or gate["result"] == "incomplete":
+        yield f"# Session incomplete ({status}): this is no pass"
+    else:
+        yield f"# Gate {gate['result']}"
+    yield from ["", f"| {' | '.join(counts)} |", f"|{' --- |' * len(counts)}"]
+    yield f"| {' | '.join(map(str, counts.values()))} |"
+    yield ""
+    yield from (f"- {markdown(one, 300) or 'no reason'}" for one in gate["reasons"][:_REASONS])
+    if len(gate["reasons"]) > _REASONS:
+        yield f"- and {len(gate['reasons']) - _REASONS} more reasons"
+
+
+def _section(heading: str, columns: list[str], rows: Iterable[str], share: str) -> Iterator[str]:
+    """A heading with as many of its rows as fit into its share."""
+    yield from ["", f"## {heading}", ""]
+    if columns:
+        yield from [f"| {' | '.join(columns)} |", f"|{' --- |' * len(columns)}"]
+    room, total, shown = _SHARES[share], 0, 0
+    for row in rows:
+        total += 1
+        room -= len(row.encode()) + 1
+        if room >= 0:
+            shown += 1
+            yield row
+    if not total:
+        yield from ["", "None."]
+    if shown < total:
+        yield ""
+        yield (
+            f"_{total - shown} of {total} are left out here, to stay below the limit of a summary; "
+            "the report and evidence.json have all._"
+        )
+
+
+def _failure(record: SessionRecord, one: Data) -> str:
+    waiver = ""
+    if one["waiver"] is not None:
+        kind, why = markdown(one["waiver"]["kind"], 64), markdown(one["waiver"]["reason"], 200)
+        waiver = f" (waived, {kind}: {why or 'no reason'})"
+    told = (
+        f"- **{one['verdict']}**{waiver}: {_name(one['requirement'])} on {_name(one['case'])}, "
+        f"component {_name(one['component'])}: {markdown(one['reason'], 400) or 'no reason'}. "
+        f"{sample(one)}; {bound(one)}."
+    )
+    if one["counterexamples"]:
+        told += "\n  - " + _counterexample(record, one["counterexamples"])
+    return told
+
+
+def _counterexample(record: SessionRecord, found: list[Data]) -> str:
+    first = found[0]
+    told = f"counterexample {_name(first['episode'])}"
+    if first["time"] is not None:
+        told += f" at {first['time']:.1f} s"
+    if first["margin"] is not None:
+        told += f", margin {first['margin']:.3g}"
+    if len(found) > 1:
+        told += f", and {len(found) - 1} more"
+    command = _replay(record["command"], first["episode"])
+    return told + (f"; replay: {command}" if command else "; replay by its id in the record")
+
+
+def _replay(session: str, episode: str) -> str:
+    """The command, where it can be shown as it has to be typed."""
+    try:
+        given = [one for one in shlex.split(session) if one.startswith("--dura-evidence=")]
+    except ValueError:
+        given = []
+    options = [f"--dura-replay={episode}", *given]
+    quoted = [
+        f"{key}={shlex.quote(value)}" for key, _, value in (one.partition("=") for one in options)
+    ]
+    command = " ".join(["pytest", *quoted])
+    unchanged = name(command, 400) == command and "\\|" not in command and "  " not in command
+    return code(command) if unchanged else ""
+
+
+_VERDICTS = ["verdict", "waiver", "requirement", "case", "component", "valid n", "violations",
+             "invalid", "missing", "upper bound"]  # fmt: skip
+_REQUIREMENTS = ["requirement", "kind", "text", "supported", "violated", "undecided", "untested"]
+_CASES = ["case", "component", "planned", "run", "valid", "invalid", "missing", "flagged",
+          "collided", "gridlock", "clearance time"]  # fmt: skip
+
+
+def _row(cells: Iterable[object]) -> str:
+    return f"| {' | '.join(str(cell) for cell in cells)} |"
+
+
+def _name(text: str | None) -> str:
+    return code(name(text or "")) or "-"
+
+
+def _verdict(one: Data) -> str:
+    counts = (one[key] for key in ("episodes", "violations", "invalid", "missing"))
+    waiver = "-" if one["waiver"] is None else "waived"
+    names = (_name(one[key]) for key in ("requirement", "case", "component"))
+    return _row([one["verdict"], waiver, *names, *counts, bound(one)])
+
+
+def _requirements(record: SessionRecord) -> Iterator[str]:
+    words = Counter((one["requirement"], one["verdict"]) for one in record["verdicts"])
+    cells = record["coverage"]["cells"]
+    untested = Counter(one["requirement"] for one in cells if one["verdict"] is None)
+
+    def failing(one: Data) -> tuple[bool, bool]:
+        return not words[one["id"], "violated"], not words[one["id"], "undecided"]
+
+    for one in sorted(record["requirements"], key=failing):
+        counts = (words[one["id"], word] for word in ("supported", "violated", "undecided"))
+        texts = (markdown(one[key] or "", 200) or "-" for key in ("kind", "text"))
+        yield _row([_name(one["id"]), *texts, *counts, untested[one["id"]]])
+
+
+def _case(one: Data) -> str:
+    metrics = one["metrics"]
+    rates = []
+    for key in ("flagged", "collided", "gridlock"):
+        rate = metrics[key]
+        rates.append("-" if rate is None else f"{rate['valid']} of {metrics['valid']}")
+    time = metrics["clearance_time"]
+    shown = "-"
+    if time is not None and time["mean"] is not None:
+        shown = f"{time['mean']:.2f} s (n = {time['runs']})"
+    counts = (metrics[key] for key in ("planned", "run", "valid", "invalid", "missing"))
+    return _row([_name(one["id"]), _name(one["component"]), *counts, *rates, shown])
+
+
+def _coverage(cells: list[Data]) -> Iterator[str]:
+    untested = [one for one in cells if one["verdict"] is None]
+    yield from ["", "## Coverage", ""]
+    yield (
+        f"{len(cells) - len(untested)} of {len(cells)} cells of requirement x scenario x fault "
+        f"have a verdict; {len(untested)} untested."
+    )
+    for one in untested[:_CELLS]:
+        yield f"- untested: {_name(one['requirement'])} on {_name(one['case'])}"
+    if len(untested) > _CELLS:
+        yield f"- and {len(untested) - _CELLS} more"
+
+
+def _provenance(record: SessionRecord) -> Iterator[str]:
+    git, tool, told = record["environment"]["git"] or {}, record["tool"], record["environment"]
+    commit = _name(git.get("commit")) + (" with local changes" if git.get("dirty") else "")
+    yield from ["", "## Provenance", ""]
+    for one in components(record)[:_CELLS]:
+        version = f", version {_name(str(one['version']))}" if one.get("version") else ""
+        digest = f", SHA-256 {_name(one['digest'])}" if one.get("digest") else ", no digest"
+        yield f"- component under test: {_name(one['name'])}{version}{digest}"
+    yield f"- commit: {commit}"
+    yield f"- tool: {_name(tool['name'])} {_name(tool['version'])}"
+    yield f"- Python {_name(told['python'])} on {_name(told['platform'])}"
+    yield f"- base seed: {record['base_seed']}"
+    yield f"- created {_name(record['created'])}, finished {_name(record['finished'])}"
+    yield f"- command: {code(record['command'], 1000) or '-'}"
+    yield f"- {UNREVIEWED}"
