@@ -107,12 +107,19 @@ class SessionHooks:
     def pytest_pyfunc_call(self, pyfuncitem: pytest.Function) -> Generator[None, Any, Any]:
         """Tell our own errors as failures, and refuse a pass on an episode that says nothing."""
         try:
-            result = yield
-        except DuraError as error:
-            outcome = self.session.reporter.outcome_of(error)
-            raise outcome.with_traceback(error.__traceback__) from None
-        if uses_bench(pyfuncitem):
-            self.session.reporter.body_passed(pyfuncitem)
+            try:
+                result = yield
+            except DuraError as error:
+                outcome = self.session.reporter.outcome_of(error)
+                raise outcome.with_traceback(error.__traceback__) from None
+            if uses_bench(pyfuncitem):
+                self.session.reporter.body_passed(pyfuncitem)
+        except BaseException as error:
+            if uses_bench(pyfuncitem):
+                from pytest_dura.plugin.messages import make_visible
+
+                make_visible(error)
+            raise
         return result
 
     @pytest.hookimpl(wrapper=True)
@@ -121,7 +128,14 @@ class SessionHooks:
     ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
         """Attach what the item told to its report, which crosses processes."""
         report = yield
-        self.session.reporter.attach(item, call, report)
+        told = self.session.reporter.attach(item, call, report)
+        # A test that could not be set up is not called.
+        if uses_bench(item) and (call.when == "call" or (call.when == "setup" and call.excinfo)):
+            from pytest_dura.plugin.item_results import item_results
+            from pytest_dura.plugin.junit import add_properties
+
+            results = item_results(self.session, item, told)
+            add_properties(self.session, item, report, results)
         return report
 
     @pytest.hookimpl(tryfirst=True)

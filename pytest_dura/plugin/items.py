@@ -34,7 +34,6 @@ class ScenarioCase(pytest.Collector):
             )
             item.planned = self.planned
             item.add_marker(pytest.mark.requirement(name, text=requirement.text))
-            item.user_properties.append(("requirement", name))
             yield item
 
 

@@ -161,8 +161,8 @@ class Reporter:
 
     def attach(
         self, item: pytest.Item, call: pytest.CallInfo[None], report: pytest.TestReport
-    ) -> None:
-        """Put what the item told on its report, as JSON."""
+    ) -> ItemReport | None:
+        """Put what the item told on its report, as JSON; returns it, if it told anything."""
         if call.when == "teardown":
             self._used.clear()
             self._decided.clear()
@@ -171,11 +171,12 @@ class Reporter:
         if call.when == "call" and self._target(item) is not None:
             self._test_outcome(item, call, report)
         if self._pending is None:
-            return
+            return None
         told, self._pending = self._pending, None
         told.item = item.nodeid
         if told:
             setattr(report, ATTRIBUTE, json.dumps(told.to_json(), allow_nan=False))
+        return told
 
     @property
     def _report(self) -> ItemReport:

@@ -1,0 +1,121 @@
+"""Properties of a test for JUnit files, and whoever else reads pytest's ``user_properties``.
+
+pytest writes them with every ``junit_family``; ``xunit1`` adds file and line of the test. There is
+one group per requirement, in order, which begins with ``requirement``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from pytest_dura.evidence.junit_results import junit_name
+from pytest_dura.evidence.text import one_line
+from pytest_dura.plugin.commands import replay_command
+from pytest_dura.plugin.item_results import ItemResult, episode_of, target_of
+
+if TYPE_CHECKING:
+    from pytest_dura.plugin.session import DuraSession
+
+Properties = list[tuple[str, str]]
+
+_COUNTS = ("planned", "run", "violations", "invalid", "missing", "vacuous")
+_NAMES = {"requirement", "case", "component", "item", "episode", "counterexample"}
+_OURS = pytest.StashKey[Properties]()
+
+
+def add_properties(
+    session: DuraSession,
+    item: pytest.Item,
+    report: pytest.TestReport,
+    results: Sequence[ItemResult],
+) -> None:
+    """Put what an item came to among its properties; they cross processes with its reports."""
+    before = item.stash.get(_OURS, [])  # of an earlier attempt
+    others = [one for one in item.user_properties if one not in before]
+    ours = _properties(session, item, results)
+    item.stash[_OURS] = ours
+    item.user_properties[:] = [*others, *ours]
+    report.user_properties = list(item.user_properties)
+
+
+def _properties(
+    session: DuraSession, item: pytest.Item, results: Sequence[ItemResult]
+) -> Properties:
+    told: list[tuple[str, Any]] = [
+        ("item", item.nodeid),
+        ("base_seed", session.options.seed),
+        *_episode(session, item),
+    ]
+    for one in results:
+        told += _group(session, one)
+    return [(name, _value(name, value)) for name, value in told if value not in (None, "")]
+
+
+def _value(name: str, value: Any) -> str:
+    """Plain text without anything that XML or another process could not take."""
+    shown = str(value)
+    return junit_name(shown) if name in _NAMES else one_line(shown)
+
+
+def _episode(session: DuraSession, item: pytest.Item) -> Iterator[tuple[str, Any]]:
+    episode = episode_of(item)
+    if episode is None:
+        return
+    yield "episode", episode.id
+    yield "seed", episode.spec.seed
+    yield "digest", episode.digest
+    yield "validity", episode.validity
+    if target_of(item) is not None:  # by its id alone another session finds no other episode
+        yield "replay", replay_command(session, episode.id)
+
+
+def _group(session: DuraSession, result: ItemResult) -> Iterator[tuple[str, Any]]:
+    requirement = result.requirement
+    yield "requirement", requirement.id
+    yield "kind", requirement.kind
+    yield "case", result.case.id if result.case else (result.verdict or {}).get("case")
+    yield "component", result.component
+    if result.outcome is not None:
+        yield from _of_episode(result.outcome)
+    if result.verdict is not None:
+        yield from _of_campaign(session, result)
+
+
+def _of_episode(outcome: Any) -> Iterator[tuple[str, Any]]:
+    yield "episode_verdict", outcome["verdict"]
+    yield "planned", outcome["planned"]
+    yield "at_most", outcome["at_most"]
+    yield "margin", outcome["margin"]
+    yield "violated_at", outcome["time"]
+    yield "detail", outcome["detail"]
+
+
+def _of_campaign(session: DuraSession, result: ItemResult) -> Iterator[tuple[str, Any]]:
+    verdict = result.verdict
+    assert verdict is not None
+    yield "verdict", verdict["verdict"]
+    yield "reason", verdict["reason"]
+    yield "valid", verdict["episodes"]
+    for name in _COUNTS:
+        yield name, verdict[name]
+    bound = verdict["bound"]
+    yield "bound_upper", bound["upper"]
+    yield "bound_confidence", bound["confidence"]
+    yield "bound_method", bound["method"]
+    yield "at_most", bound["at_most"]
+    yield "margin", verdict["margin"]
+    if verdict["counterexamples"]:
+        episode = verdict["counterexamples"][0]["episode"]
+        yield "counterexample", episode
+        yield "counterexample_seed", seed_of(session, result, episode)
+        yield "replay", replay_command(session, episode)
+
+
+def seed_of(session: DuraSession, result: ItemResult, episode: str) -> int | None:
+    """The seed of an episode of the result's case."""
+    if result.case is None:
+        return None
+    return result.case.seed(int(episode.rpartition("#")[2]), session.options.seed)
