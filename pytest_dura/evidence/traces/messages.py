@@ -18,14 +18,10 @@ Message = tuple[int, str]
 LONGEST = 1000
 """Characters of a text that a viewer shows; the columns have all of it."""
 _PERCEPT = "percept."
-_WARNING, _ERROR, _INFO = 3, 4, 2
+_INFO, _WARNING, _ERROR = 2, 3, 4
 _LEVELS = {
-    "infrastructure": _ERROR,
-    "component_failure": _ERROR,
-    "collision": _ERROR,
-    "critical": _ERROR,
-    "violation": _WARNING,
-    "alert": _WARNING,
+    **dict.fromkeys(("infrastructure", "component_failure", "critical", "halt"), _ERROR),
+    **dict.fromkeys(("unsafe", "alert", "performance_fail", "fault_manifested"), _WARNING),
 }
 
 

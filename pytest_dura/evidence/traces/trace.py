@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from pytest_dura.core.episode import Episode
 from pytest_dura.core.recording import Recording
+from pytest_dura.core.state import Event
 from pytest_dura.evidence.plain import plain
 
 
@@ -25,7 +26,8 @@ class Trace:
         signals: By name, each of shape ``(ticks,)``; ``percept.name`` is as perceived.
         decisions: ``verdict``, ``source``, ``proposed``, ``executed``, ``attempts``; each of shape
             ``(ticks - 1,)``. See :class:`~pytest_dura.core.episode.Episode`.
-        events: ``{tick, time, kind, subject, detail, data}`` in their order.
+        events: ``{tick, time, kind, subject, detail, data}`` in their order; with ``wall_clock``
+            where that is true, of what depends on the machine's speed.
         recording: What was said at each decision, and the scene.
     """
 
@@ -54,6 +56,11 @@ class Trace:
             episode.time,
             episode.signals,
             episode.decisions,
-            [plain(event.to_json()) for event in episode.events],
+            [_event(event) for event in episode.events],
             episode.recording or Recording(),
         )
+
+
+def _event(event: Event) -> dict[str, Any]:
+    told: dict[str, Any] = plain(event.to_json())
+    return told | ({"wall_clock": True} if event.wall_clock else {})
