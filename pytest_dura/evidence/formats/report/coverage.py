@@ -1,0 +1,51 @@
+"""Section: what was tested and what was not, in requirements, scenarios, faults and ranges."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from pytest_dura.evidence.formats.report.anchors import requirement_anchor
+from pytest_dura.evidence.formats.report.gathering import Gathered
+from pytest_dura.evidence.formats.report.links import Links
+from pytest_dura.evidence.session_record import SessionRecord
+
+Data = Mapping[str, Any]
+BIN_WIDTH, BIN_HEIGHT = 12.0, 22.0
+
+
+def section(record: SessionRecord, _gathered: Gathered, _links: Links) -> Data:
+    """The matrix of cells, and the bars of each varied parameter."""
+    found = record["coverage"]
+    requirements = [one["id"] for one in record["requirements"]]
+    places: dict[tuple[str, str], dict[str, list[str | None]]] = {}
+    for cell in found["cells"]:
+        row = places.setdefault((cell["scenario"], cell["faults"]), {})
+        row.setdefault(cell["requirement"], []).append(cell["verdict"])
+        if cell["requirement"] not in requirements:
+            requirements.append(cell["requirement"])
+    return {
+        "requirements": [{"id": one, "anchor": requirement_anchor(one)} for one in requirements],
+        "rows": [
+            {
+                "scenario": scenario,
+                "faults": faults,
+                # No cell at all: the requirement does not apply to the scenario.
+                "cells": [row.get(name) for name in requirements],
+            }
+            for (scenario, faults), row in sorted(places.items())
+        ],
+        "tested": sum(one["verdict"] is not None for one in found["cells"]),
+        "cells": len(found["cells"]),
+        "parameters": [_parameter(one) for one in found["parameters"]],
+    }
+
+
+def _parameter(one: Data) -> Data:
+    highest = max([*one["bins"], 1])
+    bars = []
+    for place, count in enumerate(one["bins"]):
+        height = round(BIN_HEIGHT * count / highest, 1)
+        bars.append({"x": place * BIN_WIDTH, "y": BIN_HEIGHT - height, "height": height})
+    filled = sum(count > 0 for count in one["bins"])
+    return {**one, "bars": bars, "width": BIN_WIDTH * len(bars), "filled": filled}

@@ -1,0 +1,57 @@
+"""Section: the counts of episodes by case, and a bounded list of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from pytest_dura.evidence.formats.report.anchors import case_anchor, requirement_anchor
+from pytest_dura.evidence.formats.report.gathering import CaseTally, Gathered, Key, Listed
+from pytest_dura.evidence.formats.report.links import Links
+from pytest_dura.evidence.session_record import SessionRecord
+
+Data = Mapping[str, Any]
+
+
+def section(record: SessionRecord, gathered: Gathered, links: Links) -> Data:
+    """Rows of counts, which together count each episode once, and rows of single episodes."""
+    left = dict(gathered.cases)
+    counts = []
+    for case in record["cases"]:
+        key = case["id"], case["component"]
+        counts.append(_counts(key, left.pop(key, CaseTally()), case))
+    # Episodes of a case that the record does not list are counted all the same.
+    counts += [_counts(key, tally, None) for key, tally in left.items()]
+    anchors: set[str] = set()
+    return {
+        "counts": counts,
+        "several": len({key[1] for key in gathered.cases}) > 1,
+        "total": gathered.total,
+        "rows": [_row(one, links, anchors) for one in gathered.listed],
+        "left_out": gathered.total - len(gathered.listed),
+    }
+
+
+def _counts(key: Key, tally: CaseTally, case: Data | None) -> Data:
+    return {
+        "case": key[0],
+        "component": key[1],
+        "listed": case is not None,
+        "anchor": case_anchor(key[0]),
+        "planned": None if case is None else case["planned"],
+        "run": tally.words.total(),
+        **{word: tally.words[word] for word in ("valid", "invalid", "missing")},
+    }
+
+
+def _row(one: Listed, links: Links, anchors: set[str]) -> Data:
+    own = links.listed[one.key]
+    anchor = None if own in anchors else own
+    anchors.add(own)
+    return {
+        **one.episode,
+        "anchor": anchor,
+        "violates": [{"id": name, "anchor": requirement_anchor(name)} for name in one.violates],
+        "player": links.players.get(one.key),
+        "why": one.episode["failure"] or one.episode["invalid_reason"] or one.episode["critical"],
+    }

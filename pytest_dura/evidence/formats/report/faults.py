@@ -1,0 +1,66 @@
+"""Section: which requirement held under which fault, and how far each fault got."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Mapping
+from typing import Any
+
+from pytest_dura.evidence.formats.report.anchors import requirement_anchor
+from pytest_dura.evidence.formats.report.gathering import CaseTally, Gathered
+from pytest_dura.evidence.formats.report.links import Links
+from pytest_dura.evidence.session_record import SessionRecord
+
+Data = Mapping[str, Any]
+
+NO_FAULT = "no fault"
+STEPS = (0.0, 0.05, 0.25, 0.5)
+"""Shares of violating episodes above which a cell of the map is a step darker."""
+
+
+def section(record: SessionRecord, gathered: Gathered, _links: Links) -> Data:
+    """The map of faults and requirements, and one row for each fault of each case."""
+    chains = []
+    for case in record["cases"]:
+        tally = gathered.cases.get((case["id"], case["component"]), CaseTally())
+        for fault in case["metrics"]["faults"]:
+            outcomes = sorted(tally.outcomes.get(fault["id"], Counter()).items())
+            chains.append({**fault, "case": case, "outcomes": outcomes})
+    return {"heat": _heat(record), "chains": chains}
+
+
+def _heat(record: SessionRecord) -> Data:
+    """Violating among valid episodes, by fault and requirement, over all cases with that fault."""
+    faults_of = {
+        (case["id"], case["component"]): [fault["id"] for fault in case["faults"]]
+        for case in record["cases"]
+    }
+    cells: dict[tuple[str, str], list[Data]] = defaultdict(list)
+    names: dict[str, None] = {}
+    for ids in faults_of.values():
+        names.update(dict.fromkeys(ids or [NO_FAULT]))
+    for verdict in record["verdicts"]:
+        ids = faults_of.get((verdict["case"], verdict["component"])) or [NO_FAULT]
+        for one in ids:
+            names.setdefault(one)
+            cells[one, verdict["requirement"]].append(verdict)
+    requirements = [one["id"] for one in record["requirements"]]
+    order = sorted(names, key=lambda one: (one != NO_FAULT, one))
+    return {
+        "requirements": [{"id": name, "anchor": requirement_anchor(name)} for name in requirements],
+        "rows": [
+            {"fault": fault, "cells": [_cell(cells.get((fault, name))) for name in requirements]}
+            for fault in order
+        ],
+    }
+
+
+def _cell(verdicts: list[Data] | None) -> Data:
+    if not verdicts:
+        return {"word": "untested"}
+    n = sum(one["episodes"] for one in verdicts)
+    violations = sum(one["violations"] for one in verdicts)
+    if not n:
+        return {"word": "no valid episode", "cases": len(verdicts)}
+    step = sum(violations / n > bound for bound in STEPS)
+    return {"word": "", "n": n, "violations": violations, "step": step, "cases": len(verdicts)}

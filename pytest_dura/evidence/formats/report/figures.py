@@ -1,0 +1,61 @@
+"""How the report writes figures: short, with their unit, and a dash where there is none."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Mapping
+from typing import Any
+
+from pytest_dura.evidence.text import name, one_line, visible
+
+NONE = "\N{EN DASH}"
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """With so many significant digits; an integer as it is."""
+    if value is None:
+        return NONE
+    if isinstance(value, int) or float(value).is_integer():
+        return f"{value:.0f}" if abs(value) < 1e15 else f"{value:.{digits}g}"
+    shown = f"{value:.{digits}g}"
+    return f"{value:.0f}" if "e+" in shown and abs(value) < 1e9 else shown
+
+
+def percent(value: float | None) -> str:
+    """A share as a percentage with three significant digits: ``18.1 %``."""
+    return NONE if value is None else f"{100 * value:.3g}\N{NO-BREAK SPACE}%"
+
+
+def seconds(value: float | None, digits: int = 2) -> str:
+    """``6.50 s``."""
+    return NONE if value is None else f"{value:.{digits}f}\N{NO-BREAK SPACE}s"
+
+
+def share(part: int, whole: int) -> str:
+    """``3/15``: a rate never stands without its n."""
+    return f"{part}/{whole}"
+
+
+def size(count: int) -> str:
+    """Of a file: ``12 kB``."""
+    if count < 1000:
+        return f"{count} B"
+    return f"{count / 1000:.0f} kB" if count < 1_000_000 else f"{count / 1e6:.1f} MB"
+
+
+def replay_command(episode: str) -> str:
+    """What runs one episode again, with ``DIR`` for the folder that holds the evidence."""
+    return f"pytest --dura-replay={shlex.quote(episode)} --dura-evidence=DIR"
+
+
+FILTERS: Mapping[str, Any] = {
+    "name": name,
+    "line": one_line,
+    "prose": visible,
+    "number": number,
+    "percent": percent,
+    "seconds": seconds,
+    "size": size,
+    "replay": replay_command,
+}
+"""What templates may call."""

@@ -1,0 +1,37 @@
+"""Section: how good the monitors were, and what recovery did."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from pytest_dura.evidence.formats.report.anchors import verdict_anchor
+from pytest_dura.evidence.formats.report.gathering import Gathered
+from pytest_dura.evidence.formats.report.links import Links
+from pytest_dura.evidence.formats.report.requirements import SEQUENTIAL
+from pytest_dura.evidence.session_record import SessionRecord
+
+Data = Mapping[str, Any]
+
+
+def section(record: SessionRecord, _gathered: Gathered, _links: Links) -> Data:
+    """Monitors that had anything to see or to say, how many had not, and the pairs of recovery."""
+    told = [
+        one
+        for one in record["monitors"]
+        if one["true_positives"] + one["false_negatives"] + one["false_positives"]
+    ]
+    switching = {
+        (case["id"], case["component"]): case["metrics"]["switching"] for case in record["cases"]
+    }
+    pairs = [
+        {
+            **one,
+            "anchor": verdict_anchor(one["requirement"], one["case"]),
+            "switching": switching.get((one["case"], one["component"])),
+            "fixed_n": one["method"] not in SEQUENTIAL,
+        }
+        for one in record["verdicts"]
+        if one["pairs"] and "only_with" in one["pairs"]
+    ]
+    return {"rows": told, "silent": len(record["monitors"]) - len(told), "pairs": pairs}

@@ -1,0 +1,99 @@
+"""The episode players that the page holds: few, and no more than some megabytes."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from pytest_dura.core.errors import describe_error
+from pytest_dura.evidence.formats.report.anchors import player_anchor
+from pytest_dura.evidence.formats.report.gathering import Key, Listed
+from pytest_dura.evidence.session_record import SessionRecord
+
+Data = Mapping[str, Any]
+
+MAX_PLAYERS = 12
+MAX_CHARACTERS = 6_000_000
+
+
+@dataclass
+class Players:
+    """What is embedded of traces, and what could not be.
+
+    Args:
+        rows: In the page's order: the episode with ``anchor``, ``packed`` (the player's text, or
+            ``None``) and ``problem``.
+        shown: Id and component of those with a player.
+        script: The player's own.
+        style: The player's own.
+    """
+
+    rows: list[Data] = field(default_factory=list)
+    shown: list[Key] = field(default_factory=list)
+    script: str = ""
+    style: str = ""
+
+
+def embedded(record: SessionRecord, candidates: Sequence[Listed]) -> Players:
+    """Players of the first episodes whose traces can be read, up to the bounds.
+
+    Args:
+        record: The record, in whose directory the traces lie.
+        candidates: Episodes with a trace, those that show most first.
+    """
+    players = Players()
+    room = MAX_CHARACTERS
+    for one in candidates:
+        if len(players.shown) == MAX_PLAYERS:
+            break
+        if one.key in players.shown:
+            continue
+        packed, problem = None, ""
+        try:
+            packed = _packed(record, one)
+        except Exception as error:  # told in the trace's place
+            problem = describe_error(error)
+        if packed is not None and len(packed) > room:
+            continue
+        told = {**one.episode, "violates": one.violates, "packed": packed, "problem": problem}
+        players.rows.append({**told, "anchor": player_anchor(*one.key)})
+        if packed is not None:
+            room -= len(packed)
+            players.shown.append(one.key)
+    if players.shown:
+        from pytest_dura.evidence.player import assets
+
+        players.script, players.style = assets()
+    return players
+
+
+def _packed(record: SessionRecord, one: Listed) -> str:
+    """The player's text of an episode's trace.
+
+    Raises:
+        ValueError: If the file is not the one that was written, or lies outside the bundle.
+    """
+    from pytest_dura.evidence.player import packed, player_data
+    from pytest_dura.evidence.traces.mcap_file import read_trace
+
+    file = _inside(record.directory, one.episode["trace"]["file"])
+    digest = hashlib.sha256(file.read_bytes()).hexdigest()
+    if digest != one.episode["trace"]["sha256"]:
+        raise ValueError(f"its SHA-256 is {digest[:12]}..., and the record says another")
+    judged = [
+        verdict
+        for verdict in record["verdicts"]
+        if verdict["case"] == one.episode["case"]
+        and verdict["component"] == one.episode["component"]
+    ]
+    return packed(player_data(read_trace(file), judged))
+
+
+def _inside(directory: Path, name: str) -> Path:
+    file = (directory / name).resolve()
+    if not file.is_relative_to(directory.resolve()):
+        raise ValueError("the file lies outside the evidence")
+    return file

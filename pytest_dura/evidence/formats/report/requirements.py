@@ -1,0 +1,62 @@
+"""Section: each requirement with its verdicts, their bounds and their counterexamples."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from pytest_dura.evidence.formats.report.anchors import requirement_anchor, verdict_anchor
+from pytest_dura.evidence.formats.report.gathering import Gathered
+from pytest_dura.evidence.formats.report.links import Links
+from pytest_dura.evidence.session_record import SessionRecord
+
+MAX_COUNTEREXAMPLES = 5
+"""Counterexamples of a verdict that are named; the list of episodes has more."""
+SEQUENTIAL = ("sprt", "e-process")
+"""Methods for which McNemar's p does not hold: their number of pairs depends on what they show."""
+
+Data = Mapping[str, Any]
+
+
+def section(record: SessionRecord, _gathered: Gathered, links: Links) -> Data:
+    """The requirements in the record's order, each with its verdicts."""
+    several = len({one["component"] for one in record["cases"]}) > 1
+    rows: dict[str, list[Data]] = {}
+    anchors: set[str] = set()
+    for verdict in record["verdicts"]:
+        found = verdict_anchor(verdict["requirement"], verdict["case"])
+        own = None if found in anchors else found
+        anchors.add(found)
+        rows.setdefault(verdict["requirement"], []).append(_row(verdict, own, links))
+    groups = [
+        {"declared": True, **_described(one), "rows": rows.pop(one["id"], [])}
+        for one in record["requirements"]
+    ]
+    others = [
+        {"declared": False, **_described({"id": name}), "rows": left} for name, left in rows.items()
+    ]
+    return {"groups": groups + others, "several": several}
+
+
+def _described(requirement: Data) -> Data:
+    keys = ("text", "kind", "source", "check", "reason")
+    return {
+        "id": requirement["id"],
+        "anchor": requirement_anchor(requirement["id"]),
+        **{key: requirement.get(key, "") for key in keys},
+    }
+
+
+def _row(verdict: Data, own_anchor: str | None, links: Links) -> Data:
+    shown = verdict["counterexamples"][:MAX_COUNTEREXAMPLES]
+    pairs = verdict["pairs"]
+    return {
+        **verdict,
+        "anchor": own_anchor,
+        "worst": [
+            {**one, "link": links.of_episode(one["episode"], verdict["component"])} for one in shown
+        ],
+        "more": len(verdict["counterexamples"]) - len(shown),
+        "pairs": pairs if pairs and "only_with" in pairs else None,
+        "fixed_n": verdict["method"] not in SEQUENTIAL,
+    }
