@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
+from pytest_dura.requirements.model import Requirement
 from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict
+from pytest_dura.requirements.verdicts.judging import judge_campaign
 
 Data = dict[str, Any]
 
@@ -14,7 +18,7 @@ def test_of(item: str) -> str:
     return item.partition("[")[0]
 
 
-def final_outcomes(told: list[Data]) -> list[Data]:
+def final_outcomes(told: Sequence[Data]) -> list[Data]:
     """Of several attempts of an item a violation counts before anything else, then the last."""
     final: dict[str, Data] = {}
     for one in told:
@@ -35,6 +39,28 @@ def worst_by_episode(final: list[Data]) -> list[EpisodeVerdict]:
         worst.setdefault(one["episode"], one)
     found = sorted(worst.values(), key=lambda one: _run_number(one["episode"]))
     return [EpisodeVerdict.from_json({name: one[name] for name in names}) for one in found]
+
+
+def judged_looks(requirement: Requirement, case: str, component: str, told: Sequence[Data]) -> Data:
+    """The verdict of a test that looks at one episode at a time, as plain data.
+
+    Args:
+        requirement: What it decides; its rate is that of the test.
+        case: Id of the case.
+        component: Name of the component under test.
+        told: All that it told of episodes, with ``item``, ``planned``, ``at_most``, ``confidence``.
+    """
+    # Tests are a fixed number, and run in no fixed order: no sequential method applies.
+    judged_by = replace(
+        requirement,
+        at_most=told[0]["at_most"],
+        confidence=told[0]["confidence"],
+        method=None,
+        p0=None,
+    )
+    planned = max(one["planned"] for one in told)
+    final = worst_by_episode(final_outcomes(told))
+    return judge_campaign(judged_by, case, final, planned=planned, component=component).to_json()
 
 
 def _run_number(episode: str) -> tuple[str, int]:

@@ -4,18 +4,34 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.evidence.files import write_file
+from pytest_dura.evidence.files import temporary_prefix, write_file
 from pytest_dura.evidence.plain import plain
 from pytest_dura.evidence.record import SCHEMA_VERSION
 from pytest_dura.evidence.session_record import SessionRecord
+from pytest_dura.evidence.spool import SPOOL
 
 RECORD = "evidence.json"
 EPISODES = "episodes"
+RENDERED = (
+    "manifest.json",
+    "report.html",
+    "summary.md",
+    "assurance-case.gsn.yaml",
+    "assurance-case.svg",
+    "cyclonedx.json",
+    "test-result.intoto.json",
+    "evidence.schema.json",
+)
+"""The other files of a bundle; the manifest comes first where they are removed."""
+TRACES = "episodes"
+"""The folder of the traces."""
+BEGUN = tuple(map(temporary_prefix, (RECORD, *RENDERED)))
 
 
 def write_record(directory: Path, record: SessionRecord) -> Path:
@@ -26,6 +42,64 @@ def write_record(directory: Path, record: SessionRecord) -> Path:
     """
     write_file(directory / RECORD, _text(record))
     return directory / RECORD
+
+
+def begin_bundle(record: SessionRecord) -> Path:
+    """Write the record of a session that begins, and remove what an earlier one left beside it.
+
+    In this order nothing that an earlier session came to is ever there without a record that says
+    that a session is running.
+
+    Raises:
+        ConfigurationError: If the directory cannot be made, written or cleared.
+    """
+    earlier = os.path.lexists(record.directory / RECORD)
+    file = write_record(record.directory, record)
+    # Without a record of ours, files of such names are somebody else's.
+    if earlier:
+        clear_bundle(record.directory)
+    return file
+
+
+def clear_bundle(directory: Path) -> None:
+    """Remove what an earlier session left, the record itself apart.
+
+    Files go by their names, and the traces by theirs, whole or begun; nothing else is touched, and
+    no symbolic link is followed: it is removed itself.
+
+    Raises:
+        ConfigurationError: If one of them cannot be removed.
+    """
+    traces = directory / TRACES
+    try:
+        for name in RENDERED:
+            (directory / name).unlink(missing_ok=True)
+        for begun in _entries(directory):
+            if begun.name.startswith(BEGUN) or begun.name.startswith(SPOOL):
+                begun.unlink()
+        if traces.is_symlink():
+            traces.unlink()
+        for trace in _entries(traces):
+            if trace.suffix == ".mcap" or ".mcap-" in trace.name:
+                trace.unlink()
+        if traces.is_dir() and not any(traces.iterdir()):
+            traces.rmdir()
+    except OSError as error:
+        raise ConfigurationError(
+            f"an earlier session's evidence cannot be removed: {error.strerror or error}",
+            key="--dura-evidence",
+            found=str(error.filename or directory),
+            expected="a directory whose files can be replaced",
+            remedy="remove it, or choose another directory",
+        ) from None
+
+
+def _entries(directory: Path) -> Iterator[Path]:
+    """The files and links in a directory, if it is one."""
+    if directory.is_dir():
+        for entry in list(directory.iterdir()):
+            if entry.is_symlink() or entry.is_file():
+                yield entry
 
 
 def read_session_record(directory: Path) -> SessionRecord:

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from pytest_dura.evidence.attempts import final_outcomes, test_of, worst_by_episode
+from pytest_dura.evidence.attempts import final_outcomes, judged_looks, test_of
 from pytest_dura.evidence.case_metrics import CaseMetrics
+from pytest_dura.evidence.missing_runs import missing_runs
 from pytest_dura.evidence.session_record import SessionRecord
 from pytest_dura.evidence.spool import EpisodeSpool
 from pytest_dura.requirements.model import Requirement
 from pytest_dura.requirements.verdicts.judging import judge_campaign
 
 SCHEMA_VERSION = "1"
+NO_QUESTION = {"check": "", "paired": None}
+"""Of a verdict that no campaign was asked for."""
 UNKNOWN = "unknown"
 """The name of a component that a conftest defines, until the first episode tells it."""
 
@@ -84,7 +87,7 @@ class EvidenceRecord:
     _cases: dict[tuple[str, str], Data] = field(default_factory=dict)
     _spool: EpisodeSpool = field(init=False)
     _verdicts: dict[tuple[str, ...], Data] = field(default_factory=dict)
-    _outcomes: dict[tuple[str, ...], list[Data]] = field(default_factory=dict)
+    _outcomes: dict[tuple[str, ...], dict[str, Data]] = field(default_factory=dict)
     _monitors: dict[tuple[str, ...], Data] = field(default_factory=dict)
     _expected: dict[tuple[str, str, str], Data] = field(default_factory=dict)
     _waivers: dict[str, Data] = field(default_factory=dict)
@@ -128,9 +131,8 @@ class EvidenceRecord:
         for outcome in report["outcomes"]:
             # What two tests make of one episode are two answers, and no attempts at one.
             key = test_of(item), outcome["requirement"], outcome["case"], outcome["component"]
-            told = self._outcomes.setdefault(key, [])
-            if (outcome | {"item": item}) not in told:
-                told.append(outcome | {"item": item})
+            told = outcome | {"item": item}
+            self._outcomes.setdefault(key, {})[json.dumps(told, sort_keys=True)] = told
 
     def add_traces(self, traces: Iterable[Data]) -> None:
         """Where traces of episodes are: ``{id, component, digest, trace}``, in any order.
@@ -168,7 +170,7 @@ class EvidenceRecord:
             **self.header,
             "component_under_test": under_test,
             "requirements": [self._requirements[name] for name in sorted(self._requirements)],
-            "cases": self._measured_cases(),
+            "cases": self._measured_cases(verdicts),
             "verdicts": verdicts,
             "monitors": [self._monitors[key] for key in sorted(self._monitors)],
         }
@@ -177,7 +179,9 @@ class EvidenceRecord:
     def verdicts(self) -> list[Data]:
         """All verdicts, also of campaigns that never reported, sorted by case and requirement."""
         found = [dict(verdict) for verdict in self._verdicts.values()]
-        found += [self._of_outcomes(key, told) for key, told in self._outcomes.items()]
+        found += [
+            self._of_outcomes(key, list(told.values())) for key, told in self._outcomes.items()
+        ]
         heard = {(one["item"], one["requirement"], one["case"]) for one in found}
         for claim, case in self._expected.items():
             if claim not in heard:
@@ -226,27 +230,10 @@ class EvidenceRecord:
     def _of_outcomes(self, key: tuple[str, ...], told: list[Data]) -> Data:
         """The verdict of a test that looks at one episode at a time."""
         test, requirement, case, component = key
-        planned = max(one["planned"] for one in told)
-        # Tests are a fixed number, and run in no fixed order: no sequential method applies.
-        judged_by = replace(
-            self._requirement(requirement),
-            at_most=told[0]["at_most"],
-            confidence=told[0]["confidence"],
-            method=None,
-            p0=None,
-        )
         final = final_outcomes(told)
-        verdict = judge_campaign(
-            judged_by, case, worst_by_episode(final), planned=planned, component=component
-        ).to_json()
-        return {
-            **verdict,
-            "check": "",
-            "paired": None,
-            "item": test,
-            "waiver": self._waiver_of(final, verdict),
-            "attempts": [],
-        }
+        verdict = judged_looks(self._requirement(requirement), case, component, told)
+        waiver = self._waiver_of(final, verdict)
+        return {**verdict, **NO_QUESTION, "item": test, "waiver": waiver, "attempts": []}
 
     def _waiver_of(self, final: list[Data], verdict: Data) -> Data | None:
         """What excuses the verdict: nothing, if there is more than what waived items told."""
@@ -283,14 +270,8 @@ class EvidenceRecord:
             # Its episodes may have run: what was not made is the verdict.
             verdict["reason"] = "the test ended without a verdict on it"
         waived = [one for name, one in self._waivers.items() if test_of(name) == item]
-        return {
-            **verdict,
-            "check": "",
-            "paired": None,
-            "item": item,
-            "waiver": waived[0] if waived else None,
-            "attempts": [],
-        }
+        waiver = waived[0] if waived else None
+        return {**verdict, **NO_QUESTION, "item": item, "waiver": waiver, "attempts": []}
 
     def _requirement(self, name: str) -> Requirement:
         return Requirement.from_json(self._requirements.get(name, {"id": name}))
@@ -302,14 +283,20 @@ class EvidenceRecord:
         if clash is not None and verdict["verdict"] == "supported":
             verdict["verdict"], verdict["reason"] = "undecided", clash
 
-    def _measured_cases(self) -> list[Data]:
-        """The cases with what their planned episodes come to, which are seen once."""
-        measured = {key: CaseMetrics() for key in self._cases}
+    def _measured_cases(self, verdicts: list[Data]) -> list[Data]:
+        """The cases, with what their planned episodes come to and which of them are missing."""
+        metrics = {key: CaseMetrics() for key in self._cases}
+        heard: dict[tuple[str, str], set[int]] = {key: set() for key in self._cases}
         for episode in self._spool:
             key = episode["case"], episode["component"]
-            if episode["planned"] and key in measured:
-                measured[key].add(episode)
+            if episode["planned"] and key in metrics:
+                metrics[key].add(episode)
+                heard[key].add(episode["spec"]["run"])
         return [
-            {**self._cases[key], "metrics": measured[key].to_json(self._cases[key]["planned"])}
+            {
+                **self._cases[key],
+                "metrics": metrics[key].to_json(self._cases[key]["planned"]),
+                **missing_runs(self._cases[key], verdicts, heard[key]),
+            }
             for key in sorted(self._cases)
         ]

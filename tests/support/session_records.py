@@ -62,6 +62,7 @@ def episode(case="a/clear", run=0, *, validity="valid", trace=None, **changes):
         "faults": faults,
         "events": [{"tick": 7, "time": 0.7, "kind": "alert", "subject": "V1",
                     "detail": "object_from_nowhere: appeared", "data": {}}],
+        "timings": {"simulated_seconds": 2.0, "processing_seconds": {"generator": 0.002}},
         "spec": spec(run, 1000 + run, case=case),
     }  # fmt: skip
     return told | changes
@@ -138,6 +139,7 @@ def session_record(directory=Path("nowhere"), **changes):
         ],
         "baseline": None,
         "coverage": {
+            "left_out": 0,
             "cells": [
                 _cell("PERF-1", "", "violated"), _cell("SAF-1", "", "supported"),
                 _cell("SAF-1", "ghost", "violated"), _cell("SEC-1", "ghost", "undecided"),
@@ -146,9 +148,10 @@ def session_record(directory=Path("nowhere"), **changes):
             "parameters": [
                 {"scenario": "a/clear", "parameter": "world.wall", "low": 2.0, "high": 6.0,
                  "drawn": 6, "least": 2.5, "greatest": 5.0, "bins": [0, 2, 1, 2, 1, 0, 0, 0, 0, 0],
-                 "covered": 0.4},
+                 "choices": None, "covered": 0.4},
             ],
         },
+        "redacted": {},
         "timings": {"wall_seconds": 60.0, "evidence_seconds": 1.0, "simulated_seconds": 12.0,
                     "processing_seconds": {"generator": 2.0}},
     }  # fmt: skip
@@ -178,6 +181,8 @@ def _case(name):
     return {
         "id": name, "scenario": scenario, "faults": faults, "component": "C", "without": [],
         "requirements": sorted(REQUIREMENTS), "planned": 4 if plus else 2, "runs_override": None,
+        "missing_runs": [], "missing_runs_total": 0,
+        "variation": {"world.wall": {"min": 2.0, "max": 6.0}},
         "metrics": {
             "planned": 2, "run": 2, "valid": 2, "invalid": 0, "missing": 0,
             "flagged": {"valid": 1, "run": 1, "share_of_valid": 0.5, "share_of_planned": 0.5},
@@ -192,4 +197,5 @@ def _cell(requirement, faults, word):
     return {
         "requirement": requirement, "scenario": "a/clear", "faults": faults,
         "case": "a/clear" + (f"+{faults}" if faults else ""), "verdict": word,
+        "component": "C", "applies": "scenario",
     }  # fmt: skip

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 
@@ -8,6 +9,8 @@ import pytest
 
 from pytest_dura import ConfigurationError
 from pytest_dura.evidence import bundle, files
+from pytest_dura.evidence.formats import all_formats
+from pytest_dura.evidence.manifest import MANIFEST
 from pytest_dura.evidence.plain import plain
 from pytest_dura.evidence.session_record import SessionRecord
 
@@ -62,3 +65,104 @@ def test_reading_explains_what_is_wrong(tmp_path):
     (tmp_path / "evidence.json").write_bytes(b"\xff\x00")
     with pytest.raises(ConfigurationError, match="this is no evidence record"):
         bundle.read_record(tmp_path)
+
+
+def test_the_text_is_that_of_the_whole_record_at_once(tmp_path):
+    record = {
+        "a\n": {"b": [1, {"c": []}], "d": "line\nbreak\u2028"},
+        "cases": [{"id": "x"}],
+        "episodes": [{"id": "x#0", "e": {}}, {"id": "x#1", "list": [[], [1]]}],
+        "verdicts": [],
+    }
+    for told in (record, {**record, "episodes": []}):
+        file = write(tmp_path, told)
+        assert file.read_text() == json.dumps(told, indent=1, ensure_ascii=False) + "\n"
+
+
+def test_a_name_that_is_no_text_can_be_written_and_read(tmp_path):
+    record = {**RECORD, "file": "caf\udce9"}
+    write(tmp_path, record)
+    assert bundle.read_record(tmp_path) == record
+
+
+def test_what_is_written_has_the_size_and_digest_that_are_told(tmp_path):
+    told = files.write_file(tmp_path / "deep" / "file", ["é", b"\x00", "\udcff"])
+    data = (tmp_path / "deep" / "file").read_bytes()
+    assert data == "é".encode() + b"\x00\\udcff"
+    assert told == files.Written(hashlib.sha256(data).hexdigest(), len(data))
+    assert (tmp_path / "deep" / "file").stat().st_mode & 0o777 == 0o644
+
+
+def test_whatever_stops_the_writing_leaves_the_old_file_alone(tmp_path):
+    def stopped():
+        yield "half"
+        raise KeyboardInterrupt
+
+    files.write_file(tmp_path / "file", ["old"])
+    with pytest.raises(KeyboardInterrupt):
+        files.write_file(tmp_path / "file", stopped())
+    assert [(file.name, file.read_text()) for file in tmp_path.iterdir()] == [("file", "old")]
+
+
+def test_a_link_is_replaced_and_never_followed(tmp_path):
+    outside = tmp_path / "outside"
+    outside.write_text("mine")
+    folder = tmp_path / "evidence"
+    folder.mkdir()
+    (folder / "evidence.json").symlink_to(outside)
+    with pytest.raises(ConfigurationError, match="symbolic link"):
+        bundle.read_session_record(folder)
+    write(folder, RECORD)
+    assert outside.read_text() == "mine"
+    assert bundle.read_session_record(folder).head == {
+        key: value for key, value in RECORD.items() if key != "episodes"
+    }
+
+
+def test_a_record_without_episodes_is_none(tmp_path):
+    (tmp_path / "evidence.json").write_text('{"schema_version": "1", "episodes": {}}')
+    with pytest.raises(ConfigurationError, match="no episodes"):
+        bundle.read_session_record(tmp_path)
+
+
+def test_every_file_of_a_bundle_is_known_to_whoever_clears_it():
+    known = {MANIFEST, "evidence.schema.json", *(one.FILE for one in all_formats())}
+    assert set(bundle.RENDERED) == known
+
+
+def test_a_session_that_begins_removes_what_is_left_of_the_last_one(tmp_path):
+    folder, outside = tmp_path / "evidence", tmp_path / "outside"
+    write(folder, RECORD)
+    own = [*bundle.RENDERED, ".evidence.json-x7", ".session-q", "episodes/a.mcap",
+           "episodes/.b.mcap-x7"]  # fmt: skip
+    others = ["notes.txt", "report.html.bak", "episodes/notes.txt", "reduced/evidence.json",
+              ".hidden"]  # fmt: skip
+    for name in (*own, *others):
+        (folder / name).parent.mkdir(exist_ok=True)
+        (folder / name).write_text("old")
+    outside.write_text("mine")
+    (folder / "report.html").unlink()
+    (folder / "report.html").symlink_to(outside)
+    new = {**RECORD, "text": "new"}
+    bundle.begin_bundle(SessionRecord.of(new, folder))
+    left = {str(one.relative_to(folder)) for one in folder.rglob("*") if not one.is_dir()}
+    assert left == {"evidence.json", *others}
+    assert bundle.read_record(folder) == new
+    assert outside.read_text() == "mine"
+
+
+def test_a_linked_folder_of_traces_is_not_followed(tmp_path):
+    folder, outside = tmp_path / "evidence", tmp_path / "outside"
+    outside.mkdir()
+    (outside / "a.mcap").write_text("mine")
+    write(folder, RECORD)
+    (folder / "episodes").symlink_to(outside)
+    bundle.clear_bundle(folder)
+    assert not (folder / "episodes").exists()
+    assert (outside / "a.mcap").read_text() == "mine"
+
+
+def test_files_of_others_are_left_alone_where_no_record_was(tmp_path):
+    (tmp_path / "summary.md").write_text("mine")
+    bundle.begin_bundle(SessionRecord.of(RECORD, tmp_path))
+    assert (tmp_path / "summary.md").read_text() == "mine"

@@ -278,3 +278,49 @@ def test_case_metrics_without_the_signals_of_driving():
     assert found["collided"] is found["gridlock"] is found["clearance_time"] is None
     assert found["flagged"]["valid"] == 0
     assert case_metrics([], 3)["valid"] == 0
+
+
+def missing(made):
+    (found,) = evidence(made)["cases"]
+    return found["missing_runs"], found["missing_runs_total"]
+
+
+def test_planned_runs_that_never_reported_are_listed():
+    made = record()
+    made.expect("a/b::R", REQUIREMENT, case(planned=150))
+    assert missing(made) == (list(range(100)), 150)
+    by_hand = episode(2) | {"planned": False}
+    made.add(report("t.py::f", cases=[case()], episodes=[episode(1), by_hand]))
+    assert missing(made) == ([0, *range(2, 101)], 149)
+
+
+def test_a_run_that_reported_is_not_missing_whatever_it_came_to():
+    made = record()
+    made.add(report(cases=[case()], episodes=[episode(0), episode(1, validity="missing")]))
+    assert missing(made) == ([], 0)
+
+
+def test_runs_that_a_campaign_was_decided_without_are_not_missing():
+    made = record()
+    decided = campaign("satisfied") | {"planned": 9, "saved": 8}
+    made.add(report(cases=[case(planned=9)], episodes=[episode(0)], verdicts=[decided]))
+    assert missing(made) == ([], 0)
+    more = case(planned=10)
+    made.add(report("t.py::f", cases=[more]))
+    assert missing(made) == (list(range(1, 10)), 9), "another test planned ten of them"
+
+
+def test_twins_are_missing_as_their_pairs_are():
+    made = record()
+    pairs = campaign("satisfied") | {"planned": 3, "saved": 1, "case": "a/b+f"}
+    pairs["pairs"] = {"case": "a/b"}
+    made.add(report(cases=[case(planned=3)], episodes=[episode(0)], verdicts=[pairs]))
+    assert missing(made) == ([1], 1)
+
+
+def test_traces_are_attached_to_their_episodes():
+    made = record()
+    made.add(report(cases=[case()], episodes=[episode(0), episode(1, digest="e")]))
+    trace = {"file": "episodes/x.mcap", "sha256": "0", "bytes": 1, "kept_for": "all"}
+    made.add_traces([{"id": "a/b#1", "component": "C", "digest": "e", "trace": trace}])
+    assert [one.get("trace") for one in evidence(made)["episodes"]] == [None, trace]

@@ -1,0 +1,106 @@
+"""DirectoryLock: one session at a time writes an evidence directory."""
+
+from __future__ import annotations
+
+import os
+import platform
+import sys
+from pathlib import Path
+
+from pytest_dura.core.errors import ConfigurationError
+
+LOCK = ".lock"
+"""Name of the file in the evidence directory; it is there as long as a session is."""
+
+if sys.platform == "win32":
+    import msvcrt
+
+    _BYTE = 1 << 30  # behind what the file holds, which others are to read
+
+    def _lock(handle: int) -> None:
+        os.lseek(handle, _BYTE, os.SEEK_SET)
+        try:
+            msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
+        finally:
+            os.lseek(handle, 0, os.SEEK_SET)
+
+else:
+    import fcntl
+
+    def _lock(handle: int) -> None:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+class DirectoryLock:
+    """Held by the session that writes an evidence directory.
+
+    The lock is the operating system's: it ends with the process, however that ends, so that no
+    killed session blocks the next one, and it holds between containers that share a directory.
+
+    Args:
+        directory: The evidence directory; it is made if need be.
+
+    Raises:
+        ConfigurationError: If another session holds it, or it cannot be made.
+    """
+
+    def __init__(self, directory: Path) -> None:
+        self._file = directory / LOCK
+        self._handle: int | None = None
+        try:
+            directory.mkdir(parents=True, exist_ok=True)
+            while self._handle is None:
+                self._handle = self._tried()
+        except OSError as error:
+            raise ConfigurationError(
+                f"the evidence cannot be written: {error.strerror or error}",
+                key="--dura-evidence",
+                found=str(directory),
+                expected="a directory that can be written, on a file system that knows locks",
+                remedy="choose another directory",
+            ) from None
+
+    def release(self) -> None:
+        """Let others write. A second call does nothing."""
+        if self._handle is None:
+            return
+        handle, self._handle = self._handle, None
+        if sys.platform == "win32":  # which removes no open files
+            os.close(handle)
+            self._file.unlink(missing_ok=True)
+        else:
+            self._file.unlink(missing_ok=True)  # as long as it is held; then it may be another's
+            os.close(handle)
+
+    def _tried(self) -> int | None:
+        """The file, open and locked; ``None`` if its former holder removed it meanwhile."""
+        no_link = getattr(os, "O_NOFOLLOW", 0)
+        handle = os.open(self._file, os.O_RDWR | os.O_CREAT | no_link, 0o644)
+        try:
+            _lock(handle)
+            if not _is_named(handle, self._file):
+                os.close(handle)
+                return None
+            os.ftruncate(handle, 0)
+            os.write(handle, f"process {os.getpid()} on {platform.node()}\n".encode())
+        except (BlockingIOError, PermissionError):  # the latter on Windows
+            holder = os.read(handle, 200).decode(errors="replace").strip()
+            os.close(handle)
+            raise ConfigurationError(
+                "another session is writing to this evidence directory",
+                key="--dura-evidence",
+                found=f"{self._file.parent}, held by {holder or 'a process'}",
+                expected="a directory of its own for each session at a time",
+                remedy="wait for the other session, or name another directory",
+            ) from None
+        except BaseException:
+            os.close(handle)
+            raise
+        return handle
+
+
+def _is_named(handle: int, file: Path) -> bool:
+    try:
+        return os.path.samestat(os.fstat(handle), file.stat())
+    except FileNotFoundError:
+        return False

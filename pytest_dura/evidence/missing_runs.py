@@ -1,0 +1,33 @@
+"""Planned runs of which nothing was heard: of a worker that died, or a session that was stopped."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping
+from typing import Any
+
+LISTED = 100
+"""Numbers of runs that are listed of a case at most."""
+
+Data = Mapping[str, Any]
+
+
+def missing_runs(case: Data, verdicts: Iterable[Data], heard: Collection[int]) -> dict[str, Any]:
+    """How many planned runs of a case never reported, and the numbers of the first of them.
+
+    A run that a campaign was decided without is not missing.
+
+    Args:
+        case: Its record.
+        verdicts: All verdicts of the session.
+        heard: Numbers of the planned runs that reported, whatever they came to.
+    """
+    needed = planned = 0
+    for one in verdicts:
+        cases = one["case"], (one["pairs"] or {}).get("case")
+        if case["id"] in cases and case["component"] == one["component"]:
+            needed = max(needed, one["planned"] - one["saved"])
+            planned = max(planned, one["planned"])
+    if case["planned"] > planned:
+        needed = case["planned"]  # more than any verdict asked for, and so for something else
+    left = [run for run in range(needed) if run not in heard]
+    return {"missing_runs": left[:LISTED], "missing_runs_total": len(left)}

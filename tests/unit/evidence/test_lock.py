@@ -1,0 +1,75 @@
+"""Two sessions never write one evidence directory at once."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from pytest_dura import ConfigurationError
+from pytest_dura.evidence.lock import LOCK, DirectoryLock
+
+HOLD = """
+import sys
+from pathlib import Path
+from pytest_dura.evidence.lock import DirectoryLock
+lock = DirectoryLock(Path(sys.argv[1]))
+print("held", flush=True)
+sys.stdin.read()
+"""
+
+
+def test_a_second_session_is_refused_and_told_who_holds_it(tmp_path):
+    lock = DirectoryLock(tmp_path / "new")
+    with pytest.raises(ConfigurationError, match=f"held by process {os.getpid()} on"):
+        DirectoryLock(tmp_path / "new")
+    lock.release()
+    lock.release()
+    assert not list((tmp_path / "new").iterdir())
+    DirectoryLock(tmp_path / "new").release()
+
+
+def test_a_killed_session_blocks_nobody(tmp_path):
+    with subprocess.Popen(
+        [sys.executable, "-c", HOLD, str(tmp_path)],
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+    ) as other:  # fmt: skip
+        assert other.stdout.readline() == "held\n"
+        with pytest.raises(ConfigurationError, match="another session is writing"):
+            DirectoryLock(tmp_path)
+        other.kill()
+        other.wait(10)
+    assert (tmp_path / LOCK).exists()
+    DirectoryLock(tmp_path).release()
+
+
+def test_a_file_that_was_removed_by_its_holder_is_no_lock(tmp_path, monkeypatch):
+    """The holder releases it between the moments at which another one opens and locks it."""
+    from pytest_dura.evidence import lock as module
+
+    first = DirectoryLock(tmp_path)
+    really = module._lock
+
+    def released_meanwhile(handle):
+        first.release()
+        really(handle)
+
+    monkeypatch.setattr(module, "_lock", released_meanwhile)
+    second = DirectoryLock(tmp_path)
+    monkeypatch.undo()
+    with pytest.raises(ConfigurationError, match="another session"):
+        DirectoryLock(tmp_path)
+    second.release()
+
+
+def test_a_link_in_its_place_is_not_followed(tmp_path):
+    outside = tmp_path / "outside"
+    outside.write_text("mine")
+    folder = tmp_path / "evidence"
+    folder.mkdir()
+    (folder / LOCK).symlink_to(outside)
+    with pytest.raises(ConfigurationError, match="cannot be written"):
+        DirectoryLock(folder)
+    assert outside.read_text() == "mine"

@@ -1,0 +1,78 @@
+"""Episodes on disk: told apart by their inputs, given back in order, bounded in memory."""
+
+from __future__ import annotations
+
+import pytest
+
+from pytest_dura import ConfigurationError
+from pytest_dura.evidence.faults import UNFOLLOWED
+from pytest_dura.evidence.spool import EpisodeSpool
+
+
+def episode(run=0, case="a/b", component="C", seed=None, faults=(), **changes):
+    told = {
+        "id": f"{case}#{run}", "case": case, "component": component, "planned": True,
+        "seed": run if seed is None else seed, "digest": "d", "trace": None,
+        "faults": [{"id": name} for name in faults], "spec": {"run": run, "seed": seed},
+    }  # fmt: skip
+    return told | changes
+
+
+def test_episodes_come_back_by_case_component_run_and_seed():
+    places = [
+        ("a/b", "C", 2, 5), ("a/b", "C", 10, 0), ("a/b", "C", 10, 2**70), ("a/b", "D", 0, 0),
+        ("a/\udcff", "C", 0, 0), ("a/\U0001f600", "C", 0, 0),
+    ]  # fmt: skip
+    spool = EpisodeSpool()
+    for case, component, run, seed in [places[i] for i in (3, 1, 5, 0, 4, 2)]:
+        spool.add(episode(run, case, component, seed))
+    told = [(one["case"], one["component"], one["spec"]["run"], one["seed"]) for one in spool]
+    assert told == sorted(places) == places
+    assert [one["id"] for one in spool] == [one["id"] for one in spool], "it can be read again"
+
+
+def test_the_first_of_equal_inputs_stays_and_planned_holds_once_it_was_true():
+    spool = EpisodeSpool()
+    assert spool.add(episode(digest="d", planned=False)) == "d"
+    assert spool.add(episode(digest="e", planned=True)) == "d"
+    assert spool.add(episode(digest="f", planned=False)) == "d"
+    late = episode(digest="g")
+    late["spec"]["timeouts"] = [3]
+    assert spool.add(late) == "d", "recorded timeouts are no inputs of it"
+    (found,) = spool
+    assert (found["digest"], found["planned"]) == ("d", True)
+
+
+def test_chains_are_told_of_planned_episodes_whichever_comes_first():
+    spool = EpisodeSpool()
+    told = {**UNFOLLOWED, "outcome": "tolerated", "component": "C", "episode": "a/b#0"}
+    spool.add_chain({**told, "id": "f"})
+    spool.add_chain({**told, "id": "f", "outcome": "violated"})
+    spool.add_chain({**told, "id": "f", "component": "D"})
+    spool.add(episode(faults=("f", "g"), digest="d"))
+    spool.add(episode(faults=("f",), digest="e", seed=7, planned=False))
+    planned, by_hand = spool
+    assert [fault["outcome"] for fault in planned["faults"]] == ["violated", None]
+    assert [fault["outcome"] for fault in by_hand["faults"]] == [None]
+
+
+def test_a_trace_belongs_to_one_digest_and_may_be_told_before_the_episode():
+    spool = EpisodeSpool()
+    told = {"id": "a/b#0", "component": "C", "digest": "d", "trace": {"file": "x.mcap"}}
+    spool.add_trace(told)
+    spool.add(episode(digest="d"))
+    spool.add(episode(digest="e", seed=7))
+    assert [one["trace"] for one in spool] == [{"file": "x.mcap"}, None]
+
+
+def test_it_leaves_no_file_even_if_it_is_never_closed(tmp_path):
+    spool = EpisodeSpool(tmp_path / "new")
+    spool.add(episode())
+    assert list((tmp_path / "new").iterdir()) == []
+    assert len(list(spool)) == 1
+
+
+def test_where_nothing_can_be_written_it_says_so(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ConfigurationError, match="the episodes of the session cannot be kept"):
+        EpisodeSpool(tmp_path / "file" / "folder")
