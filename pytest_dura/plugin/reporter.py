@@ -282,6 +282,9 @@ def case_record(
         "component": component,
         "without": list(case.without),
         "requirements": list(case.requirements),
+        "variation": {
+            path: spread.model_dump(mode="json") for path, spread in case.scenario.variation.items()
+        },
         "planned": planned,
         "runs_override": runs_override,
     }
