@@ -111,7 +111,8 @@ def _events(trace: Trace) -> list[list[Any]]:
         for one in trace.events
     ]  # fmt: skip
     collided = trace.signals.get("collided")
-    if collided is not None and (collided > 0.5).any():
+    told = any(row[1] == "collision" for row in rows)
+    if not told and collided is not None and (collided > 0.5).any():
         first = int((collided > 0.5).argmax())
         rows.append([first, "collision", "collided", "the signal collided was raised"])
     return sorted(rows, key=lambda row: row[0])

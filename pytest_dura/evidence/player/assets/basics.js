@@ -25,9 +25,29 @@ function say(node, text) {
   if (node.textContent !== text) node.textContent = text;
 }
 
-function button(text, name, act, attributes) {
-  return make("button", {type: "button", "aria-label": name, title: name, click: act, ...attributes},
-    make("span", {"aria-hidden": "true"}, text));
+const ICONS = {
+  play: "M6 4l14 8-14 8z",
+  pause: "M6 4h4v16h-4zM14 4h4v16h-4z",
+  restart: "M5 4h3v16h-3zM20 4v16l-11-8z",
+  back: "M16 4v16l-11-8z",
+  on: "M8 4l11 8-11 8z",
+  out: "M4 10.5h16v3h-16z",
+  in: "M4 10.5h6.5v-6.5h3v6.5h6.5v3h-6.5v6.5h-3v-6.5h-6.5z",
+};
+
+/** Gives a button its picture and its name. */
+function dress(node, icon, name) {
+  const picture = svg("svg", {viewBox: "0 0 24 24", class: "dura-icon", "aria-hidden": "true"});
+  picture.append(svg("path", {d: ICONS[icon]}));
+  node.replaceChildren(picture);
+  node.setAttribute("aria-label", name);
+  node.title = name;
+}
+
+function button(icon, name, act, attributes) {
+  const node = make("button", {type: "button", click: act, ...attributes});
+  dress(node, icon, name);
+  return node;
 }
 
 const unique = (name) => `dura-${name}-${(counter += 1)}`;
@@ -44,6 +64,7 @@ function number(value) {
   return String(Number(value.toFixed(digits))).replace("-", "−");
 }
 
+const counted = (count, what) => `${count} ${what}${count === 1 ? "" : "s"}`;
 const seconds = (value) => `${value.toFixed(2)} s`;
 
 /** Stretches of equal values: {from, to, value}, both ends included. */

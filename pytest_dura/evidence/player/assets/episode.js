@@ -127,7 +127,7 @@ class Episode {
         const far = Math.hypot(pose[0] - ego[0], pose[1] - ego[1]);
         if (far < least) [closest, least] = [id, far];
       }
-      parts.push(truth.length ? `${truth.length} others: ${list(truth)}.` : "Nothing else.");
+      parts.push(truth.length ? `${counted(truth.length, "other")}: ${list(truth)}.` : "Nothing else.");
       if (closest) {
         parts.push(`Nearest: ${shorter(closest, 40)}, centre ${number(least)} m away.`);
       }

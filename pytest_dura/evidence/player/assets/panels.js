@@ -10,24 +10,29 @@ class Decision {
       this.cells[key] = make("dd", {class: `dura-said dura-${key}`});
       return make("div", {}, make("dt", {}, label), this.cells[key]);
     }));
-    this.node = make("section", {class: "dura-panel dura-decision", "aria-label": "Decision"},
-      make("h3", {}, "Decision"), list);
+    this.title = make("h3", {});
+    this.node = make("section", {class: "dura-panel dura-decision", tabindex: "0",
+      "aria-label": "Decision"},
+      this.title, list);
   }
 
+  /** The last tick follows the last decision, which is shown there as what it is. */
   update(tick) {
-    const {said, decided, attempts} = this.episode;
-    const known = tick < decided;
-    const told = (text) => (known ? text || "–" : "–");
-    const [proposed, executed] = [said.proposed(tick), said.executed(tick)];
-    say(this.cells.proposed, known ? told(proposed) : "the episode has ended");
+    const {said, decided, attempts, time} = this.episode;
+    const at = Math.min(tick, decided - 1);
+    say(this.title, tick < decided ? "Decision"
+      : at < 0 ? "No decision" : `The last decision, at ${seconds(time[at])}`);
+    const told = (text) => text || "–";
+    const [proposed, executed, source] = [said.proposed(at), said.executed(at), said.source(at)];
+    say(this.cells.proposed, told(proposed));
     say(this.cells.executed, told(executed));
-    this.cells.executed.classList.toggle("dura-differs", known && proposed !== executed);
-    const again = known && attempts[tick] ? `, after ${attempts[tick]} refused` : "";
-    say(this.cells.source, told(said.source(tick)) + again);
-    this.cells.source.dataset.source = known ? said.source(tick) : "";
-    say(this.cells.explanation, told(said.explanations(tick)));
-    say(this.cells.reasons, told(said.reasons(tick)));
-    say(this.cells.recovery, told(said.recoveries(tick)));
+    this.cells.executed.classList.toggle("dura-differs", proposed !== executed);
+    say(this.cells.source,
+      told(source) + (attempts[at] ? `, after ${counted(attempts[at], "refusal")}` : ""));
+    this.cells.source.dataset.source = source;
+    say(this.cells.explanation, told(said.explanations(at)));
+    say(this.cells.reasons, told(said.reasons(at)));
+    say(this.cells.recovery, told(said.recoveries(at)));
   }
 
   /** One sentence, for who cannot see the panel. */
@@ -50,7 +55,7 @@ class Events {
         make("span", {class: "dura-detail"}, detail ? `${subject}: ${detail}` : subject)));
     this.list = make("ol", {class: "dura-events"},
       this.buttons.map((one) => make("li", {}, one)));
-    this.node = make("section", {class: "dura-panel", "aria-label": "Events"},
+    this.node = make("section", {class: "dura-panel dura-eventpanel", "aria-label": "Events"},
       make("h3", {}, `Events (${this.events.length})`),
       this.events.length ? this.list : make("p", {class: "dura-note"}, "Nothing happened."));
     this.current = -1;
@@ -73,7 +78,7 @@ class Events {
     }
     found.setAttribute("aria-current", "true");
     const [item, list] = [found.parentElement, this.list];
-    const top = item.offsetTop - list.offsetTop;
+    const top = item.offsetTop; // the list is what it is measured from
     if (top < list.scrollTop || top + item.offsetHeight > list.scrollTop + list.clientHeight) {
       list.scrollTop = top - list.clientHeight / 2;
     }

@@ -35,13 +35,13 @@ class Player {
     heading(episode, level),
     episode.verdicts.length ? verdictPanel(this) : null,
     problem ? make("p", {class: "dura-failure"}, `No scene: ${problem}`) : null,
-    make("div", {class: this.view ? "dura-top" : "dura-top dura-flat"},
+    make("div", {class: this.view ? "dura-body" : "dura-body dura-flat"},
       this.view ? this.stage() : null,
-      make("div", {class: "dura-side"}, this.decision.node, this.events.node)),
-    this.transport(),
-    make("div", {class: "dura-timeline"}, this.scrubRow(), this.lanes.node, this.plots.node,
-      axis(episode)),
-    this.plotLegend(), this.plots.chooser, this.lanes.table, this.help(), this.live);
+      make("div", {class: "dura-drive"}, this.transport(), this.scrubRow()),
+      make("div", {class: "dura-side"}, this.decision.node, this.events.node),
+      make("div", {class: "dura-timeline"}, this.lanes.node, this.plots.node, axis(episode),
+        this.rowLegend())),
+    this.plots.chooser, this.lanes.table, this.help(), this.live);
   }
 
   stage() {
@@ -58,15 +58,15 @@ class Player {
     return make("div", {class: "dura-scene"}, view.box,
       make("div", {class: "dura-tools"},
         make("div", {class: "dura-group"},
-          button("−", "Zoom out", () => this.zoom(1 / 1.25)),
-          button("+", "Zoom in", () => this.zoom(1.25))),
+          button("out", "Zoom out", () => this.zoom(1 / 1.25)),
+          button("in", "Zoom in", () => this.zoom(1.25))),
         make("label", {class: "dura-check"}, this.follow, make("span", {}, "follow ego")),
         toggle("truth", "truth"), toggle("percept", "percept"), toggle("labels", "labels")),
       make("ul", {class: "dura-legend", "aria-label": "Legend"}, legend));
   }
 
   transport() {
-    this.playButton = button("▶", "Play", () => this.toggle(), {class: "dura-play"});
+    this.playButton = button("play", "Play", () => this.toggle(), {class: "dura-play"});
     const select = make("select", {id: unique("speed"),
       change: (event) => this.setSpeed(Number(event.target.value))},
     SPEEDS.map((one) => make("option", {value: one, selected: one === 1}, `${one} ×`)));
@@ -74,10 +74,10 @@ class Player {
     this.clockText = make("span", {class: "dura-clock"});
     return make("div", {class: "dura-transport", role: "group", "aria-label": "Playback"},
       make("div", {class: "dura-group"},
-        button("⏮", "Restart", () => this.jump(0)),
-        button("‹", "Step back", () => this.jump(this.tick - 1)),
+        button("restart", "Restart", () => this.jump(0)),
+        button("back", "Step back", () => this.jump(this.tick - 1)),
         this.playButton,
-        button("›", "Step forward", () => this.jump(this.tick + 1))),
+        button("on", "Step forward", () => this.jump(this.tick + 1))),
       make("div", {class: "dura-group"},
         make("label", {for: select.id}, "Speed"), select),
       this.clockText);
@@ -92,13 +92,24 @@ class Player {
       this.scrub);
   }
 
-  plotLegend() {
-    const entry = (look, label) =>
-      make("li", {}, make("span", {class: `dura-key dura-key-${look}`}), label);
+  /** Explains what occurs in this episode, and nothing else. */
+  rowLegend() {
+    const {faults, flags, decisions, verdicts, signals} = this.episode;
+    const said = new Set(Object.values(flags).flat());
+    const sources = decisions.source.words;
+    const entries = [["line", "signal", signals.size],
+      ["dashed", "as perceived", [...signals.keys()].some((name) => this.plots.base(name))],
+      ["fault", "F fault active", faults.length],
+      ["manifested", "fault manifested", faults.some((one) => one.manifested.length)],
+      ["safe", "safe", said.has(0)], ["warning", "W warning", said.has(1)],
+      ["unsafe", "U unsafe", said.has(2)], ["silent", "not asked", said.has(-1)],
+      ["proposal", "proposal", sources.includes("proposal")],
+      ["recovery", "R recovery", sources.includes("recovery")],
+      ["fallback", "F fallback", sources.includes("fallback")],
+      ["violation", "violation", verdicts.some((one) => one.tick !== null)]];
     return make("ul", {class: "dura-legend", "aria-label": "Legend of the rows"},
-      entry("line", "signal"), entry("dashed", "as perceived"), entry("fault", "fault active"),
-      entry("safe", "safe"), entry("warning", "W warning"), entry("unsafe", "U unsafe"),
-      entry("silent", "not asked"), entry("recovery", "R recovery"));
+      entries.filter(([, , occurs]) => occurs).map(([look, label]) =>
+        make("li", {}, make("span", {class: `dura-key dura-key-${look}`}), label)));
   }
 
   help() {
@@ -160,10 +171,7 @@ class Player {
   }
 
   showPlaying() {
-    const name = this.playing ? "Pause" : "Play";
-    this.playButton.setAttribute("aria-label", name);
-    this.playButton.title = name;
-    say(this.playButton.firstChild, this.playing ? "❚❚" : "▶");
+    dress(this.playButton, ...(this.playing ? ["pause", "Pause"] : ["play", "Play"]));
     this.node.toggleAttribute("data-playing", this.playing);
   }
 
@@ -220,10 +228,29 @@ class Player {
     this.plots.update(tick);
     if (!this.view) return;
     this.view.draw(tick, part);
+    this.showBadges();
     if (!this.playing) {
       this.view.canvas.setAttribute("aria-label",
         `Seen from above at ${seconds(time)}. ${episode.described(tick)}`);
     }
+  }
+
+  /** What a glance at the scene must not miss. */
+  showBadges() {
+    const {episode, tick, view} = this;
+    const {ghosts, missing} = episode.seen(tick);
+    const source = tick < episode.decided ? episode.said.source(tick) : "";
+    const found = [
+      episode.signals.get("collided")?.[tick] > 0.5 ? ["grave", "collision"] : null,
+      source && source !== "proposal" ? ["recovered", `${source} in control`] : null,
+      ghosts.length ? ["ghost", counted(ghosts.length, "ghost")] : null,
+      missing.length ? ["plain", `${missing.length} not perceived`] : null,
+    ].filter(Boolean);
+    const key = found.flat().join("|");
+    if (key === this.badges) return;
+    this.badges = key;
+    view.badges.replaceChildren(...found.map(([look, text]) =>
+      make("span", {class: `dura-badge dura-badge-${look}`}, text)));
   }
 
   inWords() {

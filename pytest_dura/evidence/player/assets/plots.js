@@ -76,7 +76,7 @@ class Plots {
     picture.append(svg("path", {d: line(truth), class: "dura-truthline"}));
     if (percept) picture.append(svg("path", {d: line(percept), class: "dura-perceptline"}));
     const readout = make("span", {class: "dura-readout"});
-    const scale = make("div", {class: "dura-yscale", "aria-hidden": "true"},
+    const scale = make("div", {class: `dura-yscale${most > least ? "" : " dura-level"}`, "aria-hidden": "true"},
       make("span", {}, finite.length ? number(most) : ""),
       make("span", {}, finite.length && most > least ? number(least) : ""));
     const node = row(name, readout,

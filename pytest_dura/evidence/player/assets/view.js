@@ -3,6 +3,9 @@
 const COLOURS = ["ground", "edge", "marking", "stop", "route", "ego", "body", "body-line",
   "percept", "ghost", "missing", "ink", "halo"];
 
+const APART = 2; // m beyond which a percept has a label of its own
+const SIGHT = 64; // m that the camera shows when it follows
+
 class View {
   constructor(episode) {
     this.episode = episode;
@@ -10,7 +13,8 @@ class View {
     this.follow = true;
     this.zoom = 1;
     this.canvas = make("canvas", {role: "img", class: "dura-canvas", tabindex: "0"});
-    this.box = make("div", {class: "dura-stage"}, this.canvas);
+    this.badges = make("div", {class: "dura-badges", "aria-hidden": "true"});
+    this.box = make("div", {class: "dura-stage"}, this.canvas, this.badges);
     this.frame = this.extent();
     new ResizeObserver(() => this.draw()).observe(this.box);
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.draw());
@@ -55,11 +59,15 @@ class View {
     pen.fillStyle = this.colour.ground;
     pen.fillRect(0, 0, width, height);
     const ego = this.pose(this.episode.truth.get(this.episode.scene.ego));
-    const base = this.follow ? Math.min(width, height) / 56
-      : Math.min(width, height) / this.frame.size;
-    const scale = base * this.zoom;
+    const least = Math.min(width, height);
+    const scale = (least / (this.follow ? SIGHT : this.frame.size)) * this.zoom;
     const centre = this.follow && ego ? {x: ego[0], y: ego[1]} : this.frame;
-    this.look = {scale, x: width / 2 - centre.x * scale, y: height / 2 - centre.y * scale};
+    const ahead = this.follow && ego ? least * 0.18 : 0; // more is shown of what lies ahead
+    this.look = {
+      scale,
+      x: width / 2 - centre.x * scale - (ahead && ahead * Math.cos(ego[2])),
+      y: height / 2 - centre.y * scale - (ahead && ahead * Math.sin(ego[2])),
+    };
     this.labels = [];
     this.drawLines();
     this.drawTrail();
@@ -152,13 +160,29 @@ class View {
       if (id === episode.scene.ego) {
         if (show.truth && episode.astray(this.tick) <= ASTRAY) continue;
         this.body(pose, "percept");
+        if (show.truth && ego) this.tie(ego, pose);
         this.label(pose, id, "believed");
         continue;
       }
       this.body(pose, ghost.has(id) ? "ghost" : "percept");
       if (ghost.has(id)) this.label(pose, id, "ghost");
       else if (!show.truth) this.label(pose, id, "perceived");
+      else if (this.tie(this.pose(episode.truth.get(id)), pose) > APART) {
+        this.label(pose, id, "perceived");
+      }
     }
+  }
+
+  /** Ties a percept to what it is a percept of; how far they are apart, in m. */
+  tie(truth, percept) {
+    const apart = truth ? Math.hypot(truth[0] - percept[0], truth[1] - percept[1]) : 0;
+    if (apart > ASTRAY) {
+      this.pen.strokeStyle = this.colour.percept;
+      this.pen.lineWidth = 1;
+      this.path([truth, percept]);
+      this.pen.stroke();
+    }
+    return apart;
   }
 
   /** A footprint with an arrow to where it heads. */
