@@ -39,6 +39,13 @@ def episode_record(episode: Episode, *, planned: bool) -> dict[str, Any]:
             "metrics": episode.metrics.summary(),
             "faults": [{**asdict(fault), **fault.latencies()} for fault in episode.faults],
             "events": [event.to_json() for event in episode.events],
+            "timings": {
+                "simulated_seconds": episode.time[-1] if episode.ticks else 0.0,
+                "processing_seconds": {
+                    role: sum(nanoseconds) / 1e9
+                    for role, (_, nanoseconds) in episode.metrics.processing_ns.items()
+                },
+            },
             "spec": spec,
         }
     )

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
-from pytest_dura.core.errors import ConfigurationError, describe_error
-from pytest_dura.evidence.bundle import RECORD, write_file, write_record
+from pytest_dura.core.errors import describe_error
+from pytest_dura.evidence.bundle import RECORD, write_record
+from pytest_dura.evidence.files import write_file
 from pytest_dura.evidence.formats import Format, all_formats
 from pytest_dura.evidence.manifest import MANIFEST, file_entry, manifest_text
-from pytest_dura.evidence.schema import SCHEMA_FILE, schema_text
 from pytest_dura.evidence.session_record import SessionRecord
 
 
@@ -34,13 +33,12 @@ def write_bundle(record: SessionRecord) -> SessionRecord:
                 _write_format(one, found, broken)
         if len(broken) == before:
             break
-    _write(found.directory / SCHEMA_FILE, schema_text())
-    names = [RECORD, SCHEMA_FILE, *(one.FILE for one in all_formats() if one.FILE not in broken)]
+    names = [RECORD, *(one.FILE for one in all_formats() if one.FILE not in broken)]
     traces = [one["trace"] for one in found.episodes() if one["trace"] is not None]
     files = {name: file_entry(found.directory / name) for name in names}
     # A trace is listed with the digest that its writer took, not with one of what lies there now.
     files |= {one["file"]: {"sha256": one["sha256"], "bytes": one["bytes"]} for one in traces}
-    _write(found.directory / MANIFEST, manifest_text(files))
+    write_file(found.directory / MANIFEST, [manifest_text(files)])
     return found
 
 
@@ -51,20 +49,7 @@ def _write_format(one: Format, record: SessionRecord, broken: dict[str, str]) ->
         broken[one.FILE] = describe_error(error)
         (record.directory / one.FILE).unlink(missing_ok=True)
         return
-    _write(record.directory / one.FILE, text)
-
-
-def _write(file: Path, text: str) -> None:
-    try:
-        write_file(file, [text])
-    except OSError as error:
-        raise ConfigurationError(
-            f"the evidence cannot be written: {error.strerror or error}",
-            key="--dura-evidence",
-            found=str(file),
-            expected="a directory that can be written, with room for the evidence",
-            remedy="choose another directory with --dura-evidence, or make room",
-        ) from None
+    write_file(record.directory / one.FILE, [text])
 
 
 def _with_problems(record: SessionRecord, broken: Mapping[str, str]) -> SessionRecord:

@@ -7,31 +7,27 @@ import shlex
 from dataclasses import replace
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import TYPE_CHECKING
+from time import perf_counter
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
 from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.plugin.gate import REGULAR, Gate, unsupported_verdicts
 from pytest_dura.plugin.overrides import root_conftest_with
 from pytest_dura.plugin.reporter import ATTRIBUTE, case_record
 
 if TYPE_CHECKING:
     from pytest_dura.campaign.cases import Case
     from pytest_dura.evidence.baseline_file import Baseline
+    from pytest_dura.evidence.lock import DirectoryLock
     from pytest_dura.evidence.record import EvidenceRecord, Status
     from pytest_dura.evidence.session_record import SessionRecord
     from pytest_dura.plugin.session import DuraSession
 
 
-REGULAR = (
-    pytest.ExitCode.OK,
-    pytest.ExitCode.TESTS_FAILED,
-    pytest.ExitCode.NO_TESTS_COLLECTED,
-)
-
-
 class SessionEvidence:
-    """Gathers the reports of all items, writes ``evidence.json``, and lets the gate fail closed.
+    """Gathers the reports of all items, writes the bundle, and lets the gate fail closed.
 
     Args:
         session: The session of this process.
@@ -44,6 +40,11 @@ class SessionEvidence:
         self.final: SessionRecord | None = None
         self.baseline: Baseline | None = None
         self.objections: list[str] = []
+        """What the terminal says against the session beside its verdicts."""
+        self._lock: DirectoryLock | None = None
+        self._begun = perf_counter()
+        self._spent = 0.0
+        self._failed: set[str] = set()
 
     def read_baseline(self) -> None:
         """Read what this session is compared with, which its own record may replace.
@@ -67,21 +68,33 @@ class SessionEvidence:
         if self.record is not None or self.session.is_worker or config.option.collectonly:
             return
         import pytest_dura
+        from pytest_dura.evidence.bundle import clear_bundle, write_record
         from pytest_dura.evidence.environment import describe_environment
+        from pytest_dura.evidence.lock import DirectoryLock
         from pytest_dura.evidence.record import EvidenceRecord
 
         options = self.session.options
-        self.record = EvidenceRecord(
-            {
-                "created": datetime.now(timezone.utc).isoformat(timespec="seconds"),
-                "tool": {"name": "pytest-dura", "version": pytest_dura.__version__},
-                "command": shlex.join(["pytest", *map(str, config.invocation_params.args)]),
-                "base_seed": options.seed,
-                "environment": describe_environment(config.rootpath, options.evidence),
-            },
-            options.evidence,
-        )
-        self._write("running")
+        self._lock = DirectoryLock(options.evidence)
+        try:
+            self.record = EvidenceRecord(
+                {
+                    "created": _now(),
+                    "tool": {"name": "pytest-dura", "version": pytest_dura.__version__},
+                    "command": shlex.join(["pytest", *map(str, config.invocation_params.args)]),
+                    "base_seed": options.seed,
+                    "evidence_level": getattr(options, "evidence_level", "violations"),
+                    "environment": describe_environment(config.rootpath, options.evidence),
+                },
+                options.evidence,
+            )
+            gate = Gate.running(warn_undecided=options.warn_undecided)
+            # First of all nothing may read as a pass any more; then what an earlier session
+            # left goes.
+            write_record(options.evidence, self._concluded("running", gate))
+            clear_bundle(options.evidence)
+        except BaseException:
+            self._unlock()
+            raise
 
     def expect(self, items: list[str]) -> None:
         """Note the scenario items that will run; those that never report are undecided."""
@@ -100,9 +113,12 @@ class SessionEvidence:
 
     def gather(self, report: pytest.TestReport) -> None:
         """Take in what an item told."""
-        told = getattr(report, ATTRIBUTE, None)
         if self.session.is_worker:
             return
+        begun = perf_counter()
+        told = getattr(report, ATTRIBUTE, None)
+        if report.failed:
+            self._failed.add(report.nodeid)
         if told is not None:
             self.start()
             if self.record is not None:
@@ -113,43 +129,96 @@ class SessionEvidence:
                     pytest.exit(str(error))
         if self.record is not None:
             self._waive(report)
+        self._spent += perf_counter() - begun
 
     def finish(self, session: pytest.Session) -> None:
-        """Write the record; a session that it does not support has failed, whatever tests say."""
+        """Write the bundle; a session that it does not support has failed, whatever tests say."""
         if self.record is None:
             return
+        from pytest_dura.evidence.writing import write_bundle
+
+        try:
+            gate, record = self._judged(session)
+            self.final = write_bundle(record)
+            self.file = record.directory / "evidence.json"
+        except ConfigurationError as error:
+            self.objections += str(error).splitlines()
+            session.exitstatus = session.exitstatus or pytest.ExitCode.TESTS_FAILED
+        else:
+            # What could not be rendered counts against the session, too.
+            written = self.final["gate"]
+            self.objections += written["reasons"][len(gate.reasons) :]
+            session.exitstatus = written["exit_code"]
+        finally:
+            self._unlock()
+
+    def _judged(self, session: pytest.Session) -> tuple[Gate, SessionRecord]:
+        """What the session comes to, and its record."""
+        assert self.record is not None
+        begun = perf_counter()
         stopped = bool(session.shouldstop or session.shouldfail)
         interrupted = stopped or session.exitstatus not in REGULAR
-        try:
-            self._write("interrupted" if interrupted else "complete")
-        except ConfigurationError as error:
-            self.file = None
-            self.objections = str(error).splitlines()
-            session.exitstatus = session.exitstatus or pytest.ExitCode.TESTS_FAILED
-            return
-        self.objections = [*self.record.problems, *self._worse()]
+        status: Status = "interrupted" if interrupted else "complete"
+        warn_undecided = self.session.options.warn_undecided
+        record = self._compared(self.record.record(status), status)
+        self.objections = [*self.record.problems, *self._worse(record)]
+        gate = Gate.of(
+            record["verdicts"],
+            self.objections,
+            interrupted=interrupted,
+            exit_code=int(session.exitstatus),
+            failed=len(self._failed),
+            warn_undecided=warn_undecided,
+        )
         if session.exitstatus == pytest.ExitCode.OK:
-            self.objections += self._unsupported()
-            if self.objections:
-                session.exitstatus = pytest.ExitCode.TESTS_FAILED
+            # Of runs that `-k` left out, or a violation that a test caught.
+            self.objections += [
+                f"the gate fails: {name} on {case} is {word}, though every test passed"
+                for name, case, word in unsupported_verdicts(
+                    record["verdicts"], warn_undecided=warn_undecided
+                )
+            ]
+        concluded = self._concluded(status, gate, record)
+        self._spent += perf_counter() - begun
+        return gate, concluded
 
-    def _unsupported(self) -> list[str]:
-        """Verdicts that no test failed for: of runs that ``-k`` left out, or a caught violation."""
-        assert self.final is not None
-        accepted = {"supported"} | ({"undecided"} if self.session.options.warn_undecided else set())
-        return [
-            f"the gate fails: {one['requirement']} on {one['case']} is {one['verdict']}, "
-            "though every test passed"
-            for one in self.final["verdicts"]
-            if one["verdict"] not in accepted and one["waiver"] is None
-        ]
+    def _compared(self, record: SessionRecord, status: Status) -> SessionRecord:
+        """The record beside the baseline."""
+        finished = None if status == "running" else record
+        baseline = None if self.baseline is None else self.baseline.to_json(finished)
+        return replace(record, head={**record.head, "baseline": baseline})
 
-    def _worse(self) -> list[str]:
+    def _concluded(
+        self, status: Status, gate: Gate, record: SessionRecord | None = None
+    ) -> SessionRecord:
+        """The record with everything that follows from it."""
+        assert self.record is not None
+        from pytest_dura.evidence.conclusion import concluded
+
+        if record is None:
+            record = self._compared(self.record.record(status), status)
+        return concluded(
+            record,
+            finished=None if status == "running" else _now(),
+            gate=gate.to_json(),
+            inputs=self._inputs(),
+            wall_seconds=perf_counter() - self._begun,
+            evidence_seconds=self._spent,
+        )
+
+    def _unlock(self) -> None:
+        if self._lock is not None:
+            self._lock.release()
+            self._lock = None
+
+    def _inputs(self) -> list[dict[str, Any]]:
+        return []
+
+    def _worse(self, record: SessionRecord) -> list[str]:
         """What ``--dura-baseline-worse=fail`` does not let pass."""
-        assert self.final is not None
         if not self.session.options.fail_worse:
             return []
-        found = self.final["baseline"]["comparisons"]
+        found = record["baseline"]["comparisons"]
         if all(one["test"] is None for one in found):
             return ["the gate fails: nothing in this session can be compared with the baseline"]
         return [
@@ -178,12 +247,6 @@ class SessionEvidence:
             reason = longrepr[2] if isinstance(longrepr, tuple) else str(longrepr)
             self.record.waive(report.nodeid, "skip", reason)
 
-    def _write(self, status: Status) -> None:
-        assert self.record is not None
-        from pytest_dura.evidence.bundle import write_record
 
-        record = self.record.record(status)
-        finished = None if status == "running" else record
-        baseline = None if self.baseline is None else self.baseline.to_json(finished)
-        self.final = replace(record, head={**record.head, "baseline": baseline})
-        self.file = write_record(self.session.options.evidence, self.final)
+def _now() -> str:
+    return datetime.now(timezone.utc).isoformat(timespec="seconds")

@@ -1,0 +1,51 @@
+"""The conclusion of a record: everything in it that follows from cases, episodes and verdicts."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+from pytest_dura.evidence.counts import Counts
+from pytest_dura.evidence.coverage import coverage
+from pytest_dura.evidence.secrets import redactions_in
+from pytest_dura.evidence.session_record import SessionRecord
+from pytest_dura.evidence.timings import timings
+
+
+def concluded(
+    record: SessionRecord,
+    *,
+    finished: str | None,
+    gate: Mapping[str, Any],
+    inputs: Sequence[Mapping[str, Any]],
+    wall_seconds: float,
+    evidence_seconds: float,
+) -> SessionRecord:
+    """The record with gate, inputs, coverage, timings, redactions and totals.
+
+    Args:
+        record: Of :meth:`EvidenceRecord.record`.
+        finished: When the session ended, in ISO 8601; ``None`` as long as it runs.
+        gate: Whether the session passed.
+        inputs: Every input file, with its digest.
+        wall_seconds: From the session's start until now.
+        evidence_seconds: Those of them that were spent on gathering the evidence.
+    """
+    head = {
+        **record.head,
+        "finished": finished,
+        "gate": dict(gate),
+        "inputs": list(inputs),
+        "coverage": coverage(record["cases"], record["verdicts"], record.episodes()),
+        "timings": timings(
+            record.episodes(), wall_seconds=wall_seconds, evidence_seconds=evidence_seconds
+        ),
+    }
+    hidden = redactions_in(head)
+    for episode in record.episodes():
+        hidden += redactions_in(episode)
+    head["redacted"] = dict(sorted(Counter(hidden).items()))
+    found = replace(record, head=head)
+    return replace(found, head={**head, "totals": Counts.of(found).to_json()})
