@@ -19,6 +19,7 @@ LEAST_LIMIT = 64
 """What says that a text was shortened needs some room itself."""
 
 _DIGEST = 8
+_SCANNED = 16  # times the limit: a megabyte of blanks costs no more than a page
 _ESCAPES = {"\t": "\\t", "\n": "\\n", "\r": "\\r"}
 # Printable for Python, yet drawn as nothing: fillers, joiners, and variation selectors but the two
 # that choose between text and emoji.
@@ -52,9 +53,14 @@ def visible(text: str, limit: int = LIMIT, *, hashed: bool = False) -> str:
 
 
 def one_line(text: str, limit: int = LINE, *, hashed: bool = False) -> str:
-    """Like :func:`visible`, on one line: runs of blanks and ends of lines become one space."""
-    joined = _BLANKS.sub(" ", text).strip(" ")
-    return _fitted(_pieces(joined[: limit + 1]), text, limit, hashed=hashed)
+    """Like :func:`visible`, on one line: runs of blanks and ends of lines become one space.
+
+    Of a text that is far longer than the limit the end is not looked at: it counts as shortened,
+    even if it is all blanks.
+    """
+    head = text[: _SCANNED * limit]
+    joined = _BLANKS.sub(" ", head).strip(" ")[: limit + 1]
+    return _fitted(_pieces(joined), text, limit, hashed=hashed, cut=len(head) < len(text))
 
 
 def name(text: str, limit: int = NAME) -> str:
@@ -132,13 +138,24 @@ def _escape(point: int) -> str:
     return f"\\u{point:04x}" if point <= 0xFFFF else f"\\U{point:08x}"
 
 
-def _fitted(pieces: list[str], text: str, limit: int, *, hashed: bool, told: bool = False) -> str:
-    """The pieces, as far as they fit; ``told`` adds the hash to what was not shortened too."""
+def _fitted(
+    pieces: list[str],
+    text: str,
+    limit: int,
+    *,
+    hashed: bool,
+    told: bool = False,
+    cut: bool = False,
+) -> str:
+    """The pieces, as far as they fit.
+
+    ``told`` adds the hash to what was not shortened too; ``cut`` says that there was more.
+    """
     if limit < LEAST_LIMIT:
         raise ValueError(f"a limit of {limit} characters is below {LEAST_LIMIT}")
     digest = f"#{_digest(text)}" if hashed else ""
     note = f" ({digest})" if told else ""
-    if sum(map(len, pieces)) <= limit - len(note):
+    if not cut and sum(map(len, pieces)) <= limit - len(note):
         return "".join(pieces) + note
     note = f"... ({len(text)} characters{', ' + digest if digest else ''})"
     room = limit - len(note)

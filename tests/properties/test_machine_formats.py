@@ -1,0 +1,136 @@
+"""Laws of the machine formats: valid for whoever reads them, whatever the record holds."""
+
+import json
+import re
+from functools import cache
+from hashlib import sha256
+
+import pytest
+from cyclonedx.schema import SchemaVersion
+from cyclonedx.validation.json import JsonStrictValidator
+from google.protobuf import json_format
+from hostile_records import hostile_records
+from hypothesis import given, settings
+from in_toto_attestation.predicates.test_result.v0 import test_result_pb2
+from in_toto_attestation.v1 import statement_pb2
+from in_toto_attestation.v1.resource_descriptor import ResourceDescriptor
+from in_toto_attestation.v1.statement import Statement
+from markdown_it import MarkdownIt
+
+from pytest_dura.evidence.bundle import write_record
+from pytest_dura.evidence.counts import Counts
+from pytest_dura.evidence.formats import cyclonedx, intoto, summary
+
+some = settings(derandomize=True, deadline=None, max_examples=25)
+
+
+@pytest.fixture(scope="module")
+def bundle(tmp_path_factory):
+    return tmp_path_factory.mktemp("bundle")
+
+
+@cache
+def strict():
+    return JsonStrictValidator(SchemaVersion.V1_6)
+
+
+def no_control(text):
+    return not re.search(
+        r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ud800-\udfff]", text
+    )
+
+
+def strings(value):
+    if isinstance(value, str):
+        return [value]
+    parts = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+    return [text for part in parts for text in strings(part)]
+
+
+@settings(some, max_examples=10)  # the validator parses each address with a grammar
+@given(record=hostile_records())
+def test_declarations_are_valid_and_state_the_records_counts(record):
+    text = cyclonedx.render(record)
+    assert strict().validate_str(text) is None
+    assert list(cyclonedx.broken_references(text, record)) == []
+    assert cyclonedx.read_counts(text) == Counts.of(record)
+    assert all(map(no_control, strings(json.loads(text))))
+    assert len(text) < 200_000
+    assert cyclonedx.render(record) == text
+
+
+@some
+@given(record=hostile_records())
+def test_conformance_is_attested_only_where_nothing_speaks_against_it(record):
+    document = json.loads(cyclonedx.render(record))
+    entries = document["declarations"]["attestations"][0]["map"]
+    assert len(entries) == len(record["requirements"])
+    for requirement, entry in zip(record["requirements"], entries, strict=True):
+        own = [one for one in record["verdicts"] if one["requirement"] == requirement["id"]]
+        clean = all(one["verdict"] == "supported" and one["waiver"] is None for one in own)
+        whole = record["status"] == "complete" and record["gate"]["result"] != "incomplete"
+        cells = [
+            one for one in record["coverage"]["cells"] if one["requirement"] == requirement["id"]
+        ]
+        tested = all(one["verdict"] is not None for one in cells)
+        assert entry["conformance"]["score"] == int(bool(own) and clean and whole and tested)
+        assert "confidence" not in entry
+
+
+def valid_statement(text):
+    """The predicate of a statement that the format's own library accepts."""
+    message = json_format.Parse(text, statement_pb2.Statement())
+    Statement.copy_from_pb(message).validate()
+    result = json_format.ParseDict(json.loads(text)["predicate"], test_result_pb2.TestResult())
+    for one in result.configuration:
+        ResourceDescriptor.copy_from_pb(one).validate()
+    assert all(re.fullmatch("[0-9a-f]{64}", one.digest["sha256"]) for one in message.subject)
+    return result
+
+
+@some
+@given(record=hostile_records())
+def test_the_statement_is_valid_and_states_the_records_counts(record, bundle):
+    record = type(record).of({**record.head, "episodes": list(record.episodes())}, bundle)
+    write_record(bundle, record)
+    text = intoto.render(record)
+    result = valid_statement(text)
+    tests = [*result.passed_tests, *result.warned_tests, *result.failed_tests]
+    assert len(set(tests)) == len(record["verdicts"])
+    clean = all(one["verdict"] == "supported" and not one["waiver"] for one in record["verdicts"])
+    passed = record["gate"]["result"] == "passed" and record["status"] == "complete"
+    assert (result.result == "PASSED") == (passed and clean)
+    assert passed or result.result == "FAILED"
+    assert intoto.read_counts(text) == Counts.of(record)
+    assert intoto.broken_references(text, record) == []
+    assert all(map(no_control, strings(json.loads(text))))
+    subject = json.loads(text)["subject"][-1]
+    assert (
+        subject["digest"]["sha256"] == sha256((bundle / "evidence.json").read_bytes()).hexdigest()
+    )
+
+
+def tokens_of(text):
+    """All tokens of the page as Markdown; HTML and links are not switched off."""
+    for token in MarkdownIt("gfm-like", {"linkify": False, "html": True}).parse(text):
+        yield token
+        yield from token.children or ()
+
+
+@some
+@given(record=hostile_records())
+def test_the_summary_is_harmless_and_states_the_records_counts(record):
+    text = summary.render(record)
+    tokens = list(tokens_of(text))
+    kinds = {token.type for token in tokens}
+    assert not kinds & {"html_block", "html_inline", "link_open", "image", "fence", "code_block"}
+    prose = "".join(token.content for token in tokens if token.type == "text")
+    assert not re.search(r"@|://|www\.|#\d|\$", prose)
+    headings = sum(token.type == "heading_open" for token in tokens)
+    assert headings == 7
+    rows = [token for token in tokens if token.type == "tr_open"]
+    held = record["verdicts"], record["requirements"], record["cases"]
+    assert len(rows) == 1 + sum(map(len, held)) + 4
+    assert no_control(text)
+    assert len(text.encode()) <= summary.LIMIT
+    assert summary.read_counts(text) == Counts.of(record)

@@ -1,0 +1,295 @@
+"""What the machine formats say of a session, and that they notice when they were changed."""
+
+import json
+import re
+
+import pytest
+from session_records import session_record, verdict
+
+from pytest_dura.evidence.bundle import write_record
+from pytest_dura.evidence.counts import Counts
+from pytest_dura.evidence.formats import cyclonedx, intoto, summary
+
+PASSED = {"result": "passed", "exit_code": 0, "reasons": []}
+SUPPORTED = verdict("SAF-1", "a/clear", ("satisfied",) * 3)
+VIOLATED = verdict("SAF-1", "a/clear", ("violated",) * 3)
+UNDECIDED = verdict("SAF-1", "a/clear", ("satisfied",), planned=9)
+WAIVED = VIOLATED | {"waiver": {"kind": "xfail", "reason": "known"}}
+
+
+def statement(tmp_path, **changes):
+    record = session_record(tmp_path, **changes)
+    write_record(tmp_path, record)
+    return intoto.render(record), record
+
+
+def predicate(tmp_path, **changes):
+    return json.loads(statement(tmp_path, **changes)[0])["predicate"]
+
+
+def declared(**changes):
+    return json.loads(cyclonedx.render(session_record(**changes)))
+
+
+# -- CycloneDX --------------------------------------------------------------------------------
+
+
+def test_a_violated_verdict_is_a_counter_claim_that_rests_on_its_counterexamples():
+    found = declared()["declarations"]
+    entry = found["attestations"][0]["map"][1]
+    claim = next(one for one in found["claims"] if one["bom-ref"] in entry["counterClaims"])
+    assert claim["predicate"].startswith("The evidence refutes that SAF-1 holds on a/clear+ghost")
+    entries = {one["bom-ref"]: one for one in found["evidence"]}
+    assert [one["url"] for ref in claim["evidence"] for data in entries[ref]["data"]
+            for one in [data["contents"]]] == [
+        "evidence.json#/verdicts/2", "evidence.json#/episodes/3",
+    ]  # fmt: skip
+    assert "counterEvidence" not in claim
+
+
+def test_a_counterexample_speaks_against_a_claim_that_is_supported_all_the_same():
+    one = verdict("SEC-1", "a/clear", ("satisfied",) * 30 + ("violated",))
+    assert one["verdict"] == "supported"
+    found = declared(verdicts=[one])["declarations"]
+    assert found["claims"][0]["counterEvidence"] == ["evidence/0/counterexamples"]
+    assert found["attestations"][0]["map"][2]["claims"] == ["claim/0"]
+
+
+@pytest.mark.parametrize(
+    "changes, score",
+    [
+        ({"verdicts": [SUPPORTED]}, 1),
+        ({"verdicts": [SUPPORTED, UNDECIDED]}, 0),
+        ({"verdicts": [UNDECIDED]}, 0),
+        ({"verdicts": [VIOLATED]}, 0),
+        ({"verdicts": [WAIVED]}, 0),
+        ({"verdicts": [SUPPORTED | {"waiver": {"kind": "skip", "reason": ""}}]}, 0),
+        ({"verdicts": []}, 0),
+        ({"verdicts": [SUPPORTED], "status": "running"}, 0),
+        ({"verdicts": [SUPPORTED], "gate": PASSED | {"result": "incomplete"}}, 0),
+    ],
+)
+def test_conformance_is_all_or_nothing(changes, score):
+    entry = declared(**changes)["declarations"]["attestations"][0]["map"][1]
+    assert entry["conformance"]["score"] == score
+    assert ("not attested" in entry["conformance"]["rationale"]) == (score == 0)
+
+
+def test_an_untested_cell_leaves_conformance_open():
+    cell = {
+        "requirement": "SAF-1",
+        "scenario": "a/clear",
+        "faults": "x",
+        "case": "c",
+        "verdict": None,
+    }
+    coverage = {"cells": [cell], "parameters": []}
+    entry = declared(verdicts=[SUPPORTED], coverage=coverage)["declarations"]["attestations"][0]
+    assert entry["map"][1]["conformance"]["score"] == 0
+    assert "1 untested" in entry["map"][1]["conformance"]["rationale"]
+
+
+def test_a_bound_never_stands_without_its_n_nor_as_a_confidence():
+    text = cyclonedx.render(session_record(verdicts=[SUPPORTED]))
+    description = json.loads(text)["declarations"]["evidence"][0]["description"]
+    assert description == (
+        "3 valid of 3 run, 3 planned; 0 violations; rate <= 0.632 at 0.95 confidence "
+        "(Clopper-Pearson, one-sided, fixed n)"
+    )
+    assert '"confidence":' not in text
+    assert '"affirmation":' not in text
+
+
+def test_the_serial_number_is_that_of_the_record():
+    numbers = {declared(base_seed=seed)["serialNumber"] for seed in (0, 0, 1)}
+    assert len(numbers) == 2
+
+
+@pytest.mark.parametrize(
+    "old, new, told",
+    [
+        ('"target": "target/0"', '"target": "target/9"', "claim/0, target, refers to target/9"),
+        ('"requirement": "requirement/1"', '"requirement": "no"', "requirement, refers to no"),
+        ('"bom-ref": "target/0"', '"bom-ref": "claim/0"', "claim/0 is given 2 times"),
+        ("#/episodes/3", "#/episodes/6", "refers to evidence.json#/episodes/6"),
+        ("#/verdicts/3", "#/verdicts/4", "refers to evidence.json#/verdicts/4"),
+    ],
+)
+def test_a_reference_that_leads_nowhere_is_told(old, new, told):
+    record = session_record()
+    text = cyclonedx.render(record)
+    assert not list(cyclonedx.broken_references(text, record))
+    changed = text.replace(old, new, 1)
+    assert changed != text
+    assert told in "\n".join(cyclonedx.broken_references(changed, record))
+
+
+@pytest.mark.parametrize(
+    "old, new",
+    [
+        ("pytest-dura:verdict:undecided", "pytest-dura:verdict:violated"),
+        ("pytest-dura:verdict:violated", "pytest-dura:verdict:supported"),
+        ("pytest-dura:verdict:undecided", "pytest-dura:verdict:fine"),
+        ('"claim/3"\n', '"claim/1"\n'),
+        ('"declarations"', '"declaration"'),
+    ],
+)
+def test_declarations_that_contradict_themselves_are_refused(old, new):
+    text = cyclonedx.render(session_record())
+    assert old in text
+    with pytest.raises(ValueError, match=r"claim/|evidence of no verdict|not the declarations"):
+        cyclonedx.read_counts(text.replace(old, new, 1))
+
+
+def test_a_verdict_on_an_unknown_requirement_cannot_be_declared():
+    with pytest.raises(ValueError, match="X-1, which is not among the requirements"):
+        cyclonedx.render(session_record(verdicts=[SUPPORTED | {"requirement": "X-1"}]))
+
+
+# -- in-toto ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "verdicts, gate, status, result",
+    [
+        ([SUPPORTED], "passed", "complete", "PASSED"),
+        ([SUPPORTED, WAIVED], "passed", "complete", "WARNED"),
+        ([UNDECIDED], "passed", "complete", "WARNED"),
+        ([VIOLATED], "passed", "complete", "FAILED"),
+        ([SUPPORTED], "failed", "complete", "FAILED"),
+        ([SUPPORTED], "incomplete", "complete", "FAILED"),
+        ([SUPPORTED], "passed", "interrupted", "FAILED"),
+    ],
+)
+def test_the_result_follows_the_gate(tmp_path, verdicts, gate, status, result):
+    changes = {"verdicts": verdicts, "gate": PASSED | {"result": gate}, "status": status}
+    assert predicate(tmp_path, **changes)["result"] == result
+
+
+def test_an_undecided_test_has_failed_and_a_waived_one_is_warned(tmp_path):
+    found = predicate(tmp_path)
+    assert found["passedTests"] == ["a/clear::SAF-1"]
+    assert found["warnedTests"] == ["a/clear::PERF-1"]
+    assert found["failedTests"] == ["a/clear+ghost::SAF-1", "a/clear+ghost::SEC-1"]
+
+
+def test_verdicts_on_one_pair_are_told_apart(tmp_path):
+    same = [SUPPORTED, SUPPORTED | {"component": "D"}, SUPPORTED | {"component": "D", "item": "t"}]
+    assert predicate(tmp_path, verdicts=[*same, same[0]])["passedTests"] == [
+        "a/clear::SAF-1 [C] (a/clear::SAF-1)",
+        "a/clear::SAF-1 [D] (a/clear::SAF-1)",
+        "a/clear::SAF-1 [D] (t)",
+        "a/clear::SAF-1 [C] (a/clear::SAF-1) #2",
+    ]
+
+
+def test_a_component_without_a_digest_is_no_subject(tmp_path):
+    none = {"name": "C", "path": "m:G", "params": {}, "version": None, "digest": None}
+    found = json.loads(statement(tmp_path, component_under_test=none)[0])
+    assert [one["name"] for one in found["subject"]] == ["evidence.json"]
+    assert found["predicate"]["configuration"][0]["annotations"]["components"] == ["C"]
+
+
+def test_the_campaigns_digest_is_that_of_the_plan(tmp_path):
+    def digest(**changes):
+        return predicate(tmp_path, **changes)["configuration"][0]["digest"]
+
+    assert digest() == digest(verdicts=[], created="2027-01-01T00:00:00+00:00")
+    assert digest() != digest(base_seed=1)
+
+
+def test_a_statement_needs_its_record(tmp_path):
+    with pytest.raises(ValueError, match="has to be written before"):
+        intoto.render(session_record(tmp_path))
+
+
+def test_a_record_that_has_changed_since_is_told(tmp_path):
+    text, record = statement(tmp_path)
+    assert intoto.broken_references(text, record) == []
+    (tmp_path / "evidence.json").write_text("{}")
+    assert "subjects" in intoto.broken_references(text, record)[0]
+
+
+@pytest.mark.parametrize(
+    "old, new, told",
+    [
+        ('"FAILED"', '"PASSED"', "the result is PASSED, the gate failed"),
+        ('"FAILED"', '"OK"', "'OK' is no result"),
+        ('"a/clear::SAF-1"', '"a/clear+ghost::SAF-1"', "listed twice"),
+        ('  "undecided": [\n      "a/clear+ghost::SEC-1"', '"undecided": [ "x"', "none of the"),
+        ("test-result/v0.1", "test-result/v9", "not an in-toto statement"),
+        ('"failedTests"', '"failed"', "not the test result"),
+    ],
+)
+def test_a_statement_that_contradicts_itself_is_refused(tmp_path, old, new, told):
+    text, _ = statement(tmp_path)
+    assert old in text
+    with pytest.raises(ValueError, match=re.escape(told)):
+        intoto.read_counts(text.replace(old, new, 1))
+
+
+# -- summary ----------------------------------------------------------------------------------
+
+
+def test_the_summary_begins_with_the_gate_and_what_failed():
+    text = summary.render(session_record())
+    assert text.startswith("# Gate failed\n")
+    assert "- SAF-1 on a/clear+ghost is violated\n" in text
+    order = [text.index(f"- **{one}: `{name}`") for one, name in (
+        ("violated**", "SAF-1"), ("undecided**", "SEC-1"),
+        ("violated** (waived, xfail: known)", "PERF-1"),
+    )]  # fmt: skip
+    assert order == sorted(order)
+    assert "replay: `pytest --dura-replay='a/clear+ghost#1'`" in text
+    assert "- untested: `PERF-1` on `a/clear+ghost`" in text
+    assert "generated, unreviewed" in text
+
+
+@pytest.mark.parametrize(
+    "changes", [{"status": "interrupted"}, {"gate": PASSED | {"result": "incomplete"}}]
+)
+def test_an_incomplete_session_never_reads_as_a_pass(changes):
+    text = summary.render(session_record(**({"gate": PASSED} | changes)))
+    assert text.startswith("# Session incomplete")
+    assert "Gate passed" not in text
+
+
+def test_a_replay_command_names_the_directory_of_the_evidence():
+    text = summary.render(session_record(command="pytest -q '--dura-evidence=my out'"))
+    assert "`pytest --dura-replay='a/clear+ghost#1' --dura-evidence='my out'`" in text
+
+
+def test_a_command_that_cannot_be_shown_as_it_is_is_not_shown():
+    bad = VIOLATED | {"counterexamples": [{"episode": "a\x1b#0", "time": None, "margin": None}]}
+    text = summary.render(session_record(verdicts=[bad]))
+    assert "--dura-replay" not in text
+    assert "replay by its id in the record" in text
+
+
+def test_a_summary_that_is_too_long_keeps_the_failures_and_says_what_it_leaves_out():
+    long = "y" * 110
+    many = [SUPPORTED | {"case": f"{long}{one}"} for one in range(6000)]
+    record = session_record(verdicts=[*many, VIOLATED, UNDECIDED])
+    text = summary.render(record)
+    assert len(text.encode()) <= summary.LIMIT
+    assert re.search(r"_\d+ of 6002 are left out here", text)
+    rows = re.findall(r"^\| (violated|undecided|supported) ", text, re.MULTILINE)
+    assert rows[:3] == ["violated", "undecided", "supported"]
+    assert summary.read_counts(text) == Counts.of(record)
+
+
+@pytest.mark.parametrize(
+    "old, new",
+    [
+        ("| violated | - |", "| supported | - |"),
+        ("| `SEC-1` | security", "x"),
+        ("| failed | 3 | 2 |", "| failed | 3 | 3 |"),
+        ("## Cases", "## Other"),
+        ("| gate |", "| gates |"),
+    ],
+)
+def test_a_summary_whose_rows_are_not_what_it_states_is_refused(old, new):
+    text = summary.render(session_record())
+    assert old in text
+    with pytest.raises(ValueError, match="the page"):
+        summary.read_counts(text.replace(old, new, 1))
