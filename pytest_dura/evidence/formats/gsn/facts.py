@@ -1,0 +1,76 @@
+"""What the argument says of episodes, gathered in one pass over them."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from pytest_dura.evidence.session_record import SessionRecord
+from pytest_dura.evidence.text import name
+
+Data = Mapping[str, Any]
+
+SHOWN_COUNTEREXAMPLES = 5
+"""Counterexamples of one verdict that become elements; the largest violations come first."""
+_MOST_NAMES = 8
+
+
+@dataclass
+class Facts:
+    """Of all episodes, in bounded memory.
+
+    Args:
+        policies: Recovery policies that were applied.
+        simulators: Import paths of the simulators.
+        seeds: How many episodes have a seed, and the least and the greatest one.
+        counterexamples: Of the episodes that the argument shows, by id and component.
+    """
+
+    policies: set[str] = field(default_factory=set)
+    simulators: set[str] = field(default_factory=set)
+    seeds: tuple[int, int, int] | None = None
+    counterexamples: dict[tuple[str, str], Data] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, record: SessionRecord) -> Facts:
+        """One pass over the record's episodes."""
+        told = cls()
+        wanted = {
+            (counterexample["episode"], verdict["component"])
+            for verdict in record["verdicts"]
+            for counterexample in shown(verdict)
+        }
+        for one in record.episodes():
+            told._take(one)
+            key = (one["id"], one["component"])
+            if key in wanted:
+                told.counterexamples[key] = {"seed": one["seed"], "trace": one["trace"]}
+        return told
+
+    def _take(self, one: Data) -> None:
+        spec, seed = one["spec"], one["seed"]
+        if len(self.policies) < _MOST_NAMES:
+            self.policies.add(str(spec["policy"]))
+        if len(self.simulators) < _MOST_NAMES:
+            self.simulators.add(str(spec["simulator"]["path"]))
+        count, least, greatest = self.seeds or (0, seed, seed)
+        self.seeds = (count + 1, min(least, seed), max(greatest, seed))
+
+
+def shown(verdict: Data) -> list[Data]:
+    """The counterexamples of a verdict that become elements."""
+    return list(verdict["counterexamples"][:SHOWN_COUNTEREXAMPLES])
+
+
+def replay_command(record: SessionRecord, episode: str) -> str:
+    """The command that runs one episode of this evidence again, from where the session ran."""
+    try:
+        given = shlex.split(record["command"])
+    except ValueError:  # a quote without its end
+        given = []
+    evidence = [one for one in given if one.startswith("--dura-evidence=")]
+    told = [f"--dura-replay={name(episode)}", *map(name, evidence)]
+    options = [one.partition("=") for one in told]
+    return " ".join(["pytest", *(f"{key}={shlex.quote(value)}" for key, _, value in options)])
