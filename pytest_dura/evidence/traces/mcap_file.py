@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.evidence.files import temporary_prefix
 from pytest_dura.evidence.traces.columns import LIMIT, pack_columns, unpack_columns
 from pytest_dura.evidence.traces.messages import (
     Texts,
@@ -51,7 +52,7 @@ def write_trace(
     """
     data = trace_bytes(trace, verdicts)
     file.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(dir=file.parent, prefix=".trace-")
+    handle, name = tempfile.mkstemp(dir=file.parent, prefix=temporary_prefix(file.name))
     try:
         with os.fdopen(handle, "wb") as stream:
             stream.write(data)
