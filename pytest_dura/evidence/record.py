@@ -42,6 +42,7 @@ class ItemReport:
             ``planned``, and the ``at_most`` and ``confidence`` of the requirement.
         claims: ``{requirement, case, each_run}`` of what the item is to decide, told before it.
         traces: ``{id, component, digest, trace}`` of episodes whose trace was written.
+        problems: What casts doubt on the whole session, each beginning with ``infrastructure:``.
         monitors: ``MonitorQuality.to_json()``, with the ``case`` that it was measured on.
         chains: What came of each fault, with the ``episode`` and its ``case``.
     """
@@ -57,6 +58,7 @@ class ItemReport:
     chains: list[Data] = field(default_factory=list)
     claims: list[Data] = field(default_factory=list)
     traces: list[Data] = field(default_factory=list)
+    problems: list[str] = field(default_factory=list)
 
     def to_json(self) -> Data:
         """Plain data."""
@@ -92,6 +94,9 @@ class EvidenceRecord:
     _expected: dict[tuple[str, str, str], Data] = field(default_factory=dict)
     _waivers: dict[str, Data] = field(default_factory=dict)
     _clashes: dict[tuple[str, str], str] = field(default_factory=dict)
+    _problems: set[str] = field(default_factory=set)
+    trace_files: set[str] = field(default_factory=set)
+    """Paths of all traces that were told of."""
 
     def __post_init__(self) -> None:
         """Make room for the episodes."""
@@ -123,6 +128,7 @@ class EvidenceRecord:
         for case in report["cases"]:
             self._add_case(case)
         self._add_episodes(report)
+        self._problems.update(report.get("problems", ()))
         for verdict in report["verdicts"]:
             self._add_verdict(item, verdict)
         for monitor in report["monitors"]:
@@ -142,6 +148,11 @@ class EvidenceRecord:
         """
         for trace in traces:
             self._spool.add_trace(trace)
+            self.trace_files.add(trace["trace"]["file"])
+
+    def add_problem(self, problem: str) -> None:
+        """What casts doubt on the whole session; it begins with ``infrastructure:``."""
+        self._problems.add(problem)
 
     def waive(self, item: str, kind: str, reason: str) -> None:
         """The item's failure was excused: ``xfail``, ``rerun`` or ``skip``."""
@@ -150,7 +161,7 @@ class EvidenceRecord:
     @property
     def problems(self) -> list[str]:
         """What casts doubt on the whole session; each begins with ``infrastructure:``."""
-        return sorted(self._clashes.values())
+        return sorted({*self._clashes.values(), *self._problems})
 
     def record(self, status: Status) -> SessionRecord:
         """The record, with the keys of the design; its episodes are read as long as it is open.

@@ -20,7 +20,7 @@ def replay_command(session: DuraSession, episode: str, evidence: Path | None = N
         options.append(f"--dura-evidence={os.path.relpath(evidence, here)}")
     else:
         given = session.options.given
-        options += [f"{name}={value}" for name, value in given if "evidence" in name]
+        options += [f"{name}={value}" for name, value in given if name == "--dura-evidence"]
     # The same arguments load the same conftest files, where a component may be defined.
     return _command(session, [*options, *_places(session)])
 

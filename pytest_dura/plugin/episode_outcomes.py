@@ -18,7 +18,7 @@ def outcome_of_test(
     requirement: Requirement, episode: JudgedEpisode, error: BaseException | None
 ) -> dict[str, Any]:
     """The verdict of a test on an episode: by its outcome, and by the requirement's own check."""
-    word, detail = _word(episode, error)
+    word, detail = word_of_test(episode, error)
     margin = time = None
     judged = judged_by_own_check(requirement, episode)
     if judged is not None and judged.verdict == "violated":
@@ -54,7 +54,8 @@ def judged_by_own_check(requirement: Requirement, episode: JudgedEpisode) -> Epi
         return None
 
 
-def _word(episode: JudgedEpisode, error: BaseException | None) -> tuple[EpisodeWord, str]:
+def word_of_test(episode: JudgedEpisode, error: BaseException | None) -> tuple[EpisodeWord, str]:
+    """What the outcome of a test says of the episode that it looked at, and why."""
     first = str(error).partition("\n")[0] if error is not None else ""
     if episode.failure is not None:
         return "missing", episode.failure

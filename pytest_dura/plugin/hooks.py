@@ -145,6 +145,9 @@ class SessionHooks:
 
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
         """Write the evidence."""
+        from pytest_dura.plugin.traces import remove_orphans
+
+        remove_orphans(self.session)
         self.session.evidence.finish(session)
 
     def pytest_terminal_summary(self, terminalreporter: Any) -> None:
@@ -153,6 +156,11 @@ class SessionHooks:
             from pytest_dura.plugin.terminal import summary
 
             summary(self.session, terminalreporter)
+
+    @pytest.hookimpl(optionalhook=True)
+    def pytest_configure_node(self, node: WorkerController) -> None:
+        """Tell a worker where the evidence goes: it writes the traces of its episodes itself."""
+        node.workerinput["dura_evidence"] = str(self.session.options.evidence.absolute())
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_xdist_make_scheduler(

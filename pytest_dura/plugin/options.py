@@ -4,14 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
 from pytest_dura.core.errors import ConfigurationError
 
+if TYPE_CHECKING:
+    from pytest_dura.plugin.traces import Level
+
 DEFAULT_SEED = 0
 DEFAULT_EVIDENCE = "dura-evidence"
+DEFAULT_LEVEL = "violations"
 
 
 def add_options(parser: pytest.Parser) -> None:
@@ -65,6 +69,13 @@ def add_options(parser: pytest.Parser) -> None:
         "--dura-evidence",
         metavar="DIR",
         help=f"where the evidence goes (default: {DEFAULT_EVIDENCE})",
+    )
+    add(
+        "--dura-evidence-level",
+        choices=("summary", "violations", "all"),
+        default=None,
+        help="which episodes leave a trace in the evidence: none, those that violate a requirement "
+        f"and samples, or all (default: {DEFAULT_LEVEL})",
     )
     add(
         "--dura-replay",
@@ -123,6 +134,7 @@ class Options:
     runs: int | None
     seed: int
     evidence: Path
+    evidence_level: Level
     replay: str | None
     reduce: str | None
     warn_undecided: bool
@@ -172,8 +184,8 @@ class Options:
             )
         given = [("--dura-path", path) for path in get("dura_path")]
         given += [("--dura-faults", text) for text in faults]
-        for name in ("generator", "runs", "seed", "evidence"):
-            value = get(f"dura_{name}")
+        for name in ("generator", "runs", "seed", "evidence", "evidence-level"):
+            value = get(f"dura_{name.replace('-', '_')}")
             if value is not None:
                 given.append((f"--dura-{name}", str(value)))
         return cls(
@@ -186,6 +198,7 @@ class Options:
             runs=runs,
             seed=DEFAULT_SEED if seed is None else seed,
             evidence=_evidence(config),
+            evidence_level=get("dura_evidence_level") or DEFAULT_LEVEL,
             replay=get("dura_replay"),
             reduce=get("dura_reduce"),
             twins=not get("dura_no_twins"),

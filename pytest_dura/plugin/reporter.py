@@ -10,7 +10,12 @@ import pytest
 
 from pytest_dura.core.errors import DuraError
 from pytest_dura.plugin.commands import replay_command
-from pytest_dura.plugin.episode_outcomes import judged_by_own_check, outcome_of_test
+from pytest_dura.plugin.episode_outcomes import (
+    judged_by_own_check,
+    outcome_of_test,
+    word_of_test,
+)
+from pytest_dura.plugin.traces import TraceKeeper
 
 if TYPE_CHECKING:
     from pytest_dura.campaign.campaigns import Campaign
@@ -44,6 +49,8 @@ class Reporter:
         self._used: dict[str, list[JudgedEpisode]] = {}
         self._decided: set[tuple[str, str]] = set()
         self._components: dict[str, dict[str, Any]] = {}
+        self._last: JudgedEpisode | None = None
+        self.traces = TraceKeeper(session)
 
     def episode_used(self, case: Case, episode: JudgedEpisode, planned: int) -> None:
         """An item looked at an episode of so many planned ones; 0 for one chosen by hand."""
@@ -57,10 +64,15 @@ class Reporter:
         if key not in self._told:
             self._told.add(key)
             self._report.episodes.append(episode_record(episode, planned=planned > 0))
+        self._last = episode
+        self.traces.used(episode)
 
     def verdict_reached(self, verdict: CampaignVerdict, requirement: Requirement) -> None:
         """A campaign was judged, and what its episodes are worth along with it."""
-        self._used.pop(verdict.case, None)
+        used = {one.id: one for one in self._used.pop(verdict.case, ())}
+        for counterexample in verdict.counterexamples:
+            if counterexample.episode in used:
+                self.traces.violated(used[counterexample.episode])
         self._used.pop((verdict.pairs or {}).get("case", verdict.case), None)
         asked = requirement.to_json()
         question = {"check": asked["check"], "paired": asked["paired"]}
@@ -166,10 +178,17 @@ class Reporter:
         if call.when == "teardown":
             self._used.clear()
             self._decided.clear()
+            self._last = None
         if call.when == "setup":
             self._claim(item)
-        if call.when == "call" and self._target(item) is not None:
-            self._test_outcome(item, call, report)
+        if call.when == "call":
+            self._keep_last(call)
+            if self._target(item) is not None:
+                self._test_outcome(item, call, report)
+        traces, problems = self.traces.take()
+        if traces or problems:
+            self._report.traces += traces
+            self._report.problems += problems
         if self._pending is None:
             return None
         told, self._pending = self._pending, None
@@ -177,6 +196,14 @@ class Reporter:
         if told:
             setattr(report, ATTRIBUTE, json.dumps(told.to_json(), allow_nan=False))
         return told
+
+    def _keep_last(self, call: pytest.CallInfo[None]) -> None:
+        """Keep the episode at which a test failed that asked for no verdict: its last one."""
+        if self._last is None or self._decided or call.excinfo is None:
+            return
+        word, why = word_of_test(self._last, call.excinfo.value)
+        if word == "violated" and not why.startswith("undecided: "):
+            self.traces.violated(self._last)
 
     @property
     def _report(self) -> ItemReport:
@@ -194,10 +221,10 @@ class Reporter:
         component = generator.label
         if component not in self._components:
             factory = type(generator.instance) if generator.opaque else generator.factory()
-            file = None
+            file, root = None, self.session.config.rootpath
             if isinstance(generator, LocalRole):
-                file = self.session.config.rootpath / generator.path.rpartition(":")[0]
-            described = describe_component(generator.path, factory, generator.params, file)
+                file = root / generator.path.rpartition(":")[0]
+            described = describe_component(generator.path, factory, generator.params, file, root)
             named = {"name": component, **described, "opaque": generator.opaque}
             self._components[component] = named
         if self._components[component] not in report.components:
@@ -260,6 +287,8 @@ class Reporter:
         for requirement in marked_requirements(self.session, item):
             self._requirement_used(requirement)
             told = outcome_of_test(requirement, episode, error)
+            if told["verdict"] == "violated":
+                self.traces.violated(episode)
             self._report.outcomes.append(
                 {
                     **told,

@@ -6,6 +6,7 @@ import os
 import re
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -65,6 +66,12 @@ class DuraSession:
         """
         with usage_errors():
             return Options.of(self.config)
+
+    @property
+    def evidence_directory(self) -> Path:
+        """Where the evidence goes: the controller's place, also in a worker."""
+        given = getattr(self.config, "workerinput", {}).get("dura_evidence")
+        return self.options.evidence if given is None else Path(given)
 
     @property
     def active(self) -> bool:
@@ -176,6 +183,7 @@ class DuraSession:
             on_monitors=self.reporter.monitors_judged,
             on_chains=self.reporter.faults_followed,
             twins=self.options.twins,
+            recorded=self.options.evidence_level != "summary",
         )
 
     def default_role(self, role: str) -> RoleSpec:
