@@ -24,16 +24,17 @@ def section(record: SessionRecord, _gathered: Gathered, _links: Links) -> Data:
         row.setdefault(cell["requirement"], []).append(cell["verdict"])
         if cell["requirement"] not in requirements:
             requirements.append(cell["requirement"])
+    columns = sorted(places)
     return {
-        "requirements": [{"id": one, "anchor": requirement_anchor(one)} for one in requirements],
+        "places": [{"scenario": scenario, "faults": faults} for scenario, faults in columns],
         "rows": [
             {
-                "scenario": scenario,
-                "faults": faults,
+                "id": name,
+                "anchor": requirement_anchor(name),
                 # No cell at all: the requirement does not apply to the scenario.
-                "cells": [row.get(name) for name in requirements],
+                "cells": [places[place].get(name) for place in columns],
             }
-            for (scenario, faults), row in sorted(places.items())
+            for name in requirements
         ],
         "tested": sum(one["verdict"] is not None for one in found["cells"]),
         "cells": len(found["cells"]),

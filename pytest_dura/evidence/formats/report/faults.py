@@ -44,13 +44,16 @@ def _heat(record: SessionRecord) -> Data:
         for one in ids:
             names.setdefault(one)
             cells[one, verdict["requirement"]].append(verdict)
-    requirements = [one["id"] for one in record["requirements"]]
     order = sorted(names, key=lambda one: (one != NO_FAULT, one))
     return {
-        "requirements": [{"id": name, "anchor": requirement_anchor(name)} for name in requirements],
+        "faults": order,
         "rows": [
-            {"fault": fault, "cells": [_cell(cells.get((fault, name))) for name in requirements]}
-            for fault in order
+            {
+                "id": one["id"],
+                "anchor": requirement_anchor(one["id"]),
+                "cells": [_cell(cells.get((fault, one["id"]))) for fault in order],
+            }
+            for one in record["requirements"]
         ],
     }
 

@@ -103,7 +103,9 @@ class Gathered:
         for index, episode in enumerate(record.episodes()):
             total += 1
             cases.setdefault((episode["case"], episode["component"]), CaseTally()).add(episode)
-            violates = tuple(violating.get((episode["id"], episode["component"]), ()))
+            # A verdict rests on planned episodes; one run by hand may bear the same id.
+            key = episode["id"], episode["component"]
+            violates = tuple(violating.get(key, ())) if episode["planned"] else ()
             shown = Listed(_rank(episode, violates), index, _brief(episode), violates)
             _keep(listed, shown.rank, shown, MAX_LISTED)
             if episode["trace"] is not None:

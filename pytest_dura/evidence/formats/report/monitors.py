@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from typing import Any
 
@@ -34,4 +35,14 @@ def section(record: SessionRecord, _gathered: Gathered, _links: Links) -> Data:
         for one in record["verdicts"]
         if one["pairs"] and "only_with" in one["pairs"]
     ]
-    return {"rows": told, "silent": len(record["monitors"]) - len(told), "pairs": pairs}
+    return {"rows": _together(told), "silent": len(record["monitors"]) - len(told), "pairs": pairs}
+
+
+def _together(found: list[Data]) -> list[Data]:
+    """Rows that differ in nothing but their target as one."""
+    same: dict[str, dict[str, Any]] = {}
+    for one in found:
+        figures = json.dumps({key: value for key, value in one.items() if key != "target"})
+        row = same.setdefault(figures, {**one, "targets": []})
+        row["targets"].append(one["target"])
+    return list(same.values())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 from collections.abc import Callable, Mapping
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -69,6 +70,7 @@ def render(record: SessionRecord) -> str:
     )
 
 
+@cache
 def _environment() -> Environment:
     """Templates in which every value is made visible, bounded and escaped."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined

@@ -63,7 +63,7 @@
       if (one.tagName === "DETAILS") one.open = true;
     }
     for (const one of document.querySelectorAll(".target")) one.classList.remove("target");
-    target.classList.add("target");
+    if (target.tagName !== "SECTION") target.classList.add("target");
     if (target.hidden || target.closest("[hidden]")) {
       text.value = "";
       word.value = "";

@@ -23,11 +23,14 @@ def section(record: SessionRecord, _gathered: Gathered, links: Links) -> Data:
     several = len({one["component"] for one in record["cases"]}) > 1
     rows: dict[str, list[Data]] = {}
     anchors: set[str] = set()
+    methods: dict[tuple[str, str], int] = {}
     for verdict in record["verdicts"]:
         found = verdict_anchor(verdict["requirement"], verdict["case"])
         own = None if found in anchors else found
         anchors.add(found)
-        rows.setdefault(verdict["requirement"], []).append(_row(verdict, own, links))
+        note = methods.setdefault((verdict["bound"]["method"], verdict["method"]), len(methods) + 1)
+        row = {**_row(verdict, links), "anchor": own, "note": note}
+        rows.setdefault(verdict["requirement"], []).append(row)
     groups = [
         {"declared": True, **_described(one), "rows": rows.pop(one["id"], [])}
         for one in record["requirements"]
@@ -35,7 +38,7 @@ def section(record: SessionRecord, _gathered: Gathered, links: Links) -> Data:
     others = [
         {"declared": False, **_described({"id": name}), "rows": left} for name, left in rows.items()
     ]
-    return {"groups": groups + others, "several": several}
+    return {"groups": groups + others, "several": several, "methods": list(methods)}
 
 
 def _described(requirement: Data) -> Data:
@@ -47,12 +50,11 @@ def _described(requirement: Data) -> Data:
     }
 
 
-def _row(verdict: Data, own_anchor: str | None, links: Links) -> Data:
+def _row(verdict: Data, links: Links) -> Data:
     shown = verdict["counterexamples"][:MAX_COUNTEREXAMPLES]
     pairs = verdict["pairs"]
     return {
         **verdict,
-        "anchor": own_anchor,
         "worst": [
             {**one, "link": links.of_episode(one["episode"], verdict["component"])} for one in shown
         ],

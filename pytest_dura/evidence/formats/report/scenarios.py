@@ -15,23 +15,30 @@ Data = Mapping[str, Any]
 
 
 def section(record: SessionRecord, gathered: Gathered, _links: Links) -> Data:
-    """One row for each case and component, and the chart where anything was cleared."""
+    """One row for each case and component, and the chart where anything was cleared.
+
+    Arms that lack a role come last: they are there to be compared with.
+    """
     cases = record["cases"]
     rows = []
     chart = []
     anchors: set[str] = set()
     for case in cases:
-        found = case_anchor(case["id"])
+        anchor = case_anchor(case["id"])
         tally = gathered.cases.get((case["id"], case["component"]), CaseTally())
-        rows.append({**case, "anchor": None if found in anchors else found, "tally": tally})
-        anchors.add(found)
-        if tally.times:
+        rows.append({**case, "anchor": None if anchor in anchors else anchor})
+        anchors.add(anchor)
+        if tally.times and not case["without"]:
             time = case["metrics"]["clearance_time"] or {"mean": None, "sd": None}
             chart.append(
                 ClearanceRow(case["id"], tally.times, tally.cleared, time["mean"], time["sd"])
             )
     return {
-        "rows": rows,
+        "groups": [
+            {"arms": arms, "rows": found}
+            for arms in (False, True)
+            if (found := [row for row in rows if bool(row["without"]) is arms])
+        ],
         "several": len({case["component"] for case in cases}) > 1,
         "users": sorted({name for case in cases for name in case["metrics"]["user"]}),
         "chart": clearance_chart(chart) if chart else None,
