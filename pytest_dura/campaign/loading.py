@@ -41,12 +41,14 @@ class Library:
         requirements: By id.
         warnings: Messages on what is allowed but probably not meant.
         unused: Ids of the user's requirements that no scenario uses, and where each is defined.
+        defined_in: The file of each requirement, by id.
     """
 
     scenarios: dict[str, Scenario]
     requirements: dict[str, Requirement]
     warnings: tuple[str, ...] = ()
     unused: Mapping[str, str] = field(default_factory=dict)
+    defined_in: Mapping[str, str] = field(default_factory=dict)
 
 
 def builtin_paths() -> list[Path]:
@@ -95,7 +97,8 @@ def load_library(paths: Sequence[Path | str], *, builtin: bool = True) -> Librar
         *too_long(scenarios, requirements),
         *idle_globs(scenarios, requirements, theirs),
     ]
-    return Library(scenarios, plain, tuple(warnings), unused)
+    defined_in = {name: one.document.file for name, one in requirements.items()}
+    return Library(scenarios, plain, tuple(warnings), unused, defined_in)
 
 
 def load_scenarios(paths: Sequence[Path | str]) -> dict[str, Scenario]:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import hashlib
 import inspect
 import platform
+import re
 import subprocess
 import sys
 from collections.abc import Callable, Mapping
@@ -13,6 +13,12 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from pytest_dura.evidence.places import is_installed
+from pytest_dura.evidence.sources import sources_of
+
+OURS = "pytest-dura"
 PACKAGES = (
     "pytest-dura", "pytest", "pytest-xdist", "hypothesis", "highway-env", "gymnasium", "rtamt",
     "allure-pytest", "numpy", "scipy", "pydantic", "PyYAML",
@@ -29,37 +35,86 @@ def describe_environment(root: Path, evidence: Path) -> dict[str, Any]:
     return {
         "python": sys.version.split()[0],
         "platform": platform.platform(),
-        "packages": {name: version for name in PACKAGES if (version := _version(name))},
+        "machine": platform.machine(),
+        "byte_order": sys.byteorder,
+        **describe_arithmetic(),
+        "packages": {name: version for name in _packages() if (version := _version(name))},
         "git": _git(root, evidence),
     }
 
 
+def describe_arithmetic() -> dict[str, Any]:
+    """What the last bit of a sum depends on, and with it every digest.
+
+    ``cpu_features`` are the instruction sets that NumPy uses on this machine, ``blas`` is the
+    library that multiplies its matrices; ``None`` where NumPy does not tell.
+    """
+    found: Any = np.show_config(mode="dicts")
+    simd = found.get("SIMD Extensions")
+    blas = found.get("Build Dependencies", {}).get("blas")
+    features = None if simd is None else [*simd.get("baseline", []), *simd.get("found", [])]
+    told = None if not blas else f"{blas.get('name', '')} {blas.get('version', '')}".strip()
+    return {"cpu_features": features, "blas": told}
+
+
 def describe_component(
-    path: str, factory: Callable[..., Any], params: Mapping[str, Any], file: Path | None = None
+    path: str,
+    factory: Callable[..., Any],
+    params: Mapping[str, Any],
+    file: Path | None = None,
+    root: Path | None = None,
 ) -> dict[str, Any]:
-    """Import path, version of its distribution and SHA-256 of the file that defines it.
+    """Import path, distribution and version, and a digest of the sources.
+
+    See :func:`pytest_dura.evidence.sources.sources_of` for what belongs to a component.
 
     Args:
         path: The component's import path.
         factory: Its class, or the function that makes it.
         params: The parameters it is made with.
         file: The file that defines it, where the factory does not tell.
+        root: The project's root, to which the names of files are relative; default: the folder
+            that the process works in.
     """
-    digest = None
-    if file is None:
-        try:
-            file = Path(inspect.getsourcefile(factory) or "")
-        except TypeError:  # built in, or written in C
-            file = Path()
-    if file.is_file():
-        digest = hashlib.sha256(file.read_bytes()).hexdigest()
     module = path.partition(":")[0]
+    inner = getattr(factory, "__module__", None) or module
+    if file is None:
+        file = _defining_file(factory)
+    else:
+        inner = file.stem  # no import path leads to it
+    sources = None if file is None else sources_of(file, inner, root or Path.cwd())
+    distribution = _distribution_of(module.partition(".")[0], file)
     return {
         "path": path,
         "params": dict(params),
-        "version": _version_of_module(module.partition(".")[0]),
-        "digest": digest,
+        "distribution": distribution,
+        "version": None if distribution is None else _version(distribution),
+        "digest": None if sources is None else sources.digest,
+        "file_count": 0 if sources is None else sources.count,
+        "files": [] if sources is None else sources.files,
     }
+
+
+def _defining_file(factory: Callable[..., Any]) -> Path | None:
+    try:
+        name = inspect.getsourcefile(factory)
+    except TypeError:  # built in, or written in C
+        return None
+    return Path(name).absolute() if name and Path(name).is_file() else None
+
+
+def _packages() -> list[str]:
+    """What may change results, and whatever else our own distribution requires."""
+    try:
+        required = metadata.requires(OURS) or []
+    except metadata.PackageNotFoundError:  # run from its sources
+        required = []
+    found = {name.lower(): name for name in PACKAGES}
+    for one in required:
+        name = re.split(r"[^A-Za-z0-9._-]", one, maxsplit=1)[0]
+        if "extra ==" not in one:
+            found.setdefault(name.lower(), name)
+    return list(found.values())
 
 
 def _version(distribution: str) -> str | None:
@@ -69,10 +124,23 @@ def _version(distribution: str) -> str | None:
         return None
 
 
+def _distribution_of(top: str, file: Path | None) -> str | None:
+    """The distribution that a top-level module belongs to, if it is installed from one."""
+    within = file is not None and is_installed(file)
+    try:
+        likely = metadata.distribution(top.replace("_", "-"))
+    except (metadata.PackageNotFoundError, ValueError):
+        # All distributions are looked through only where one of them has the file.
+        return _owners().get(top, [None])[0] if within else None
+    # A module of the user's own may be called like a distribution that has nothing to do with it.
+    editable = likely.read_text("direct_url.json") is not None
+    name: str = likely.metadata["Name"]
+    return name if within or editable else None
+
+
 @cache
-def _version_of_module(top: str) -> str | None:
-    owners = metadata.packages_distributions().get(top)
-    return _version(owners[0]) if owners else None
+def _owners() -> Mapping[str, list[str]]:
+    return metadata.packages_distributions()
 
 
 def _git(root: Path, evidence: Path) -> dict[str, Any]:

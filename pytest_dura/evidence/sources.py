@@ -1,0 +1,94 @@
+"""The source files that a component is made of, and one digest of them all."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from pytest_dura.evidence.places import is_installed, told_path
+
+LISTED = 50
+"""Files that are listed by name; with more of them, the defining one is."""
+MOST = 500
+"""Files that are read; with more of them, the defining one is."""
+_NO_SOURCES = {"__pycache__", "node_modules", "site-packages"}
+
+
+@dataclass(frozen=True)
+class Sources:
+    """What a component is made of.
+
+    Args:
+        digest: SHA-256 of the names and the SHA-256 of all files, in order of their names.
+        count: How many files.
+        files: ``{path, sha256}`` of each, or of the defining one where they are many.
+        read: The same files on this machine.
+    """
+
+    digest: str
+    count: int
+    files: list[dict[str, str]]
+    read: tuple[Path, ...]
+
+
+def sources_of(file: Path, module: str, root: Path) -> Sources | None:
+    """All Python files of the top-level package that defines something; ``None`` without a file.
+
+    A component changes as well with a function in the next file. What it imports from other
+    packages is not part of it, nor are data files.
+
+    Args:
+        file: The file that defines it.
+        module: The dotted name of that file's module.
+        root: The project's root, to which names are relative.
+    """
+    package = _package(file, module)
+    found = sorted(_python_files(package)) if package is not None else []
+    if not 0 < len(found) <= MOST or file not in found:
+        package, found = file.parent, [file]
+    state = hashlib.sha256()
+    told = []
+    try:
+        for one in found:
+            sha256 = hashlib.sha256(one.read_bytes()).hexdigest()
+            # Names within the package: it is the same component wherever it is installed.
+            name = one.relative_to(package.parent if len(found) > 1 else package).as_posix()
+            state.update(f"{name}\0{sha256}\n".encode("utf-8", "surrogateescape"))
+            told.append((one, sha256))
+    except OSError:  # gone, or not for us to read
+        return None
+    listed = told if len(told) <= LISTED and not is_installed(file) else []
+    listed = listed or [one for one in told if one[0] == file]
+    return Sources(
+        digest=state.hexdigest(),
+        count=len(told),
+        files=[{"path": told_path(one, root), "sha256": sha256} for one, sha256 in listed],
+        read=tuple(one for one, _ in listed),
+    )
+
+
+def _package(file: Path, module: str) -> Path | None:
+    """The folder of the top-level package, if the file lies where its module's name says."""
+    parts = module.split(".")
+    if file.name != "__init__.py":
+        parts = parts[:-1]
+    if not parts or len(file.parents) < len(parts):
+        return None
+    package = file.parents[len(parts) - 1]
+    return package if package.name == parts[0] else None
+
+
+def _python_files(package: Path) -> Iterator[Path]:
+    """The files below a package, one more than :data:`MOST` at most."""
+    found = 0
+    for folder, inner, names in os.walk(package):
+        inner[:] = [one for one in inner if not one.startswith(".") and one not in _NO_SOURCES]
+        for name in names:
+            if name.endswith(".py"):
+                yield Path(folder, name)
+                found += 1
+                if found > MOST:
+                    return

@@ -1,0 +1,154 @@
+"""SessionInputs: finds the files that a session is run from, as it is heard of them."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pytest_dura.evidence.inputs import Inputs, Kind
+from pytest_dura.evidence.places import is_installed
+
+if TYPE_CHECKING:
+    from pytest_dura.plugin.session import DuraSession
+
+Data = Mapping[str, Any]
+BUILTIN = "pytest_dura/scenarios"
+"""Where the built-in scenarios lie in an installed package, and what they are called elsewhere."""
+
+
+class SessionInputs:
+    """The inputs of one session; for the controller.
+
+    Args:
+        session: The session.
+    """
+
+    def __init__(self, session: DuraSession) -> None:
+        from pytest_dura.campaign.loading import builtin_paths
+
+        self.session = session
+        self.inputs = Inputs(session.config.rootpath, dict.fromkeys(builtin_paths(), BUILTIN))
+        self._seen: set[tuple[str, str]] = set()
+
+    def begin(self) -> None:
+        """What options and settings name, and what the planned scenarios rest on."""
+        config, options = self.session.config, self.session.options
+        here = config.invocation_params.dir
+        if config.inipath is not None:
+            self.inputs.add("configuration", config.inipath)
+        for name, value in options.given:
+            if name == "--dura-faults" and value.endswith((".yaml", ".yml")):
+                self.inputs.add("faults", here / value)
+        argument = config.getoption("dura_argument", None)
+        if argument:
+            self.inputs.add("argument", here / argument)
+        self._baseline(here)
+        for planned in self.session.plan:
+            self._scenario(planned.case.scenario.name)
+            for requirement in planned.requirements:
+                self._requirement(requirement)
+
+    def item(self, item: str) -> None:
+        """The test module of a node id, with the ``conftest.py`` files that it sees."""
+        path = item.partition("::")[0]
+        if not path.endswith(".py") or not self._new("item", path):
+            # A scenario item sees the root's alone.
+            self._conftests(self.session.config.rootpath)
+            return
+        file = self.session.config.rootpath / path
+        self.inputs.add("test", file)
+        self._conftests(file.parent)
+
+    def heard(self, report: Data) -> None:
+        """What an item told, of :class:`pytest_dura.evidence.record.ItemReport`."""
+        self.item(report["item"])
+        for component in report["components"]:
+            self.inputs.add_told("component", component["files"])
+        for case in (*report["cases"], *(claim["case"] for claim in report["claims"])):
+            self._scenario(case["scenario"])
+        for requirement in report["requirements"]:
+            self._requirement(requirement["id"], requirement)
+        for episode in report["episodes"]:
+            spec = episode["spec"]
+            self._module("role", spec["simulator"]["path"])
+            for name, role in spec["roles"].items():
+                if name != "generator":
+                    self._module("role", role["path"])
+
+    def to_json(self) -> list[dict[str, Any]]:
+        """The record's key ``inputs``, with the files as they are at the end."""
+        return self.inputs.to_json()
+
+    def _baseline(self, here: Path) -> None:
+        baseline = self.session.evidence.baseline
+        if baseline is not None:
+            from pytest_dura.evidence.bundle import RECORD
+
+            file = here / baseline.path
+            file = file / RECORD if file.is_dir() else file
+            self.inputs.add("baseline", file, baseline.sha256)
+
+    def _scenario(self, name: str) -> None:
+        if self._new("scenario", name):
+            scenario = self.session.library().scenarios.get(name)
+            if scenario is not None and scenario.file:
+                self.inputs.add("scenario", Path(scenario.file))
+                for requirement in scenario.requirements:
+                    self._requirement(requirement)
+
+    def _requirement(self, name: str, told: Data | None = None) -> None:
+        if not self._new("requirement", name):
+            return
+        library = self.session.library()
+        file = library.defined_in.get(name)
+        if file is not None:
+            self.inputs.add("requirements", Path(file))
+            told = library.requirements[name].to_json()
+        if told is not None:
+            self._module("check", told["check"])
+            self._module("check", (told["paired"] or {}).get("measure", ""))
+
+    def _module(self, kind: Kind, path: str) -> None:
+        """The user's own file behind ``package.module:name`` or ``tests/conftest.py:name``."""
+        from pytest_dura.requirements.checks import is_function_path
+
+        module, _, _ = path.strip().rpartition(":")
+        if module.startswith("pytest_dura.") or not module or not self._new(kind, module):
+            return
+        if module.endswith(".py"):
+            self.inputs.add(kind, self.session.config.rootpath / module)
+        elif is_function_path(path):
+            file = _file_of(module)
+            if file is not None and not is_installed(file):
+                self.inputs.add(kind, file)
+
+    def _conftests(self, folder: Path) -> None:
+        root = self.session.config.rootpath
+        for one in (folder, *folder.parents):
+            if not one.is_relative_to(root):
+                break
+            if self._new("conftest", str(one)) and (one / "conftest.py").is_file():
+                self.inputs.add("conftest", one / "conftest.py")
+
+    def _new(self, kind: str, name: str) -> bool:
+        if (kind, name) in self._seen:
+            return False
+        self._seen.add((kind, name))
+        return True
+
+
+def _file_of(module: str) -> Path | None:
+    """The source of a module, imported or not; importing it is not our business."""
+    from importlib.util import find_spec
+
+    loaded = sys.modules.get(module)
+    name = getattr(loaded, "__file__", None)
+    if loaded is None:
+        try:
+            spec = find_spec(module)
+        except (ImportError, ValueError):  # its package is not there in this process
+            return None
+        name = None if spec is None else spec.origin
+    return Path(name) if name and Path(name).is_file() else None

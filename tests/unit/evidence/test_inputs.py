@@ -1,0 +1,213 @@
+import hashlib
+import importlib
+import sys
+import time
+
+import pytest
+
+from pytest_dura.evidence.environment import describe_component, describe_environment
+from pytest_dura.evidence.inputs import Inputs, describe_inputs
+from pytest_dura.evidence.places import installed, told_path
+from pytest_dura.evidence.sources import sources_of
+
+
+def sha256(text):
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+@pytest.fixture
+def package(tmp_path, monkeypatch):
+    """A package of the user's own with a planner, and a way to write into it."""
+
+    def write(name, text):
+        file = tmp_path / name
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(text)
+        return file
+
+    write("ownpkg/__init__.py", "")
+    write("ownpkg/planners/__init__.py", "from .simple import Planner\n")
+    write("ownpkg/planners/simple.py", "class Planner:\n    pass\n")
+    write("ownpkg/helping.py", "def help(): return 1\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    yield write
+    for name in [name for name in sys.modules if name.startswith("ownpkg")]:
+        del sys.modules[name]
+
+
+def described(root, path="ownpkg.planners:Planner"):
+    module, _, name = path.partition(":")
+    return describe_component(path, getattr(importlib.import_module(module), name), {}, root=root)
+
+
+def test_the_digest_covers_all_files_of_the_package(package, tmp_path):
+    before = described(tmp_path)
+    assert [one["path"] for one in before["files"]] == [
+        "ownpkg/__init__.py", "ownpkg/helping.py", "ownpkg/planners/__init__.py",
+        "ownpkg/planners/simple.py",
+    ]  # fmt: skip
+    assert before["files"][1]["sha256"] == sha256("def help(): return 1\n")
+    assert before["file_count"] == 4
+    package("ownpkg/helping.py", "def help(): return 2\n")
+    changed = described(tmp_path)["digest"]
+    package("ownpkg/helping.py", "def help(): return 1\n")
+    package("ownpkg/more.py", "")
+    added = described(tmp_path)["digest"]
+    (tmp_path / "ownpkg/more.py").unlink()
+    assert len({before["digest"], changed, added}) == 3
+    assert described(tmp_path) == before
+
+
+def test_the_digest_does_not_depend_on_the_place_or_on_what_is_no_source(package, tmp_path):
+    before = described(tmp_path)["digest"]
+    package("ownpkg/__pycache__/x.py", "")
+    package("ownpkg/.hidden/x.py", "")
+    package("ownpkg/result.json", "{}")
+    assert described(tmp_path)["digest"] == before
+    (tmp_path / "other").mkdir()
+    (tmp_path / "ownpkg").rename(tmp_path / "other/ownpkg")
+    moved = sources_of(
+        tmp_path / "other/ownpkg/planners/simple.py", "ownpkg.planners.simple", tmp_path
+    )
+    assert moved.digest == before
+    assert moved.files[0]["path"] == "other/ownpkg/__init__.py"
+
+
+def test_a_module_without_a_package_is_its_one_file(package, tmp_path):
+    package("ownpkg_alone.py", "class Planner: pass\n")
+    found = described(tmp_path, "ownpkg_alone:Planner")
+    assert (found["file_count"], found["files"]) == (
+        1,
+        [{"path": "ownpkg_alone.py", "sha256": sha256("class Planner: pass\n")}],
+    )
+
+
+def test_a_large_package_is_named_by_its_defining_file(package, tmp_path):
+    for i in range(60):
+        package(f"ownpkg/part{i}.py", "")
+    many = described(tmp_path)
+    assert (many["file_count"], [one["path"] for one in many["files"]]) == (
+        64,
+        ["ownpkg/planners/simple.py"],
+    )
+    package("ownpkg/part59.py", "x = 1")
+    assert described(tmp_path)["digest"] != many["digest"]
+
+
+def test_a_component_without_sources():
+    found = describe_component("builtins:dict", dict, {"a": 1})
+    assert (found["digest"], found["files"], found["params"]) == (None, [], {"a": 1})
+
+
+def test_an_installed_component_tells_its_distribution():
+    import numpy as np
+
+    found = describe_component("numpy.random:default_rng", np.polynomial.Polynomial, {})
+    assert (found["distribution"], found["version"]) == ("numpy", np.__version__)
+    assert [one["path"] for one in found["files"]] == ["numpy/polynomial/polynomial.py"]
+
+
+def test_the_digest_of_our_own_planners_is_quick():
+    from pytest_dura.driving.roles.planners import RuleBased
+
+    path = "pytest_dura.driving.roles.planners:RuleBased"
+    describe_component(path, RuleBased, {})
+    began = time.process_time()
+    found = describe_component(path, RuleBased, {})
+    assert time.process_time() - began < 0.05
+    assert found["file_count"] > 100
+
+
+def test_the_environment_tells_what_digests_depend_on(tmp_path):
+    import numpy as np
+
+    found = describe_environment(tmp_path, tmp_path / "evidence")
+    assert found["byte_order"] == sys.byteorder
+    assert found["packages"]["numpy"] == np.__version__
+    assert {"pytest-dura", "pydantic", "pyyaml"} <= {name.lower() for name in found["packages"]}
+    assert all(isinstance(one, str) and one for one in found["cpu_features"])
+    assert found["cpu_features"]
+
+
+def test_inputs_are_named_from_the_root_and_never_by_the_machine(tmp_path):
+    root = tmp_path / "project"
+    (root / "scenarios").mkdir(parents=True)
+    inner, outer = root / "scenarios/a.yaml", tmp_path / "elsewhere.yaml"
+    inner.write_text("a")
+    outer.write_text("b")
+    builtin = tmp_path / "builtin"
+    (builtin / "deep").mkdir(parents=True)
+    (builtin / "deep/c.yaml").write_text("c")
+    found = describe_inputs(
+        [
+            ("scenario", root / "scenarios/../scenarios/a.yaml"),
+            ("argument", outer),
+            ("scenario", builtin / "deep/c.yaml"),
+        ],
+        root,
+        {builtin: "pytest_dura/scenarios"},
+    )
+    assert [(one["path"], one["kind"], one["sha256"], one["changed"]) for one in found] == [
+        ("pytest_dura/scenarios/deep/c.yaml", "scenario", sha256("c"), False),
+        ("scenarios/a.yaml", "scenario", sha256("a"), False),
+        (f"{tmp_path.name}/elsewhere.yaml", "argument", sha256("b"), False),
+    ]
+
+
+def test_a_file_of_an_installed_package_is_named_by_the_package(tmp_path):
+    file = installed()[0] / "somewhere/data.yaml"
+    assert told_path(file, tmp_path) == "somewhere/data.yaml"
+    # Also where the virtual environment lies in the project.
+    assert told_path(file, installed()[0].parents[2]) == "somewhere/data.yaml"
+
+
+def test_a_link_keeps_the_name_that_the_user_gave_it(tmp_path):
+    (tmp_path / "real.yaml").write_text("a")
+    (tmp_path / "root").mkdir()
+    (tmp_path / "root/link.yaml").symlink_to(tmp_path / "real.yaml")
+    assert told_path(tmp_path / "root/link.yaml", tmp_path / "root") == "link.yaml"
+
+
+@pytest.mark.parametrize("change", ["write", "delete"])
+def test_a_file_that_changed_meanwhile_is_told(tmp_path, change):
+    file, same = tmp_path / "a.yaml", tmp_path / "b.yaml"
+    file.write_text("before")
+    same.write_text("same")
+    inputs = Inputs(tmp_path)
+    inputs.add("scenario", file)
+    inputs.add("scenario", same)
+    if change == "write":
+        file.write_text("after")
+    else:
+        file.unlink()
+    inputs.add("scenario", file)  # asked for again: what it was at first counts
+    assert [(one["sha256"], one["changed"]) for one in inputs.to_json()] == [
+        (sha256("before"), True),
+        (sha256("same"), False),
+    ]
+
+
+def test_what_the_session_itself_replaces_has_not_changed(tmp_path):
+    file = tmp_path / "evidence.json"
+    inputs = Inputs(tmp_path)
+    inputs.add("baseline", file, sha256("old"))
+    file.write_text("new")
+    assert inputs.to_json() == [
+        {"path": "evidence.json", "kind": "baseline", "sha256": sha256("old"), "changed": False}
+    ]
+
+
+def test_files_that_another_process_read(tmp_path):
+    (tmp_path / "a.py").write_text("a")
+    inputs = Inputs(tmp_path)
+    inputs.add_told("component", [{"path": "a.py", "sha256": sha256("older")}])
+    inputs.add_told("component", [{"path": "pkg/b.py", "sha256": sha256("b")}])
+    assert [(one["path"], one["changed"]) for one in inputs.to_json()] == [
+        ("a.py", True),
+        ("pkg/b.py", False),
+    ]
+
+
+def test_a_file_that_cannot_be_read(tmp_path):
+    (one,) = describe_inputs([("check", tmp_path / "gone.py")], tmp_path)
+    assert (one["sha256"], one["changed"]) == (None, False)
