@@ -162,11 +162,12 @@ def _clean(value: Any) -> Any:
 
 def _unused(argument: Argument, taken: set[str]) -> Iterator[Element]:
     """One context for each requirement of which something is not taken up, with its counts."""
-    for requirement in list(argument.values()):
+    plain = {id_: one.to_yaml() for id_, one in argument.items()}
+    for requirement in argument.values():
         what, _, name = requirement.alias.partition(":")
         if what != "requirement":
             continue
-        below = reachable({id_: one.to_yaml() for id_, one in argument.items()}, [requirement.id])
+        below = reachable(plain, [requirement.id])
         left = [argument[id_] for id_ in argument if id_ in below - taken]
         if not left:
             continue

@@ -1,0 +1,155 @@
+"""``assurance-case.svg``: the argument as a picture that stands alone."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Any, NoReturn
+from xml.etree import ElementTree as ET
+
+from pytest_dura.evidence.counts import Counts
+from pytest_dura.evidence.formats.gsn.argument import incomplete
+from pytest_dura.evidence.formats.gsn.contexts import REVIEW, SESSION
+from pytest_dura.evidence.formats.gsn.folding import View, view_of
+from pytest_dura.evidence.formats.gsn.layout import MARGIN, WIDTH, laid_out
+from pytest_dura.evidence.formats.gsn.merging import argument_with_users
+from pytest_dura.evidence.formats.gsn.shapes import MARKERS, STYLE, Edge, Shape, text_of
+from pytest_dura.evidence.formats.gsn.wrapping import wrapped
+from pytest_dura.evidence.session_record import SessionRecord
+from pytest_dura.evidence.text import name
+
+FILE = "assurance-case.svg"
+NAMESPACE = "http://www.w3.org/2000/svg"
+
+_SUMMED = ("requirements", "supported", "violated", "undecided", "waived")
+_STATED = ("cases", "episodes", "valid", "invalid", "missing")
+_KINDS = ("Goal", "Strategy", "Solution", "Context", "Assumption", "CounterGoal")
+
+
+def render(record: SessionRecord) -> str:
+    """The file's text.
+
+    Raises:
+        ConfigurationError: If the user's argument does not fit.
+    """
+    argument = argument_with_users(record)
+    session = argument[SESSION]
+    view = view_of(argument)
+    view.counts[SESSION] = Counter({key: session.layers[key] for key in ("gate", *_STATED)})
+    head, y = _head(record, view)
+    picture = laid_out(view, next(iter(argument)), y)
+    height = picture.height + MARGIN
+    edges = "\n".join(one.svg() for one in picture.edges)
+    shapes = "\n".join(one.svg() for one in picture.shapes)
+    told = argument[next(iter(argument))].text
+    return (
+        f'<svg xmlns="{NAMESPACE}" viewBox="0 0 {WIDTH:.0f} {height:.0f}" width="{WIDTH:.0f}" '
+        f'height="{height:.0f}" role="img" aria-labelledby="gsn-title gsn-text">\n'
+        '<title id="gsn-title">Assurance case, generated, unreviewed</title>\n'
+        f'<desc id="gsn-text">{text_of(f"{told} {session.text}")}</desc>\n'
+        f"<style>{STYLE}</style><defs>{MARKERS}</defs>\n"
+        f'<path fill="#fff" d="M0 0H{WIDTH:.0f}V{height:.0f}H0z"/>\n'
+        f"{head}\n<g>{edges}</g>\n{shapes}\n</svg>\n"
+    )
+
+
+def _head(record: SessionRecord, view: View) -> tuple[str, float]:
+    """Title, warning, place for the reviewer and legend; and where they end."""
+    lines = [("head", "Assurance case (GSN): generated, unreviewed")]
+    if incomplete(record):
+        lines.append(
+            ("warning", "INCOMPLETE SESSION: the top goal is undeveloped, no claim is made.")
+        )
+    lines += [("", one) for one in view.folded]
+    if REVIEW in view.argument:
+        layers = view.argument[REVIEW].layers
+        blank = "." * 32
+        told = [f"{key}: {layers[key] or blank}" for key in layers]
+        lines.append(("", "   ".join(told)))
+    lines.append(
+        ("", f"{name(record['created'])}. Evidence and every element: assurance-case.gsn.yaml")
+    )
+    y = MARGIN + 6
+    told_lines = []
+    for kind, line in lines:
+        told_lines.append(
+            f'<text class="left {kind}" x="{MARGIN:.0f}" y="{y:.0f}">{text_of(line)}</text>'
+        )
+        y += 20
+    legend = _legend(y + 4)
+    return "\n".join([*told_lines, *legend]), y + 84
+
+
+def _legend(y: float) -> list[str]:
+    """Every kind of element and relation of the notation with its name, outside of the counts."""
+    told = []
+    x = MARGIN
+    for kind in _KINDS:
+        round_ = kind == "Solution"
+        lines = wrapped(kind, 200, 1)
+        shape = Shape(kind, kind, lines, 60 if round_ else 104, x=x, y=y)
+        told.append(shape.svg().replace("data-id", "data-legend").replace("data-box", "data-size"))
+        x += shape.width + 16
+    undeveloped = Shape("undeveloped", "Goal", ["Undeveloped"], 104, undeveloped=True, x=x, y=y)
+    defeated = Shape("defeated", "Goal", ["Defeated"], 90, defeated=True, x=x + 120, y=y)
+    told += [
+        one.svg().replace("data-id", "data-legend").replace("data-box", "data-size")
+        for one in (undeveloped, defeated)
+    ]
+    x += 226
+    names = {
+        "supportedBy": "supported by",
+        "inContextOf": "in context of",
+        "challenges": "challenges",
+    }
+    for i, (relation, words) in enumerate(names.items()):
+        height = y + 4 + i * 18
+        told.append(Edge(relation, ((x, height), (x + 50, height))).svg())
+        told.append(f'<text class="left" x="{x + 58:.0f}" y="{height + 4:.0f}">{words}</text>')
+    return told
+
+
+def read_counts(text: str) -> Counts:
+    """Sums over the shapes of what each of them stands for; the session states the rest.
+
+    Raises:
+        ValueError: If the file is no picture of an argument.
+    """
+    if "<!DOCTYPE" in text or "<!ENTITY" in text:
+        _refuse("a document type is not allowed")
+    try:
+        root = ET.fromstring(text)  # noqa: S314 - entities are refused above
+    except ET.ParseError as error:
+        _refuse(f"no XML: {error}")
+    shapes = [one.attrib for one in root.iter(f"{{{NAMESPACE}}}g") if "data-id" in one.attrib]
+    sums: Counter[str] = Counter()
+    for shape in shapes:
+        for key in _SUMMED:
+            sums[key] += _number(shape.get(f"data-{key}", "0"))
+        _agreed(shape)
+    stated = [shape for shape in shapes if "data-gate" in shape]
+    if len(stated) != 1:
+        _refuse(f"{len(stated)} shapes state the session, instead of one")
+    numbers = {key: _number(stated[0].get(f"data-{key}", "")) for key in _STATED}
+    found: dict[str, Any] = {**{key: sums[key] for key in _SUMMED}, **numbers}
+    return Counts(gate=stated[0]["data-gate"], **found)
+
+
+def _agreed(shape: dict[str, str]) -> None:
+    """A goal that stands for violated verdicts alone is drawn as defeated, and so on."""
+    words = [key for key in ("supported", "violated", "undecided") if f"data-{key}" in shape]
+    if shape["data-kind"] != "Goal" or len(words) != 1 or "data-requirements" in shape:
+        return
+    drawn = "undecided" if "data-undeveloped" in shape else "supported"
+    drawn = "violated" if "data-defeated" in shape else drawn
+    if drawn != words[0]:
+        _refuse(f"{shape['data-id']} is drawn as {drawn}, and stands for {words[0]} verdicts")
+
+
+def _number(text: str) -> int:
+    if not text.isascii() or not text.isdigit():
+        _refuse(f"{text[:40]!r} is no number")
+    return int(text)
+
+
+def _refuse(problem: str) -> NoReturn:
+    raise ValueError(f"{FILE}: {problem}")
