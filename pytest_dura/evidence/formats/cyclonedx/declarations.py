@@ -22,7 +22,7 @@ from pytest_dura.evidence.session_record import SessionRecord
 from pytest_dura.evidence.text import name, one_line, visible
 
 Data = dict[str, Any]
-LISTED = 20
+LISTED = 5
 """Counterexamples that are listed with one claim; the record has all of them."""
 
 _PREDICATES = {
