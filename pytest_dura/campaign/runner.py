@@ -142,13 +142,26 @@ class Bench:
             ConfigurationError: If a role or the simulator cannot be built.
         """
         __tracebackhide__ = True
-        spec = case.spec(run, self.base_seed, self.roles, simulator=self.simulator, seed=seed)
         try:
-            episode = self.store.get(spec, lambda spec: self._simulate(case, spec))
+            episode = self.again(case, run, seed)
         except ConfigurationError as error:
             raise error.with_traceback(None) from None
         self.on_episode(case, episode, planned if seed is None else 0)
         return episode
+
+    def again(self, case: Case, run: int = 0, seed: int | None = None) -> JudgedEpisode:
+        """Like :meth:`episode`, for whoever shows it: nobody is told that it was used.
+
+        Args:
+            case: The case.
+            run: Number of the run.
+            seed: Seed of the episode; by default that of the run within the case.
+
+        Raises:
+            ConfigurationError: If a role or the simulator cannot be built.
+        """
+        spec = case.spec(run, self.base_seed, self.roles, simulator=self.simulator, seed=seed)
+        return self.store.get(spec, lambda spec: self._simulate(case, spec))
 
     def chains(self, case: Case, episode: JudgedEpisode) -> list[CausalChain]:
         """Each fault of an episode from plan to outcome, with the help of fault-free twins.

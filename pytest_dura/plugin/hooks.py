@@ -79,6 +79,15 @@ class SessionHooks:
             from pytest_dura.plugin.items import scenario_items
 
             items += scenario_items(self.session, session)
+        self._label(items)
+
+    def _label(self, items: list[pytest.Item]) -> None:
+        """Label what Allure reports or selects, before it selects."""
+        from pytest_dura.plugin.allure_labels import mark_item, wanted
+
+        if wanted(self.session.config):
+            for item in filter(uses_bench, items):
+                mark_item(self.session, item)
 
     def pytest_collection_finish(self, session: pytest.Session) -> None:
         """Note what will run, in a record that takes the place of an earlier session's."""
@@ -136,6 +145,10 @@ class SessionHooks:
 
             results = item_results(self.session, item, told)
             add_properties(self.session, item, report, results)
+            if item.config.getoption("allure_report_dir", None):
+                from pytest_dura.plugin.allure_report import report_item
+
+                report_item(self.session, item, results)
         return report
 
     @pytest.hookimpl(tryfirst=True)

@@ -28,6 +28,10 @@ class Target:
     requirement: Requirement | None
     until_decided: bool = False
 
+    def __repr__(self) -> str:
+        """The episode's id. Reports show it, and Allure tells tests apart by it."""
+        return f"{self.case.id}#{self.run}"
+
 
 def parametrize(session: DuraSession, metafunc: pytest.Metafunc, marker: pytest.Mark) -> None:
     """Parametrize a test with the marker ``dura``.

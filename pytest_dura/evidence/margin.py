@@ -1,0 +1,74 @@
+"""By how much a check held at each tick of an episode."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_dura.core.episode import Episode
+from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.loop_signals import PREFIX, loop_signals
+from pytest_dura.requirements.checks import is_function_path
+from pytest_dura.requirements.stl.language.formula import Formula
+from pytest_dura.requirements.stl.language.nodes import Boolean, Node, Temporal
+from pytest_dura.requirements.stl.language.parsing import parse
+from pytest_dura.requirements.stl.offline.robustness import robustness
+
+Column = NDArray[np.float64]
+
+
+def formula_of(check: str) -> Formula | None:
+    """The formula that a check is; ``None`` for a function, and where test code decides."""
+    if not check or is_function_path(check):
+        return None
+    try:
+        return parse(check)
+    except ConfigurationError:  # the name of a function inside a test
+        return None
+
+
+def columns_of(names: tuple[str, ...], episode: Episode) -> dict[str, Column]:
+    """The episode's signals of these names, and those of the loop, as far as it has them."""
+    known = dict(episode.signals)
+    if any(name.startswith(PREFIX) for name in names):
+        known |= loop_signals(episode)
+    return {name: known[name] for name in names if name in known}
+
+
+def margin_over_time(check: str, episode: Episode) -> tuple[str, Column] | None:
+    """The robustness at each tick, and the formula that it is of.
+
+    An ``always`` over the whole episode at the root is left out, so that the curve shows the
+    moment: its minimum is the margin. NaN where a signal is not finite, and after that.
+
+    Returns:
+        ``None`` for a check that is no formula over signals of this episode.
+    """
+    formula = formula_of(check)
+    if formula is None:
+        return None
+    columns = columns_of(formula.signals, episode)
+    if len(columns) < len(formula.signals):
+        return None
+    finite = np.logical_and.reduce([np.isfinite(one) for one in columns.values()])
+    samples = episode.ticks if finite.all() else int(np.argmin(finite))
+    if not samples:
+        return None
+    moment = Formula(_moment(formula.root), formula.text)
+    found = np.full(episode.ticks, np.nan)
+    cut = {name: column[:samples] for name, column in columns.items()}
+    try:
+        found[:samples] = robustness(moment, cut, episode.spec.time_step)
+    except ConfigurationError:  # an expression that is not finite: the verdict tells where
+        return None
+    return str(moment), found
+
+
+def _moment(node: Node) -> Node:
+    if isinstance(node, Temporal) and node.operator == "always" and node.window is None:
+        return _moment(node.operand)
+    if isinstance(node, Boolean) and node.operator == "and":
+        return replace(node, left=_moment(node.left), right=_moment(node.right))
+    return node

@@ -1,0 +1,270 @@
+"""What an Allure report tells of our items: verdicts, the loop at the violation, attachments.
+
+allure-pytest writes the report; without its ``--alluredir`` nothing here is called. It maps our
+failures to ``failed`` by itself, since they are those of ``pytest.fail``.
+"""
+
+from __future__ import annotations
+
+import inspect
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+from uuid import uuid4
+
+import pytest
+
+from pytest_dura.evidence.text import markdown, one_line, visible
+from pytest_dura.plugin.commands import replay_command
+from pytest_dura.plugin.item_results import ItemResult, episode_of
+
+if TYPE_CHECKING:
+    from pytest_dura.core.episode import Episode
+    from pytest_dura.plugin.session import DuraSession
+    from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict
+
+LARGEST = 2_000_000
+"""Bytes of an attachment."""
+COUNTEREXAMPLES = 100
+"""As many stand in the attached verdict."""
+
+
+def report_item(session: DuraSession, item: pytest.Item, results: Sequence[ItemResult]) -> None:
+    """Tell the open Allure result what an item came to.
+
+    Args:
+        session: The session.
+        item: An item that uses the bench, whose result is not written yet.
+        results: What it came to.
+    """
+    from allure_commons import plugin_manager
+
+    allure = plugin_manager.hook
+    components = dict.fromkeys(one_line(one.component, 200) for one in results if one.component)
+    allure.add_label(label_type="component", labels=tuple(components))
+    for one in results:
+        prefix = f"{one_line(one.requirement.id, 100)}: " if len(results) > 1 else ""
+        for name, value in _parameters(session, one).items():
+            # A result must not make another test of this one in Allure's history.
+            allure.add_parameter(name=prefix + name, value=value, excluded=True, mode=None)
+    described = _description(item, results)
+    if described:
+        allure.add_description(test_description=described)
+    if hasattr(item, "planned") and results:
+        told = results[0]
+        title = f"{item.planned.case.id}: {told.requirement.id} {told.requirement.text}"
+        allure.add_title(test_title=one_line(title, 200))
+    for one in results:
+        found = one.verdict or one.outcome
+        if found is not None:
+            _attach(_json(found), f"verdict {one.requirement.id}", "JSON")
+    if session.options.evidence_level != "summary":
+        _show_worst(session, item, results)
+
+
+def _parameters(session: DuraSession, result: ItemResult) -> dict[str, Any]:
+    verdict, outcome = result.verdict or {}, result.outcome or {}
+    bound = verdict.get("bound") or {}
+    found = {
+        "case": result.case.id if result.case else verdict.get("case"),
+        "component": result.component,
+        "verdict": result.word,
+        "planned": verdict.get("planned", outcome.get("planned")),
+        "valid": verdict.get("episodes"),
+        "violations": verdict.get("violations"),
+        "bound": bound.get("upper"),
+        "confidence": bound.get("confidence") if bound.get("upper") is not None else None,
+        "at most": bound.get("at_most", outcome.get("at_most")),
+        "base seed": session.options.seed,
+    }
+    return {
+        name: one_line(value, 200) if isinstance(value, str) else value
+        for name, value in found.items()
+        if value is not None
+    }
+
+
+def _description(item: pytest.Item, results: Sequence[ItemResult]) -> str:
+    """Markdown: the test's own words, then each requirement with its source and the verdict."""
+    given = item.get_closest_marker("allure_description")
+    own = given.args[0] if given else getattr(getattr(item, "function", None), "__doc__", None)
+    parts = [inspect.cleandoc(own)] if own else []
+    for one in results:
+        asked, found = one.requirement, one.verdict or one.outcome or {}
+        parts.append(f"**{markdown(asked.id)}** {markdown(asked.text, 2000)}")
+        for name, text in (
+            ("Source", asked.source),
+            ("Why this bound", asked.reason),
+            ("Verdict", f"{one.word or 'none'}. {found.get('reason', found.get('detail', ''))}"),
+        ):
+            if text:
+                parts.append(f"{name}: {markdown(text, 2000)}")
+    return "\n\n".join(parts)
+
+
+def _show_worst(session: DuraSession, item: pytest.Item, results: Sequence[ItemResult]) -> None:
+    """One episode: that of the largest violation, or else the first one as a sample."""
+    result = next((one for one in results if one.word == "violated"), None)
+    result = result or next(iter(results), None)
+    episode = episode_of(item) or (None if result is None else _episode(session, result))
+    if episode is None:
+        return
+    judged = None if result is None else _judged(result, episode)
+    violated = judged is not None and judged.verdict == "violated"
+    kind = "Counterexample" if violated else "Sample"
+    title = one_line(f"{kind} {episode.id}, seed {episode.spec.seed}", 200)
+    told = {"replay": one_line(replay_command(session, episode.id)), "digest": episode.digest}
+    problem = None
+    if violated:
+        assert judged is not None
+        when = "" if judged.time is None else f" at t = {judged.time:.2f} s"
+        problem = one_line(f"{judged.requirement} violated{when}: {judged.detail}")
+    with _step(title, told, problem):
+        _loop(episode, judged, _check(result))
+        _attachments(episode, judged, _check(result))
+
+
+def _check(result: ItemResult | None) -> str:
+    if result is None:
+        return ""
+    return str((result.verdict or {}).get("check") or result.requirement.check)
+
+
+def _episode(session: DuraSession, result: ItemResult) -> Episode | None:
+    verdict = result.verdict
+    if verdict is None or result.case is None or not verdict["run"]:
+        return None
+    worst = verdict["counterexamples"][:1]
+    run = int(worst[0]["episode"].rpartition("#")[2]) if worst else 0
+    return session.bench.again(result.case, run)
+
+
+def _judged(result: ItemResult, episode: Episode) -> EpisodeVerdict | None:
+    """What the requirement says of this episode: its outcome, or by the check."""
+    from pytest_dura.core.errors import ConfigurationError
+    from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict, judge_episode
+
+    if result.outcome is not None:
+        names = EpisodeVerdict.__dataclass_fields__
+        return EpisodeVerdict.from_json({name: result.outcome[name] for name in names})
+    try:
+        return judge_episode(result.requirement, episode, _check(result))
+    except ConfigurationError:  # a measure of pairs, or a function inside a test
+        return None
+
+
+def _loop(episode: Episode, judged: EpisodeVerdict | None, check: str) -> None:
+    """The loop's six steps at the tick of the violation."""
+    from pytest_dura.evidence.loop_steps import decision_at, loop_steps
+    from pytest_dura.evidence.traces.trace import Trace
+
+    trace = Trace.of(episode)
+    tick = decision_at(trace, None if judged is None else judged.time)
+    if tick is None:
+        return
+    steps = loop_steps(trace, tick, _signals(episode, check))
+    for step in steps:
+        found = {}
+        if step is steps[-1] and judged is not None:
+            word = one_line(f"{judged.verdict}: {judged.detail}")
+            found = {one_line(judged.requirement, 100): word}
+        with _step(step.name, {**step.told, **found}):
+            pass
+
+
+def _signals(episode: Episode, check: str) -> list[str]:
+    """The signals that the check reads, or else the first ones of the truth."""
+    from pytest_dura.evidence.margin import formula_of
+
+    formula = formula_of(check)
+    names = [] if formula is None else [one.removeprefix("percept.") for one in formula.signals]
+    found = [one for one in dict.fromkeys(names) if one in episode.signals]
+    return found or [one for one in sorted(episode.signals) if not one.startswith("percept.")][:4]
+
+
+def _attachments(episode: Episode, judged: EpisodeVerdict | None, check: str) -> None:
+    from pytest_dura.evidence.player import player_page
+    from pytest_dura.evidence.signal_table import signals_csv
+    from pytest_dura.evidence.traces.mcap_file import trace_bytes
+    from pytest_dura.evidence.traces.trace import Trace
+
+    trace = Trace.of(episode)
+    verdicts = [] if judged is None else [{**judged.to_json(), "check": check}]
+    _attach(_plot(episode, judged, check), "plot", "SVG")
+    _attach(player_page(trace, verdicts), "animation", "HTML")
+    _attach(signals_csv(trace), "signals", "CSV")
+    _attach(trace_bytes(trace, verdicts), "trace", "application/octet-stream", "mcap")
+
+
+def _plot(episode: Episode, judged: EpisodeVerdict | None, check: str) -> str:
+    from pytest_dura.evidence.margin import margin_over_time
+    from pytest_dura.evidence.plots import Panel, signal_plot
+
+    panels = []
+    margin = margin_over_time(check, episode)
+    if margin is not None:
+        panels.append(Panel(f"margin of {margin[0]}", {"margin": margin[1]}, bound=0.0))
+    for name in _signals(episode, check)[:5]:
+        columns = {name: episode.signals[name]}
+        if f"percept.{name}" in episode.signals:
+            columns["percept"] = episode.signals[f"percept.{name}"]
+        panels.append(Panel(name, columns))
+    mark = None
+    told = ""
+    if judged is not None:
+        told = f"{judged.requirement}: {judged.verdict}"
+        if judged.time is not None:
+            mark = judged.time, f"{told} at {judged.time:.2f} s"
+    names = ", ".join(panel.name for panel in panels)
+    return signal_plot(
+        f"{episode.id} {told}", f"Over time: {names}. {mark[1] if mark else ''}",
+        episode.time, panels, mark,
+    )  # fmt: skip
+
+
+def _json(found: Mapping[str, Any]) -> str:
+    examples = found.get("counterexamples", ())
+    shown = dict(found)
+    if len(examples) > COUNTEREXAMPLES:
+        shown["counterexamples"] = examples[:COUNTEREXAMPLES]
+        shown["counterexamples_left_out"] = len(examples) - COUNTEREXAMPLES
+    return json.dumps(_bounded(shown), indent=1, allow_nan=False) + "\n"
+
+
+def _bounded(value: Any) -> Any:
+    if isinstance(value, str):
+        return visible(value)
+    if isinstance(value, Mapping):
+        return {visible(str(name)): _bounded(one) for name, one in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_bounded(one) for one in value]
+    return value
+
+
+def _attach(body: str | bytes, name: str, kind: str, extension: str | None = None) -> None:
+    """Attach what is small enough, and say so of what is not."""
+    import allure
+
+    size = len(body.encode()) if isinstance(body, str) else len(body)
+    name = one_line(name, 200)
+    if size > LARGEST:
+        note = f"{size} bytes are left out: an attachment has at most {LARGEST}.\n"
+        allure.attach(note, f"{name} (left out)", allure.attachment_type.TEXT)
+        return
+    known = getattr(allure.attachment_type, kind, kind)
+    allure.attach(body, name, known, extension)
+
+
+@contextmanager
+def _step(title: str, told: Mapping[str, str], problem: str | None = None) -> Iterator[None]:
+    """A step with its parameters; with a problem it failed."""
+    from allure_commons import plugin_manager
+
+    step, failure = str(uuid4()), None if problem is None else AssertionError(problem)
+    plugin_manager.hook.start_step(uuid=step, title=title, params=dict(told))
+    try:
+        yield
+    finally:
+        kind = None if failure is None else type(failure)
+        plugin_manager.hook.stop_step(uuid=step, exc_type=kind, exc_val=failure, exc_tb=None)
