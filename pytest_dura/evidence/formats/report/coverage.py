@@ -8,10 +8,13 @@ from typing import Any
 from pytest_dura.evidence.formats.report.anchors import requirement_anchor
 from pytest_dura.evidence.formats.report.gathering import Gathered
 from pytest_dura.evidence.formats.report.links import Links
+from pytest_dura.evidence.formats.report.matrix import heading, matrix
 from pytest_dura.evidence.session_record import SessionRecord
 
 Data = Mapping[str, Any]
 BIN_WIDTH, BIN_HEIGHT = 12.0, 22.0
+MAX_BARS = 20
+"""A list of choices may be long."""
 
 
 def section(record: SessionRecord, _gathered: Gathered, _links: Links) -> Data:
@@ -26,27 +29,35 @@ def section(record: SessionRecord, _gathered: Gathered, _links: Links) -> Data:
             requirements.append(cell["requirement"])
     columns = sorted(places)
     return {
-        "places": [{"scenario": scenario, "faults": faults} for scenario, faults in columns],
-        "rows": [
-            {
-                "id": name,
-                "anchor": requirement_anchor(name),
-                # No cell at all: the requirement does not apply to the scenario.
-                "cells": [places[place].get(name) for place in columns],
-            }
-            for name in requirements
-        ],
+        "matrix": matrix(
+            [heading(name, anchor=requirement_anchor(name)) for name in requirements],
+            [
+                heading(scenario, f"+ {faults}" if faults else "no fault")
+                for scenario, faults in columns
+            ],
+            # No cell at all: the requirement does not apply to the scenario.
+            lambda i, j: places[columns[j]].get(requirements[i]),
+            "Scenario and faults",
+        ),
         "tested": sum(one["verdict"] is not None for one in found["cells"]),
-        "cells": len(found["cells"]),
+        "cells": len(found["cells"]) + found["left_out"],
+        "left_out": found["left_out"],
         "parameters": [_parameter(one) for one in found["parameters"]],
     }
 
 
 def _parameter(one: Data) -> Data:
-    highest = max([*one["bins"], 1])
+    choices = one["choices"]
+    counts = one["bins"] if choices is None else [choice["count"] for choice in choices]
+    highest = max([*counts, 1])
     bars = []
-    for place, count in enumerate(one["bins"]):
+    for place, count in enumerate(counts[:MAX_BARS]):
         height = round(BIN_HEIGHT * count / highest, 1)
         bars.append({"x": place * BIN_WIDTH, "y": BIN_HEIGHT - height, "height": height})
-    filled = sum(count > 0 for count in one["bins"])
-    return {**one, "bars": bars, "width": BIN_WIDTH * len(bars), "filled": filled}
+    return {
+        **one,
+        "counts": counts,
+        "bars": bars,
+        "width": BIN_WIDTH * len(bars),
+        "hit": sum(count > 0 for count in counts),
+    }

@@ -39,6 +39,8 @@ def _counts(key: Key, tally: CaseTally, case: Data | None) -> Data:
         "listed": case is not None,
         "anchor": case_anchor(key[0]),
         "planned": None if case is None else case["planned"],
+        "never": [] if case is None else case["missing_runs"],
+        "never_total": 0 if case is None else case["missing_runs_total"],
         "run": tally.words.total(),
         **{word: tally.words[word] for word in ("valid", "invalid", "missing")},
     }

@@ -9,6 +9,7 @@ from typing import Any
 from pytest_dura.evidence.formats.report.anchors import requirement_anchor
 from pytest_dura.evidence.formats.report.gathering import CaseTally, Gathered
 from pytest_dura.evidence.formats.report.links import Links
+from pytest_dura.evidence.formats.report.matrix import heading, matrix
 from pytest_dura.evidence.session_record import SessionRecord
 
 Data = Mapping[str, Any]
@@ -45,17 +46,13 @@ def _heat(record: SessionRecord) -> Data:
             names.setdefault(one)
             cells[one, verdict["requirement"]].append(verdict)
     order = sorted(names, key=lambda one: (one != NO_FAULT, one))
-    return {
-        "faults": order,
-        "rows": [
-            {
-                "id": one["id"],
-                "anchor": requirement_anchor(one["id"]),
-                "cells": [_cell(cells.get((fault, one["id"]))) for fault in order],
-            }
-            for one in record["requirements"]
-        ],
-    }
+    requirements = [one["id"] for one in record["requirements"]]
+    return matrix(
+        [heading(name, anchor=requirement_anchor(name)) for name in requirements],
+        [heading(name) for name in order],
+        lambda i, j: _cell(cells.get((order[j], requirements[i]))),
+        "Fault",
+    )
 
 
 def _cell(verdicts: list[Data] | None) -> Data:

@@ -88,13 +88,27 @@ def _packed(record: SessionRecord, one: Listed) -> str:
     digest = hashlib.sha256(file.read_bytes()).hexdigest()
     if digest != one.episode["trace"]["sha256"]:
         raise ValueError(f"its SHA-256 is {digest[:12]}..., and the record says another")
-    judged = [
-        verdict
-        for verdict in record["verdicts"]
-        if verdict["case"] == one.episode["case"]
-        and verdict["component"] == one.episode["component"]
-    ]
-    return packed(player_data(read_trace(file), judged))
+    return packed(player_data(read_trace(file), _judged(record, one)))
+
+
+def _judged(record: SessionRecord, one: Listed) -> list[Data]:
+    """What the record says of this very episode, its violations first."""
+    violated: list[Data] = []
+    others: list[Data] = []
+    for verdict in record["verdicts"]:
+        case = verdict["case"], verdict["component"]
+        if case != (one.episode["case"], one.episode["component"]):
+            continue
+        told = {"requirement": verdict["requirement"], "check": verdict["check"]}
+        against = [
+            found for found in verdict["counterexamples"] if found["episode"] == one.episode["id"]
+        ]
+        if against and one.violates:
+            told |= {"time": against[0]["time"], "margin": against[0]["margin"]}
+            violated.append({**told, "verdict": "violated"})
+        else:
+            others.append({**told, "verdict": "not violated"})
+    return violated + others
 
 
 def _plain_base64(text: str) -> Markup:

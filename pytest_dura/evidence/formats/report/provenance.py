@@ -23,6 +23,7 @@ def section(record: SessionRecord, _gathered: Gathered, _links: Links) -> Data:
     return {
         "components": [UNKNOWN | one for one in (under_test, *under_test.get("others", ()))],
         "packages": sorted(record["environment"]["packages"].items()),
+        "redacted": sorted(record["redacted"].items()),
         "inputs": record["inputs"],
         "timings": record["timings"],
         "processing": sorted(record["timings"]["processing_seconds"].items()),
