@@ -32,6 +32,8 @@ class Recorded:
         requirements: Those of its case.
         violated: Ids of those whose verdict names it as a counterexample.
         planned: Whether it is one of its case's runs; another one of that id has a seed by hand.
+        trace: Where its trace is, as the record says: ``{file, sha256, bytes}``; if one was kept.
+        faults: What became of each of its faults.
     """
 
     spec: EpisodeSpec
@@ -39,14 +41,21 @@ class Recorded:
     requirements: tuple[Requirement, ...]
     violated: tuple[str, ...]
     planned: bool
+    trace: Data | None
+    faults: tuple[Data, ...]
 
-    def run(self, spec: EpisodeSpec | None = None) -> Episode:
-        """The episode again, or one of another spec that ends as this one would."""
+    def run(self, spec: EpisodeSpec | None = None, *, recorded: bool = False) -> Episode:
+        """The episode again, or one of another spec that ends as this one would.
+
+        Args:
+            spec: The other one.
+            recorded: Whether to keep what a viewer shows of it.
+        """
         from pytest_dura.campaign.runner import run_episode
         from pytest_dura.requirements.judge import RequirementJudge
 
         judge = RequirementJudge(self.requirements) if self.spec.termination.violation else None
-        return run_episode(spec or self.spec, judge)
+        return run_episode(spec or self.spec, judge, recorded=recorded)
 
 
 def recorded_episodes(
@@ -129,6 +138,8 @@ def _found(config: pytest.Config, record: Data, episode: Data, option: str) -> R
         tuple(known[name] for name in names),
         tuple(dict.fromkeys(violated)),
         bool(episode["planned"]),
+        None if episode["trace"] is None else dict(episode["trace"]),
+        tuple(dict(fault) for fault in episode["faults"]),
     )
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.plugin.commands import replay_command
+from pytest_dura.plugin.places import beside
 from pytest_dura.plugin.recorded import Data, Recorded, damage_told, recorded_episodes
 from pytest_dura.plugin.tables import counted
 
@@ -16,8 +17,8 @@ if TYPE_CHECKING:
     from pytest_dura.plugin.session import DuraSession
 
 OPTION = "--dura-reduce"
-FOLDER = "reduced"
-"""In the evidence directory: where the reduced episode is recorded, to be replayed from."""
+PLACE = "reduced"
+"""Behind the name of the evidence: where the reduced episode is recorded, to be replayed from."""
 
 
 def reduce(session: DuraSession) -> int:
@@ -46,7 +47,7 @@ def reduce(session: DuraSession) -> int:
         reduction = reduce_faults(spec, judged, recorded.run, budget=budget, on_run=_show_run)
     lines = _told(reduction, budget)
     if reduction.episode is not None:
-        folder = options.evidence / FOLDER
+        folder = beside(options.evidence, PLACE)
         with damage_told(options, name, OPTION):
             _record(record, recorded, reduction, folder)
         lines.append(f"  replay: {replay_command(session, reduction.episode.id, folder)}")

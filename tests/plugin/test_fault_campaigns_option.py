@@ -251,9 +251,9 @@ def test_the_smallest_set_of_faults_is_found_and_can_be_replayed(project):
     assert "corridor/it#0 (Careful): 3 faults, violates GAP-1; at most 100 runs" in lines
     told = next(line for line in lines if line.startswith("smallest set"))
     assert told.startswith("smallest set that violates GAP-1: bias (every smaller set was tried; ")
-    command = "pytest --dura-replay='corridor/it+bias#0' --dura-evidence=out/reduced"
+    command = "pytest --dura-replay='corridor/it+bias#0' --dura-evidence=out-reduced"
     assert f"  replay: {command}" in lines
-    replay = project.run("--dura-replay=corridor/it+bias#0", "--dura-evidence=out/reduced")
+    replay = project.run("--dura-replay=corridor/it+bias#0", "--dura-evidence=out-reduced")
     assert replay.ret == 0
     assert "  the same" in replay.outlines
 
@@ -351,9 +351,9 @@ def test_of_several_components_the_one_that_violates_is_reduced(project):
     assert result.ret == 0
     head = "corridor/it#0 (OwnB (b)): 2 faults, violates GAP-1; at most 100 runs"
     assert head in result.outlines
-    (case,) = project.evidence("dura-evidence/reduced")["cases"]
+    (case,) = project.evidence("dura-evidence-reduced")["cases"]
     assert (case["id"], case["component"]) == ("corridor/it+bias", "OwnB (b)")
-    replay = ["--dura-replay=corridor/it+bias#0", "--dura-evidence=dura-evidence/reduced"]
+    replay = ["--dura-replay=corridor/it+bias#0", "--dura-evidence=dura-evidence-reduced"]
     result = project.run("a", "b", *replay)
     assert result.ret == 0
     assert "  the same" in result.outlines
