@@ -73,7 +73,7 @@ def incomplete(record: SessionRecord) -> bool:
 
 def _top(names: list[str], policies: list[str], requirements: list[Supported]) -> Element:
     kinds = [kind for kind in _KIND_IDS if any(one.kind == kind for one in requirements)]
-    policy = f"the recovery policy {names_text(policies)}" if policies else "its recovery policy"
+    policy = f"recovery policy {names_text(policies)}" if policies else "its recovery policy"
     return Element(
         TOP,
         f"Within the tested cells of the operational domain {names_text(names)} with {policy} "

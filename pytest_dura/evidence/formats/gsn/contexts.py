@@ -100,9 +100,9 @@ def _domain(record: SessionRecord) -> Element:
     faults = sorted({fault["id"] for one in record["cases"] for fault in one["faults"]})
     return Element(
         "CDomain",
-        f"Operational domain as tested: scenarios {names_text(scenarios) or 'none'}; faults "
-        f"{names_text(faults) or 'none'}. {len(cells)} cells of requirement, scenario and "
-        f"faults, {untested} of them untested.",
+        f"Operational domain as tested: {len(cells)} cells of requirement, scenario and faults, "
+        f"{untested} of them untested. Scenarios: {names_text(scenarios) or 'none'}. Faults: "
+        f"{names_text(faults) or 'none'}.",
         url="evidence.json#/coverage",
         alias="context:domain",
     )

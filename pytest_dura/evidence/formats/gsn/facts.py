@@ -22,7 +22,7 @@ class Facts:
     """Of all episodes, in bounded memory.
 
     Args:
-        policies: Recovery policies that were applied.
+        policies: Recovery policies of the cases on which there is a verdict.
         simulators: Import paths of the simulators.
         seeds: How many episodes have a seed, and the least and the greatest one.
         counterexamples: Of the episodes that the argument shows, by id and component.
@@ -42,16 +42,17 @@ class Facts:
             for verdict in record["verdicts"]
             for counterexample in shown(verdict)
         }
+        judged = {verdict["case"] for verdict in record["verdicts"]}
         for one in record.episodes():
-            told._take(one)
+            told._take(one, judged=one["case"] in judged)
             key = (one["id"], one["component"])
             if key in wanted:
                 told.counterexamples[key] = {"seed": one["seed"], "trace": one["trace"]}
         return told
 
-    def _take(self, one: Data) -> None:
+    def _take(self, one: Data, *, judged: bool) -> None:
         spec, seed = one["spec"], one["seed"]
-        if len(self.policies) < _MOST_NAMES:
+        if judged and len(self.policies) < _MOST_NAMES:
             self.policies.add(str(spec["policy"]))
         if len(self.simulators) < _MOST_NAMES:
             self.simulators.add(str(spec["simulator"]["path"]))

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pytest_dura.evidence.formats.gsn.element import Element
 from pytest_dura.evidence.formats.gsn.folding import View, what
 from pytest_dura.evidence.formats.gsn.shapes import Edge, Shape
-from pytest_dura.evidence.formats.gsn.wrapping import wrapped
+from pytest_dura.evidence.formats.gsn.wrapping import BOLD, wrapped
 
 WIDTH = 1480.0
 MARGIN = 24.0
@@ -212,7 +212,7 @@ class _Layout:
         told = element.brief if small and element.brief else (element.text,)
         most = 4 if round_ else _MOST_LINES
         lines = [part for one in told for part in wrapped(one, room, most)][:most]
-        heading = [] if small else wrapped(element.id, room, 2)
+        heading = [] if small else wrapped(element.id, room, 2, BOLD)
         return Shape(
             element.id,
             element.kind,

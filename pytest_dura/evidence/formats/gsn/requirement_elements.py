@@ -106,8 +106,12 @@ def _reason(requirement: Data, index: int) -> list[Element]:
 
 
 def _strategy_text(own: list[Judged], untested: list[Element]) -> str:
-    rest = f", untested cells {len(untested)}" if untested else ""
-    return f"Argue over each scenario with each of its faults: judged cases {len(own)}{rest}."
+    rest = f", {_number(len(untested), 'untested cell')}" if untested else ""
+    return f"Argue over scenarios and faults: {_number(len(own), 'judged case')}{rest}."
+
+
+def _number(count: int, what: str) -> str:
+    return f"{count} {what}{'' if count == 1 else 's'}"
 
 
 def _untested(index: int, cell: Data) -> Element:

@@ -7,6 +7,8 @@ import unicodedata
 SIZE = 12.0
 """Height of the letters in units of the picture."""
 LINE = 15.0
+BOLD = 1.12 * SIZE
+"""Bold letters take as much room as larger ones."""
 
 _NARROW, _USUAL, _BROAD, _FULL = 0.38, 0.62, 0.9, 1.1
 """Widths of letters in units of their height; those of DejaVu Sans, which is a wide face."""

@@ -1,0 +1,118 @@
+"""The picture: nothing overlaps, nothing is fetched, and it counts what it shows."""
+
+import re
+from itertools import combinations
+from xml.etree import ElementTree as ET
+
+import pytest
+from session_records import REQUIREMENTS, session_record, verdict
+
+from pytest_dura.evidence.counts import Counts
+from pytest_dura.evidence.formats.gsn import svg_file
+from pytest_dura.evidence.formats.gsn.wrapping import text_width, wrapped
+
+NAMESPACE = "{http://www.w3.org/2000/svg}"
+
+
+def shapes(text):
+    return [
+        one.attrib for one in ET.fromstring(text).iter(f"{NAMESPACE}g") if "data-id" in one.attrib
+    ]
+
+
+def boxes(text):
+    return [tuple(map(float, one["data-box"].split())) for one in shapes(text)]
+
+
+def overlapping(found):
+    return [
+        (a, b)
+        for a, b in combinations(sorted(found, key=lambda one: one[1]), 2)
+        if a[0] < b[0] + b[2] and b[0] < a[0] + a[2] and a[1] < b[1] + b[3] and b[1] < a[1] + a[3]
+    ]
+
+
+def large(requirements, cases):
+    """A record of many requirements and cases; every tenth verdict is violated."""
+    given, verdicts = [], []
+    for i in range(requirements):
+        given.append({**REQUIREMENTS["SAF-1"].to_json(), "id": f"R-{i}"})
+        for j in range(cases):
+            words = ("violated",) if (i * cases + j) % 10 == 0 else ("satisfied",)
+            verdicts.append({**verdict("SAF-1", f"a/{j}", words), "requirement": f"R-{i}"})
+    return session_record(
+        requirements=given, verdicts=verdicts, coverage={"cells": [], "parameters": []}
+    )
+
+
+@pytest.mark.parametrize("size", [(0, 0), (3, 40), (20, 20), (90, 3)], ids=str)
+def test_no_shape_overlaps_another_and_all_are_inside(size):
+    record = large(*size) if size[0] else session_record()
+    text = svg_file.render(record)
+    found = boxes(text)
+    width, height = map(float, re.search(r'viewBox="0 0 (\d+) (\d+)"', text).groups())
+    assert overlapping(found) == []
+    assert all(x >= 0 and x + w <= width and y + h <= height for x, y, w, h in found)
+    assert svg_file.read_counts(text) == Counts.of(record)
+
+
+def test_a_large_argument_is_folded_and_says_so():
+    text = svg_file.render(large(90, 20))
+    assert "1800 verdicts and untested cells are folded by requirement." in text
+    assert "90 requirements are folded by kind" in text
+    assert len(shapes(text)) < 200
+    assert 'data-defeated="true"' in text  # violations stay to be seen
+
+
+def test_the_picture_stands_alone():
+    text = svg_file.render(session_record())
+    assert "<script" not in text
+    assert re.findall(r"(?:href|src|url)\s*=|@import|url\((?!#)", text) == []
+    assert set(re.findall(r"https?://[^\"]*", text)) == {svg_file.NAMESPACE}
+    root = ET.fromstring(text)
+    assert root.find(f"{NAMESPACE}title").text == "Assurance case, generated, unreviewed"
+    assert "gate failed" in root.find(f"{NAMESPACE}desc").text
+    assert root.get("role") == "img"
+
+
+def test_each_kind_of_element_has_its_shape_and_each_relation_its_arrow():
+    text = svg_file.render(session_record())
+    root = ET.fromstring(text)
+    outlines = {
+        "Goal": "rect", "Strategy": "polygon", "Solution": "circle", "Context": "rect",
+        "Assumption": "ellipse", "Justification": "ellipse", "CounterGoal": "rect",
+        "CounterSolution": "circle",
+    }  # fmt: skip
+    seen = set()
+    for group in root.iter(f"{NAMESPACE}g"):
+        if "data-id" in group.attrib:
+            kind = group.get("data-kind")
+            seen.add(kind)
+            outline = group.find(f"{NAMESPACE}g")
+            assert outline[0].tag == NAMESPACE + outlines[kind]
+            marks = {one.get("class") for one in outline}
+            assert ("diamond" in marks) == ("data-undeveloped" in group.attrib)
+            assert ("cross" in marks) == ("data-defeated" in group.attrib)
+    assert seen == set(outlines)
+    relations = {one.get("class") for one in root.iter(f"{NAMESPACE}polyline")}
+    assert relations == {"supportedBy", "inContextOf", "challenges"}
+
+
+def test_reading_refuses_what_is_no_picture_and_what_contradicts_itself():
+    text = svg_file.render(session_record())
+    for wrong in ("", "<svg/>", "<!DOCTYPE svg>" + text, text.replace('data-cases="2"', "")):
+        with pytest.raises(ValueError, match="assurance-case.svg"):
+            svg_file.read_counts(wrong)
+    with pytest.raises(ValueError, match="drawn as supported"):
+        svg_file.read_counts(text.replace('data-defeated="true"', ""))
+    fewer = text.replace('data-supported="1"', 'data-supported="2"')
+    assert svg_file.read_counts(fewer) != Counts.of(session_record())
+
+
+def test_lines_keep_their_width_and_what_is_left_out_is_told():
+    for text in ("a few words of prose " * 9, "W" * 300, "path/to/" * 40, "語" * 90):
+        lines = wrapped(text, 180, 6)
+        assert len(lines) <= 6
+        assert all(text_width(line) <= 180 for line in lines)
+        assert lines[-1].endswith("…")
+    assert wrapped("short", 180, 6) == ["short"]
