@@ -11,6 +11,7 @@ from pytest_dura.evidence.player.scene import scene_data
 from pytest_dura.evidence.text import name, visible
 from pytest_dura.evidence.traces.trace import Trace
 
+_WHOLE = 1e15
 _NEAR = 1e-6
 """Seconds within which a time of violation is that of a tick."""
 
@@ -42,13 +43,12 @@ def player_data(trace: Trace, verdicts: Sequence[Mapping[str, Any]] = ()) -> dic
             one: _words(decisions[one].tolist() if one in decisions else ())
             for one in ("proposed", "executed", "source")
         },
-        "worst": [int(one) for one in decisions.get("verdict", ())],
-        "attempts": [int(one) for one in decisions.get("attempts", ())],
+        "attempts": [_number(one) for one in decisions.get("attempts", ())],
         "explanations": _words(recording.explanations),
         "reasons": _words(recording.reasons),
         "recoveries": _words(recording.recoveries),
         "flags": {
-            _name(monitor): [int(one) for one in column]
+            _name(monitor): [_number(one) for one in column.tolist()]
             for monitor, column in recording.flags.items()
         },
         "events": _events(trace),
@@ -77,7 +77,7 @@ def _number(value: float) -> float | int | str | None:
     if math.isinf(value):
         return "inf" if value > 0 else "-inf"
     rounded = float(f"{value:.6g}")
-    return int(rounded) if rounded.is_integer() else rounded
+    return int(rounded) if abs(rounded) < _WHOLE and rounded.is_integer() else rounded
 
 
 def _words(texts: Sequence[object]) -> dict[str, list[Any]]:

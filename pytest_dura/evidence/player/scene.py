@@ -42,18 +42,19 @@ def scene_data(scene: Scene, text: Callable[[object], str]) -> dict[str, Any]:
 
 
 def _line(line: Line, text: Callable[[object], str]) -> list[Any]:
-    points = np.rint(line.points * 100.0).astype(np.int64)
+    points = line.points[np.isnan(line.points).sum(axis=1) == 0].astype(np.float64)
+    points = np.rint(np.clip(points, -_FARTHEST, _FARTHEST) * 100.0).astype(np.int64)
     return [text(line.kind), _differences(points[:, 0]), _differences(points[:, 1])]
 
 
 def _rounded(tracks: Tracks, column: int) -> tuple[NDArray[np.bool_], Ints]:
     """Where a thing is present, and its poses in cm and mrad."""
     poses = tracks.poses[:, column].astype(np.float64)
-    present = ~np.isnan(poses[:, 0] + poses[:, 1])
-    poses = np.nan_to_num(poses, nan=0.0, posinf=_FARTHEST, neginf=-_FARTHEST)
+    present = np.isnan(poses[:, :2]).sum(axis=1) == 0
+    poses = np.clip(np.nan_to_num(poses, nan=0.0), -_FARTHEST, _FARTHEST)
     poses[:, 2] = np.remainder(poses[:, 2] + np.pi, 2.0 * np.pi) - np.pi
-    clipped = np.clip(poses, -_FARTHEST, _FARTHEST) * (100.0, 100.0, 1000.0, 100.0, 100.0, 100.0)
-    return present, np.rint(clipped).astype(np.int64)
+    scaled = poses * (100.0, 100.0, 1000.0, 100.0, 100.0, 100.0)
+    return present, np.rint(scaled).astype(np.int64)
 
 
 def _thing(

@@ -21,7 +21,7 @@ class Player {
     this.node.addEventListener("keydown", (event) => pressed(this, event));
     if (options.page) {
       document.addEventListener("keydown", (event) => {
-        if (event.target === document.body) pressed(this, event);
+        if (event.target === document.body && this.node.isConnected) pressed(this, event);
       });
     }
     this.update();
