@@ -104,25 +104,32 @@ def _description(item: pytest.Item, results: Sequence[ItemResult]) -> str:
 
 
 def _show_worst(session: DuraSession, item: pytest.Item, results: Sequence[ItemResult]) -> None:
-    """One episode: that of the largest violation, or else the first one as a sample."""
+    """One episode: the worst violation, one that says nothing, or else the first as a sample."""
     result = next((one for one in results if one.word == "violated"), None)
     result = result or next(iter(results), None)
     episode = episode_of(item) or (None if result is None else _episode(session, result))
     if episode is None:
         return
     judged = None if result is None else _judged(result, episode)
-    violated = judged is not None and judged.verdict == "violated"
-    kind = "Counterexample" if violated else "Sample"
+    kind, problem = "Sample", None
+    if result is not None and judged is not None and _is_counterexample(result, episode):
+        when = "" if judged.time is None else f" at t = {judged.time:.2f} s"
+        kind, problem = "Counterexample", f"{judged.requirement} violated{when}: {judged.detail}"
+    elif episode.validity != "valid":
+        kind = episode.validity.capitalize()
+        problem = episode.failure or episode.invalid_reason
     title = one_line(f"{kind} {episode.id}, seed {episode.spec.seed}", 200)
     told = {"replay": one_line(replay_command(session, episode.id)), "digest": episode.digest}
-    problem = None
-    if violated:
-        assert judged is not None
-        when = "" if judged.time is None else f" at t = {judged.time:.2f} s"
-        problem = one_line(f"{judged.requirement} violated{when}: {judged.detail}")
-    with _step(title, told, problem):
+    with _step(title, told, None if problem is None else one_line(problem)):
         _loop(episode, judged, _check(result))
         _attachments(episode, judged, _check(result))
+
+
+def _is_counterexample(result: ItemResult, episode: Episode) -> bool:
+    if result.outcome is not None:
+        return result.word == "violated"
+    examples = (result.verdict or {}).get("counterexamples", ())
+    return any(one["episode"] == episode.id for one in examples)
 
 
 def _check(result: ItemResult | None) -> str:
@@ -135,8 +142,9 @@ def _episode(session: DuraSession, result: ItemResult) -> Episode | None:
     verdict = result.verdict
     if verdict is None or result.case is None or not verdict["run"]:
         return None
-    worst = verdict["counterexamples"][:1]
-    run = int(worst[0]["episode"].rpartition("#")[2]) if worst else 0
+    spoilt = verdict.get("spoilt")
+    shown = [*verdict["counterexamples"][:1], *([] if spoilt is None else [spoilt])]
+    run = int(shown[0]["episode"].rpartition("#")[2]) if shown else 0
     return session.bench.again(result.case, run)
 
 

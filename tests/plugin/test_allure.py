@@ -106,6 +106,7 @@ def allure(project):
     return run
 
 
+@pytest.mark.parametrize("mode", [[], ["-n", "2"]], ids=["plain", "n2"])
 def test_a_violation_tells_of_itself_in_every_mode(allure, mode):
     found = allure(*SCENARIOS, RECKLESS, "-W", "error", *mode)
     assert len(found.found) == 3
@@ -269,6 +270,50 @@ def test_what_was_never_run_is_undecided(allure, project):
     assert result.status == "broken"
     assert result.steps == []
     assert found.parameters("test_it#test_setup")["verdict"] == "'undecided'"
+
+
+def test_an_episode_that_says_nothing_says_why(allure, project):
+    scenario(project, "it", monitor="Broken", requirements="[GAP-1]")
+    scenario(project, "idle", faults=IDLE, fault_injector="corridor:Idle", requirements="[GAP-1]")
+    found = allure("corridor/it", "corridor/idle").found
+    (missing,) = found["corridor.it#GAP-1"].steps
+    assert missing.name.startswith("Missing corridor/it#0, ")
+    assert missing.status == "failed"
+    assert "RuntimeError: no opinion" in missing.statusDetails["message"]
+    (invalid,) = found["corridor.idle#GAP-1"].steps
+    assert invalid.name.startswith("Invalid corridor/idle#0, ")
+    assert "never manifested: ghost-obstacle" in invalid.statusDetails["message"]
+
+
+def test_what_violates_no_requirement_is_no_counterexample(allure, project):
+    project.write(
+        "scenarios/requirements_P-1.yaml",
+        "requirements:\n  - {id: P-1, text: Recovery helps., kind: recovery, "
+        "check: always (gap > 0), paired: {without: recovery_planner}}\n",
+    )
+    scenario(
+        project,
+        generator="Reckless",
+        recovery_planner="Brake",
+        world="{wall: 3.0}",
+        requirements="[P-1]",
+    )
+    result = allure("corridor/it").found["corridor.it#P-1"]
+    assert result.status == "passed"
+    (sample,) = result.steps
+    assert (sample.name.partition(",")[0], sample.status) == ("Sample corridor/it#0", "passed")
+
+
+def test_an_attachment_that_is_too_large_is_left_out_visibly(allure, project):
+    project.write(
+        "conftest.py",
+        "from pytest_dura.plugin import allure_report\nallure_report.LARGEST = 5000\n",
+    )
+    found = allure("corridor/tight", RECKLESS)
+    (worst,) = found.found["corridor.tight#GAP-1"].steps
+    bodies = found.bodies(worst)
+    assert {"plot", "signals", "animation (left out)", "trace (left out)"} == bodies.keys()
+    assert b"an attachment has at most 5000" in bodies["trace (left out)"]
 
 
 NASTY = r"\0\x1b[31m\ud800\u202e<script>alert(1)</script>../../x&\n" + "x" * 10_000
