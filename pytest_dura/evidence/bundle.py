@@ -5,7 +5,8 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -61,29 +62,55 @@ def begin_bundle(record: SessionRecord) -> Path:
     return file
 
 
-def clear_bundle(directory: Path) -> None:
-    """Remove what an earlier session left, the record itself apart.
+def clear_bundle(directory: Path, *, traces: bool = True) -> None:
+    """Remove what an earlier session left, the record itself apart, which is to be replaced first.
 
     Files go by their names, and the traces by theirs, whole or begun; nothing else is touched, and
     no symbolic link is followed: it is removed itself.
 
+    Args:
+        directory: The evidence directory.
+        traces: Whether traces go, too; not if some may be of the session that begins.
+
     Raises:
         ConfigurationError: If one of them cannot be removed.
     """
-    traces = directory / TRACES
-    try:
+    with _removal_told(directory):
         for name in RENDERED:
             (directory / name).unlink(missing_ok=True)
         for begun in _entries(directory):
             if begun.name.startswith(BEGUN) or begun.name.startswith(SPOOL):
                 begun.unlink()
+    if traces:
+        clear_traces(directory)
+
+
+def clear_traces(directory: Path, kept: Collection[str] = ()) -> None:
+    """Remove the traces of a bundle, some apart, as :func:`clear_bundle` does.
+
+    Args:
+        directory: The evidence directory.
+        kept: Names of traces that stay, as the record has them.
+
+    Raises:
+        ConfigurationError: If one of them cannot be removed.
+    """
+    traces = directory / TRACES
+    with _removal_told(directory):
         if traces.is_symlink():
             traces.unlink()
         for trace in _entries(traces):
-            if trace.suffix == ".mcap" or ".mcap-" in trace.name:
+            is_trace = trace.suffix == ".mcap" or ".mcap-" in trace.name
+            if is_trace and f"{TRACES}/{trace.name}" not in kept:
                 trace.unlink()
         if traces.is_dir() and not any(traces.iterdir()):
             traces.rmdir()
+
+
+@contextmanager
+def _removal_told(directory: Path) -> Iterator[None]:
+    try:
+        yield
     except OSError as error:
         raise ConfigurationError(
             f"an earlier session's evidence cannot be removed: {error.strerror or error}",

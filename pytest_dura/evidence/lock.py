@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import platform
 import sys
@@ -65,12 +66,14 @@ class DirectoryLock:
         if self._handle is None:
             return
         handle, self._handle = self._handle, None
-        if sys.platform == "win32":  # which removes no open files
-            os.close(handle)
-            self._file.unlink(missing_ok=True)
-        else:
+        # Who finds the file finds it unlocked, so that one which cannot be removed hinders nobody.
+        with contextlib.suppress(OSError):
+            if sys.platform == "win32":  # which removes no open files
+                os.close(handle)
+                self._file.unlink(missing_ok=True)
+                return
             self._file.unlink(missing_ok=True)  # as long as it is held; then it may be another's
-            os.close(handle)
+        os.close(handle)
 
     def _tried(self) -> int | None:
         """The file, open and locked; ``None`` if its former holder removed it meanwhile."""

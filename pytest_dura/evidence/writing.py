@@ -7,10 +7,11 @@ from dataclasses import replace
 from typing import Any
 
 from pytest_dura.core.errors import describe_error
-from pytest_dura.evidence.bundle import RECORD, write_record
+from pytest_dura.evidence.bundle import RECORD, clear_traces, write_record
 from pytest_dura.evidence.files import write_file
 from pytest_dura.evidence.formats import Format, all_formats
 from pytest_dura.evidence.manifest import MANIFEST, file_entry, manifest_text
+from pytest_dura.evidence.schema import SCHEMA_FILE, schema_text
 from pytest_dura.evidence.session_record import SessionRecord
 
 
@@ -23,6 +24,12 @@ def write_bundle(record: SessionRecord) -> SessionRecord:
     Raises:
         ConfigurationError: If the directory cannot be written.
     """
+    traces = {
+        one["trace"]["file"]: {"sha256": one["trace"]["sha256"], "bytes": one["trace"]["bytes"]}
+        for one in record.episodes()
+        if one["trace"] is not None
+    }
+    clear_traces(record.directory, traces)
     broken: dict[str, str] = {}
     while True:
         found = _with_problems(record, broken)
@@ -33,11 +40,10 @@ def write_bundle(record: SessionRecord) -> SessionRecord:
                 _write_format(one, found, broken)
         if len(broken) == before:
             break
-    names = [RECORD, *(one.FILE for one in all_formats() if one.FILE not in broken)]
-    traces = [one["trace"] for one in found.episodes() if one["trace"] is not None]
-    files = {name: file_entry(found.directory / name) for name in names}
+    write_file(found.directory / SCHEMA_FILE, [schema_text()])
+    names = [RECORD, SCHEMA_FILE, *(one.FILE for one in all_formats() if one.FILE not in broken)]
     # A trace is listed with the digest that its writer took, not with one of what lies there now.
-    files |= {one["file"]: {"sha256": one["sha256"], "bytes": one["bytes"]} for one in traces}
+    files = {name: file_entry(found.directory / name) for name in names} | traces
     write_file(found.directory / MANIFEST, [manifest_text(files)])
     return found
 

@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.plugin.case_records import case_record
 from pytest_dura.plugin.gate import REGULAR, Gate, unsupported_verdicts
 from pytest_dura.plugin.overrides import root_conftest_with
-from pytest_dura.plugin.reporter import ATTRIBUTE, case_record
+from pytest_dura.plugin.reporter import ATTRIBUTE
 
 if TYPE_CHECKING:
     from pytest_dura.campaign.cases import Case
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from pytest_dura.evidence.lock import DirectoryLock
     from pytest_dura.evidence.record import EvidenceRecord, Status
     from pytest_dura.evidence.session_record import SessionRecord
+    from pytest_dura.plugin.inputs import SessionInputs
     from pytest_dura.plugin.session import DuraSession
 
 
@@ -45,6 +47,22 @@ class SessionEvidence:
         self._begun = perf_counter()
         self._spent = 0.0
         self._failed: set[str] = set()
+        self._inputs: SessionInputs | None = None
+        self._argument: dict[str, Any] | None = None
+
+    def read_argument(self) -> None:
+        """Read the user's own argument, over which the assurance case is built.
+
+        Raises:
+            ConfigurationError: If it cannot be used.
+        """
+        given = self.session.options.argument
+        if given is not None and not self.session.is_worker:
+            from pytest_dura.evidence.formats.gsn.user_file import read_user_argument
+
+            root = self.session.config.rootpath
+            name = given.relative_to(root).as_posix() if given.is_relative_to(root) else given.name
+            self._argument = {**read_user_argument(given), "path": name}
 
     def read_baseline(self) -> None:
         """Read what this session is compared with, which its own record may replace.
@@ -58,8 +76,11 @@ class SessionEvidence:
 
             self.baseline = Baseline.read(given, self.session.config.invocation_params.dir)
 
-    def start(self) -> None:
+    def start(self, *, late: bool = False) -> None:
         """Begin the record. What a killed session leaves behind says that it was running.
+
+        Args:
+            late: Whether workers may have written traces already.
 
         Raises:
             ConfigurationError: If it cannot be written.
@@ -82,8 +103,9 @@ class SessionEvidence:
                     "tool": {"name": "pytest-dura", "version": pytest_dura.__version__},
                     "command": shlex.join(["pytest", *map(str, config.invocation_params.args)]),
                     "base_seed": options.seed,
-                    "evidence_level": getattr(options, "evidence_level", "violations"),
+                    "evidence_level": options.evidence_level,
                     "environment": describe_environment(config.rootpath, options.evidence),
+                    "argument": self._argument,
                 },
                 options.evidence,
             )
@@ -91,7 +113,7 @@ class SessionEvidence:
             # First of all nothing may read as a pass any more; then what an earlier session
             # left goes.
             write_record(options.evidence, self._concluded("running", gate))
-            clear_bundle(options.evidence)
+            clear_bundle(options.evidence, traces=not late)
         except BaseException:
             self._unlock()
             raise
@@ -116,20 +138,34 @@ class SessionEvidence:
         if self.session.is_worker:
             return
         begun = perf_counter()
-        told = getattr(report, ATTRIBUTE, None)
+        # Terminal and others keep the reports of all items.
+        told = vars(report).pop(ATTRIBUTE, None)
         if report.failed:
             self._failed.add(report.nodeid)
         if told is not None:
-            self.start()
-            if self.record is not None:
-                try:
-                    self.record.add(json.loads(told))
-                except ConfigurationError as error:
-                    # Without its episodes there is nothing that the session could still show.
-                    pytest.exit(str(error))
+            self._add(json.loads(told))
         if self.record is not None:
             self._waive(report)
         self._spent += perf_counter() - begun
+
+    def take(self, part: str) -> None:
+        """Take in episodes of the item that is running in this process; see ItemReport."""
+        from pytest_dura.evidence.item_report import unpacked
+
+        begun = perf_counter()
+        self._add(unpacked(part))
+        self._spent += perf_counter() - begun
+
+    def _add(self, told: dict[str, Any]) -> None:
+        self.start(late=True)
+        if self.record is None:
+            return
+        try:
+            self.record.add(told)
+            self._sources().heard(told)
+        except ConfigurationError as error:
+            # Without its episodes there is nothing that the session could still show.
+            pytest.exit(str(error))
 
     def finish(self, session: pytest.Session) -> None:
         """Write the bundle; a session that it does not support has failed, whatever tests say."""
@@ -201,7 +237,7 @@ class SessionEvidence:
             record,
             finished=None if status == "running" else _now(),
             gate=gate.to_json(),
-            inputs=self._inputs(),
+            inputs=self._sources().to_json(),
             wall_seconds=perf_counter() - self._begun,
             evidence_seconds=self._spent,
         )
@@ -211,8 +247,14 @@ class SessionEvidence:
             self._lock.release()
             self._lock = None
 
-    def _inputs(self) -> list[dict[str, Any]]:
-        return []
+    def _sources(self) -> SessionInputs:
+        """The files that the session is run from, as far as it is known by now."""
+        if self._inputs is None:
+            from pytest_dura.plugin.inputs import SessionInputs
+
+            self._inputs = SessionInputs(self.session)
+            self._inputs.begin()
+        return self._inputs
 
     def _worse(self, record: SessionRecord) -> list[str]:
         """What ``--dura-baseline-worse=fail`` does not let pass."""

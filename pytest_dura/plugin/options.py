@@ -110,6 +110,11 @@ def add_options(parser: pytest.Parser) -> None:
         choices=("fail", "warn"),
         help="what a rate that got worse than the baseline's does to the session (default: warn)",
     )
+    add(
+        "--dura-argument",
+        metavar="FILE",
+        help="your own argument on top of the generated assurance case, as gsn2x-style YAML",
+    )
     parser.addini(
         "dura_scenario_paths",
         "directories with scenario and requirement files (default: scenarios, if it exists)",
@@ -140,6 +145,7 @@ class Options:
     warn_undecided: bool
     twins: bool
     baseline: str | None
+    argument: Path | None
     fail_worse: bool
     given: tuple[tuple[str, str], ...]
     any_given: bool
@@ -174,6 +180,7 @@ class Options:
                 found=select[0],
                 remedy="add --dura-scenarios; choose test functions with -k",
             )
+        argument = get("dura_argument")
         baseline, fail_worse = get("dura_baseline"), get("dura_baseline_worse") == "fail"
         if baseline is None and get("dura_baseline_worse") is not None:
             raise ConfigurationError(
@@ -204,6 +211,7 @@ class Options:
             twins=not get("dura_no_twins"),
             warn_undecided=get("dura_undecided") == "warn",
             baseline=baseline,
+            argument=None if argument is None else config.invocation_params.dir / argument,
             fail_worse=fail_worse,
             given=tuple(given),
             any_given=scenarios or bool(given) or baseline is not None,

@@ -117,6 +117,7 @@ class DuraSession:
             self._check_generator()
             self._make_plan()
             self.evidence.read_baseline()
+            self.evidence.read_argument()
             if self.active:
                 self.evidence.start()
 

@@ -9,7 +9,7 @@ from typing import Protocol, cast
 from pytest_dura.evidence.counts import Counts
 from pytest_dura.evidence.session_record import SessionRecord
 
-NAMES = ("summary", "report", "cyclonedx", "intoto")
+NAMES = ("summary", "report", "gsn.yaml_file", "gsn.svg_file", "cyclonedx", "intoto")
 """The modules of this package that are formats, in the order in which they are written."""
 
 

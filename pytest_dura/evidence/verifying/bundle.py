@@ -80,6 +80,5 @@ def verify_bundle(directory: Path) -> Verification:
 def _schema_problems(record: SessionRecord) -> Iterator[str]:
     from pytest_dura.evidence.schema import check_record
 
-    whole = {**record.head, "episodes": list(record.episodes())}
-    for problem in check_record(whole):
+    for problem in check_record(record):
         yield f"{RECORD}: schema: {problem}"
