@@ -1,0 +1,87 @@
+"""Whatever a record holds: the argument keeps the rules and states the record's counts."""
+
+import re
+from xml.etree import ElementTree as ET
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from session_records import REQUIREMENTS, episode, session_record, verdict
+
+from pytest_dura.evidence.counts import Counts
+from pytest_dura.evidence.formats.gsn import svg_file, yaml_file
+from pytest_dura.evidence.formats.gsn.rules import problems
+
+HOSTILE = st.sampled_from(
+    [
+        "<script>alert(1)</script>", "../../etc/passwd", "\"'`", "a\0b\x1b[31m", "\ud800",
+        "\u202eabc", "line\nline\r\n", "]]>", "&amp;", "--- # {x: y}", "G1 -> G2", "x" * 5000,
+        "", " ", "- a", "*a",
+        "\ufffe\uffff", "1e3", "語" * 300, "\x85\u2028", "'; rm -rf /", "%s{}", "💥",
+    ]
+)  # fmt: skip
+CASE = session_record()["cases"][0]
+TEXTS = HOSTILE | st.text(max_size=40)
+WORDS = st.lists(st.sampled_from(["satisfied", "violated", "invalid", "missing"]), max_size=4)
+
+
+@st.composite
+def records(draw):
+    names = draw(st.lists(TEXTS, min_size=1, max_size=4, unique=True))
+    requirements = [
+        {
+            **REQUIREMENTS[draw(st.sampled_from(sorted(REQUIREMENTS)))].to_json(),
+            "id": one, "text": draw(TEXTS), "reason": draw(TEXTS), "source": draw(TEXTS),
+        }
+        for one in names
+    ]  # fmt: skip
+    cases = draw(st.lists(TEXTS, min_size=1, max_size=3, unique=True))
+    verdicts = []
+    for _ in range(draw(st.integers(0, 5))):
+        kind = draw(st.sampled_from(sorted(REQUIREMENTS)))
+        one = verdict(kind, draw(st.sampled_from(cases)), draw(WORDS), planned=4)
+        waiver = draw(st.none() | st.builds(lambda text: {"kind": "xfail", "reason": text}, TEXTS))
+        changes = {
+            "requirement": draw(st.sampled_from(names)), "waiver": waiver, "reason": draw(TEXTS),
+            "component": draw(st.sampled_from(["C", "<b>"])),
+        }  # fmt: skip
+        verdicts.append({**one, **changes})
+    cells = [
+        {"requirement": draw(st.sampled_from(names)), "scenario": draw(TEXTS),
+         "faults": draw(TEXTS), "case": draw(TEXTS), "verdict": None}
+        for _ in range(draw(st.integers(0, 3)))
+    ]  # fmt: skip
+    listed = [{**CASE, "id": one, "scenario": one} for one in cases]
+    validities = st.sampled_from(["valid", "invalid", "missing"])
+    runs = [episode(one, validity=draw(validities)) for one in cases]
+    return session_record(
+        requirements=requirements, verdicts=verdicts, cases=listed, episodes=runs,
+        coverage={"cells": cells, "parameters": []}, command=draw(TEXTS),
+        status=draw(st.sampled_from(["complete", "incomplete"])),
+        gate={"result": draw(st.sampled_from(["passed", "failed", "incomplete"])), "exit_code": 0,
+              "reasons": draw(st.lists(TEXTS, max_size=4))},
+    )  # fmt: skip
+
+
+@settings(derandomize=True, deadline=None, max_examples=25)
+@given(record=records())
+def test_the_rules_hold_and_the_counts_are_the_records(record):
+    text = yaml_file.render(record)
+    assert problems(yaml_file.elements_of(text)) == []
+    assert yaml_file.read_counts(text) == Counts.of(record)
+    assert list(yaml_file.broken_references(text, record)) == []
+    assert yaml_file.render(record) == text
+    assert text.encode()
+
+
+@settings(derandomize=True, deadline=None, max_examples=25)
+@given(record=records())
+def test_the_picture_is_sound_and_states_the_records_counts(record):
+    text = svg_file.render(record)
+    root = ET.fromstring(text)
+    assert svg_file.read_counts(text) == Counts.of(record)
+    assert {one.tag.rpartition("}")[2] for one in root.iter()} <= {
+        "svg", "title", "desc", "style", "defs", "marker", "path", "g", "text", "rect", "circle",
+        "ellipse", "polygon", "polyline",
+    }  # fmt: skip
+    assert not re.search(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u202a-\u202e\ud800-\udfff]", text)
+    assert text.encode()
