@@ -95,8 +95,6 @@ class EvidenceRecord:
     _waivers: dict[str, Data] = field(default_factory=dict)
     _clashes: dict[tuple[str, str], str] = field(default_factory=dict)
     _problems: set[str] = field(default_factory=set)
-    trace_files: set[str] = field(default_factory=set)
-    """Paths of all traces that were told of."""
 
     def __post_init__(self) -> None:
         """Make room for the episodes."""
@@ -148,11 +146,6 @@ class EvidenceRecord:
         """
         for trace in traces:
             self._spool.add_trace(trace)
-            self.trace_files.add(trace["trace"]["file"])
-
-    def add_problem(self, problem: str) -> None:
-        """What casts doubt on the whole session; it begins with ``infrastructure:``."""
-        self._problems.add(problem)
 
     def waive(self, item: str, kind: str, reason: str) -> None:
         """The item's failure was excused: ``xfail``, ``rerun`` or ``skip``."""

@@ -158,9 +158,6 @@ class SessionHooks:
 
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
         """Write the evidence."""
-        from pytest_dura.plugin.traces import remove_orphans
-
-        remove_orphans(self.session)
         self.session.evidence.finish(session)
 
     def pytest_terminal_summary(self, terminalreporter: Any) -> None:
