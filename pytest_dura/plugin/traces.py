@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Collection
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -106,47 +104,3 @@ def _check_inside(folder: Path) -> None:
         raise OSError(
             f"{folder.name} is a symbolic link, and traces stay in the evidence directory"
         )
-
-
-def remove_orphans(session: DuraSession) -> None:
-    """Remove traces that nobody told of: of a worker that died, or of an earlier session."""
-    record = session.evidence.record
-    if record is None:
-        return
-    try:
-        remove_traces(session.options.evidence, keep=record.trace_files)
-    except OSError as error:
-        record.add_problem(
-            f"infrastructure: a trace that belongs to no episode cannot be removed: {error}"
-        )
-
-
-def remove_traces(directory: Path, keep: Collection[str]) -> None:
-    """Remove all traces but those to keep, and what a process that was killed left of one.
-
-    Only files with names of ours go, and none outside the directory: links are not followed.
-
-    Args:
-        directory: The evidence directory.
-        keep: Paths in it, such as ``episodes/x-0123abcd.mcap``.
-
-    Raises:
-        OSError: If one cannot be removed.
-    """
-    from pytest_dura.evidence.traces.names import FOLDER, is_trace_name
-
-    folder = directory / FOLDER
-    if folder.is_symlink() or not folder.is_dir():
-        return
-    with os.scandir(folder) as entries:
-        for entry in entries:
-            ours = is_trace_name(_finished(entry.name))
-            stays = f"{FOLDER}/{entry.name}" in keep or entry.is_dir(follow_symlinks=False)
-            if ours and not stays:
-                Path(entry.path).unlink(missing_ok=True)
-
-
-def _finished(name: str) -> str:
-    """The name that a file would have got which a killed process left behind."""
-    begun = name.startswith(".") and ".mcap-" in name
-    return name[1:].rpartition(".mcap-")[0] + ".mcap" if begun else name

@@ -1,0 +1,121 @@
+"""Which episodes leave a trace in the evidence, and that it is theirs."""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+
+import pytest
+from conftest import output
+
+from pytest_dura.evidence.traces import mcap_file
+from pytest_dura.evidence.traces.names import trace_path
+
+BY_HAND = """
+import pytest
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_by_hand(orchestrator, seed):
+    orchestrator.run("corridor/free", seed=7)
+    episode = orchestrator.run("corridor/free", seed=seed)
+    assert seed == 1
+
+@pytest.mark.dura(scenario="corridor/tight", runs=3)
+@pytest.mark.requirement("GAP-1")
+def test_each(episode):
+    assert episode.spec.run != 1
+
+def test_nothing_of_ours():
+    assert False
+"""
+
+
+def kept(project, folder="dura-evidence"):
+    """What was kept of each episode, whose trace is read back."""
+    found = {}
+    directory = project.path / folder
+    files = set()
+    for episode in project.evidence(folder)["episodes"]:
+        told = episode["trace"]
+        if told is None:
+            continue
+        assert told["file"] == trace_path(episode)
+        data = (directory / told["file"]).read_bytes()
+        assert (hashlib.sha256(data).hexdigest(), len(data)) == (told["sha256"], told["bytes"])
+        about = mcap_file.read_trace(directory / told["file"]).about
+        assert {key: episode[key] for key in about} == dict(about)
+        files.add(told["file"])
+        found[episode["id"], episode["seed"] if not episode["planned"] else None] = told["kept_for"]
+    on_disk = {f"episodes/{one.name}" for one in directory.glob("episodes/*")}
+    assert on_disk == files
+    return {
+        name if seed is None else f"{name} by {seed}": why for (name, seed), why in found.items()
+    }
+
+
+@pytest.mark.parametrize(
+    "level, generator, expected",
+    [
+        ("summary", "Reckless", {}),
+        ("violations", "Reckless", {"tight#0": "violation", "tight#1": "violation"}),
+        ("violations", "Careful", {"tight#0": "sample"}),
+        ("all", "Careful", {"tight#0": "all", "tight#1": "all"}),
+        ("all", "Reckless", {"tight#0": "violation", "tight#1": "violation"}),
+    ],
+)
+def test_levels(project, level, generator, expected):
+    options = [f"--dura-evidence-level={level}", f"--dura-generator=corridor:{generator}"]
+    project.run("corridor/tight", *options)
+    assert kept(project) == {f"corridor/{name}": why for name, why in expected.items()}
+    assert project.evidence()["evidence_level"] == level
+
+
+@pytest.mark.parametrize("workers", [[], ["-n", "2"]], ids=["one process", "xdist"])
+def test_tests_on_single_episodes(project, workers):
+    """Without any option of ours: the controller learns late that there is something to keep."""
+    project.write("tests/test_it.py", BY_HAND)
+    project.write("dura-evidence/episodes/old-0123abcd.mcap", "of an earlier session")
+    assert project.run("tests", *workers).ret == 1
+    found = kept(project)
+    assert found.pop("corridor/tight#1") == "violation"
+    assert found.pop("corridor/free#0 by 2") == "violation"
+    # In each process the first one of a case is a sample.
+    assert set(found.values()) == {"sample"}
+    assert workers or found == {"corridor/free#0 by 7": "sample", "corridor/tight#0": "sample"}
+
+
+def test_of_missing_episodes_the_first_is_kept(project):
+    text = (project.path / "scenarios/corridor/tight.yaml").read_text()
+    project.write(
+        "scenarios/corridor/tight.yaml", text.replace("wall: 4.0", "wall: 4.0, breaks_at: 3")
+    )
+    project.run("corridor/tight")
+    assert kept(project) == {"corridor/tight#0": "missing"}
+
+
+def test_a_trace_that_cannot_be_written_is_told_once_and_fails_the_session(project, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(mcap_file, "write_trace", full)
+    result = project.run("corridor/tight", "--dura-evidence-level=all")
+    assert result.ret == 1
+    result.assert_outcomes(passed=1)
+    told = (
+        "infrastructure: the trace of corridor/tight#0 cannot be written: No space left on device"
+    )
+    assert output(result).count(told) == 1
+    assert kept(project) == {}
+    assert project.evidence()["gate"]["result"] == "failed"
+
+
+def test_traces_of_an_earlier_session_go_and_nothing_else(project):
+    outside = project.path / "precious-0123abcd.mcap"
+    outside.write_text("not ours")
+    project.run("corridor/tight", "--dura-evidence-level=all")
+    folder = project.path / "dura-evidence/episodes"
+    (folder / "precious-0123abcd.mcap").symlink_to(outside)
+    (folder / ".precious-0123abcd.mcap-x7").write_text("half of one")
+    project.run("corridor/tight")
+    assert kept(project) == {"corridor/tight#0": "sample"}
+    assert outside.read_text() == "not ours"
