@@ -7,11 +7,15 @@ from pathlib import Path
 
 import pytest
 
+from pytest_dura.evidence.formats import all_formats
 from pytest_dura.requirements.stl.language.grammar import rtamt_modules
 
 # In-process runs forget what they imported, and numpy and its like cannot be imported twice.
 for module in (
     "hypothesis.strategies",
+    "jinja2",
+    "jsonschema",
+    "mcap.writer",
     "pytest_dura.campaign.runner",
     "pytest_dura.driving.highway",
     "pytest_dura.driving.roles.performance",
@@ -19,13 +23,16 @@ for module in (
     "pytest_dura.driving.roles.recovery",
     "pytest_dura.driving.roles.safety",
     "pytest_dura.driving.roles.security",
-    "pytest_dura.evidence.bundle",
+    "pytest_dura.evidence.conclusion",
     "pytest_dura.evidence.environment",
+    "pytest_dura.evidence.verifying",
+    "pytest_dura.evidence.writing",
     "pytest_dura.faults.injector",
     "scipy.special",
 ):
     importlib.import_module(module)
 rtamt_modules()
+list(all_formats())
 
 PROJECT = Path(__file__).with_name("project")
 
