@@ -1,8 +1,16 @@
 // The keyboard.
 
-const HELP = [["Space", "play or pause"], ["← →", "a tick back, a tick on; with Shift ten"],
-  ["Home End", "to the begin, to the end"], ["+ −", "zoom"], [", .", "slower, faster"],
-  ["P N", "previous, next event"], ["V", "next violation"], ["F", "camera follows or stands"]];
+/** What each key does, where there is something to do. */
+function help({episode, view}) {
+  const all = [["Space", "play or pause"], ["← →", "a tick back, a tick on (with Shift ten)"],
+    ["Home End", "begin, end"], [", .", "slower, faster"],
+    ["P N", "previous, next event", episode.events.length],
+    ["V", "next violation", violations(episode).length],
+    ["+ −", "zoom", view], ["F", "camera follows or stands", view]];
+  const shown = all.filter(([, , useful = true]) => useful);
+  return make("p", {class: "dura-help"}, "Keys: ", shown.map(([pressing, what], index) => [
+    index ? ", " : "", make("kbd", {}, pressing), ` ${what}`]).flat(), ".");
+}
 
 /** Acts on a key, unless the control that has the focus wants it for itself. */
 function pressed(player, event) {
@@ -24,9 +32,8 @@ function keys(player) {
   const faster = (step) => player.setSpeed(
     SPEEDS[clamp(SPEEDS.indexOf(speed) + step, 0, SPEEDS.length - 1)]);
   const ticks = episode.events.map((one) => one[0]);
-  const violations = episode.verdicts.filter((one) => one.verdict === "violated")
-    .map((one) => one.tick).filter((one) => one !== null).sort((one, other) => one - other);
-  const next = (found) => found !== undefined && player.jump(found);
+  const found = violations(episode).sort((one, other) => one - other);
+  const next = (to) => to !== undefined && player.jump(to);
   return new Map([
     [" ", () => player.toggle()],
     ["ArrowLeft", (steps) => player.jump(tick - steps)],
@@ -40,7 +47,7 @@ function keys(player) {
     [".", () => faster(1)],
     ["n", () => next(ticks.find((one) => one > tick))],
     ["p", () => next(ticks.filter((one) => one < tick).pop())],
-    ["v", () => next(violations.find((one) => one > tick) ?? violations[0])],
+    ["v", () => next(found.find((one) => one > tick) ?? found[0])],
     ["f", () => player.turnCamera()],
   ]);
 }

@@ -47,6 +47,15 @@ function block(episode, from, to, look, letter) {
   return node;
 }
 
+/** A mark on a strip at a tick. */
+function mark(episode, tick, look) {
+  const node = make("div", {class: `dura-mark dura-${look}`});
+  node.style.left = `${episode.share(tick) * 100}%`;
+  return node;
+}
+
+const violations = (episode) => episode.verdicts
+  .filter(({verdict, tick}) => verdict === "violated" && tick !== null).map(({tick}) => tick);
 const faultBlocks = (episode) => episode.faults.map(({from, to}) => block(episode, from, to, "fault"));
 
 /** Rows whose strips show stretches of one word; told() says what holds at a tick. */
@@ -69,11 +78,8 @@ function faultLane(player, id, faults) {
   const {episode} = player;
   const readout = make("span", {class: "dura-readout"});
   const blocks = faults.map(({from, to}) => block(episode, from, to, "fault", "F"));
-  for (const tick of faults.flatMap((one) => one.manifested)) {
-    const node = make("div", {class: "dura-mark dura-manifested"});
-    node.style.left = `${episode.share(tick) * 100}%`;
-    blocks.push(node);
-  }
+  blocks.push(...faults.flatMap((one) => one.manifested)
+    .map((tick) => mark(episode, tick, "manifested")));
   return {
     node: row(id, readout, strip(player, "dura-lane", ...blocks)),
     rows: faults.flatMap(({from, to, manifested}) => [
@@ -90,17 +96,10 @@ function faultLane(player, id, faults) {
 
 function eventLane(player) {
   const {episode} = player;
-  const marks = episode.events.map(([tick, kind]) => {
-    const node = make("div", {class: `dura-mark dura-${eventLook(kind)}`});
-    node.style.left = `${episode.share(tick) * 100}%`;
-    return node;
-  });
-  for (const {tick, verdict} of episode.verdicts) {
-    if (verdict !== "violated" || tick === null) continue;
-    const node = make("div", {class: "dura-mark dura-violation"});
-    node.style.left = `${episode.share(tick) * 100}%`;
-    marks.push(node);
-  }
+  const marks = [
+    ...episode.events.map(([tick, kind]) => mark(episode, tick, eventLook(kind))),
+    ...violations(episode).map((tick) => mark(episode, tick, "violation")),
+  ];
   const readout = make("span", {class: "dura-readout"});
   return {
     node: row("events", readout, strip(player, "dura-lane dura-eventlane", ...marks)),

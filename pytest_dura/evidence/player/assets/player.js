@@ -41,7 +41,7 @@ class Player {
       make("div", {class: "dura-side"}, this.decision.node, this.events.node),
       make("div", {class: "dura-timeline"}, this.lanes.node, this.plots.node, axis(episode),
         this.rowLegend())),
-    this.plots.chooser, this.lanes.table, this.help(), this.live);
+    this.plots.chooser, this.lanes.table, help(this), this.live);
   }
 
   stage() {
@@ -94,7 +94,7 @@ class Player {
 
   /** Explains what occurs in this episode, and nothing else. */
   rowLegend() {
-    const {faults, flags, decisions, verdicts, signals} = this.episode;
+    const {faults, flags, decisions, signals} = this.episode;
     const said = new Set(Object.values(flags).flat());
     const sources = decisions.source.words;
     const entries = [["line", "signal", signals.size],
@@ -106,15 +106,10 @@ class Player {
       ["proposal", "proposal", sources.includes("proposal")],
       ["recovery", "R recovery", sources.includes("recovery")],
       ["fallback", "F fallback", sources.includes("fallback")],
-      ["violation", "violation", verdicts.some((one) => one.tick !== null)]];
+      ["violation", "violation", violations(this.episode).length]];
     return make("ul", {class: "dura-legend", "aria-label": "Legend of the rows"},
       entries.filter(([, , occurs]) => occurs).map(([look, label]) =>
         make("li", {}, make("span", {class: `dura-key dura-key-${look}`}), label)));
-  }
-
-  help() {
-    return make("p", {class: "dura-help"}, "Keys: ", HELP.map(([keys, what], index) => [
-      index ? ", " : "", make("kbd", {}, keys), ` ${what}`]).flat(), ".");
   }
 
   // Time

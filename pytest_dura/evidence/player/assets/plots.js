@@ -80,7 +80,8 @@ class Plots {
       make("span", {}, finite.length ? number(most) : ""),
       make("span", {}, finite.length && most > least ? number(least) : ""));
     const node = row(name, readout,
-      strip(this.player, "dura-plot", ...faultBlocks(episode), picture, scale));
+      strip(this.player, "dura-plot", ...faultBlocks(episode), picture, scale,
+        ...violations(episode).map((tick) => mark(episode, tick, "violated"))));
     const told = (tick) => say(readout, number(truth[tick])
       + (percept ? `, perceived ${number(percept[tick])}` : ""));
     return {node, told};
