@@ -1,8 +1,15 @@
 from __future__ import annotations
 
 import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from urllib.parse import urlparse
+from urllib.request import url2pathname
 
 import pytest
+
+from pytest_dura.evidence.traces.mcap_file import read_trace, write_trace
 
 
 def test_a_replay_has_the_same_digest(project):
@@ -22,13 +29,128 @@ def test_a_replay_has_the_same_digest(project):
     assert (project.path / "dura-evidence/evidence.json").read_bytes() == before
 
 
-def test_a_replay_that_differs(project):
-    project.run("corridor/free")
+def faster(project):
+    """From tick 1 on the component goes on faster."""
     source = (project.path / "corridor.py").read_text()
     project.write("corridor.py", source.replace("Proposal(1.0 if", "Proposal(1.5 if"))
+
+
+def page(result):
+    """What the player's URL leads to."""
+    (line,) = [line for line in result.outlines if line.startswith("  player: ")]
+    return Path(url2pathname(urlparse(line.removeprefix("  player: ")).path))
+
+
+def test_a_replay_that_differs_says_where_first(project):
+    project.run("corridor/free")
+    faster(project)
+    result = project.run("--dura-replay=corridor/free#0")
+    assert result.ret == 1
+    first = "tick 0 (0.000 s), decisions.proposed: recorded 1.0, replayed 1.5"
+    result.stdout.fnmatch_lines(
+        [
+            "  DIFFERENT: the code, a package or the platform has changed, *",
+            f"  first difference: {first}; at this tick also decisions.executed",
+            "  player: file:///*/dura-evidence-replay/corridor-free-0-*.html",
+        ]
+    )
+    assert "corridor/free#0" in page(result).read_text()
+
+
+def test_a_replay_that_differs_where_no_trace_was_kept(project):
+    project.run("corridor/free")
+    faster(project)
     result = project.run("--dura-replay=corridor/free#1")
     assert result.ret == 1
-    assert "DIFFERENT" in result.stdout.str()
+    result.stdout.fnmatch_lines(
+        ["  no trace of it was kept (--dura-evidence-level=all keeps each)", "  it is not known *"]
+    )
+
+
+def test_a_replay_leaves_the_bundle_as_it_is_wherever_it_lies(project):
+    project.run("corridor/free")
+    (project.path / "elsewhere").mkdir()
+    copy = shutil.copytree(project.path / "dura-evidence", project.path / "elsewhere/copy")
+    before = {one: one.read_bytes() for one in copy.rglob("*") if one.is_file()}
+    assert any(one.suffix == ".mcap" for one in before)
+    shutil.rmtree(project.path / "dura-evidence")
+    result = project.run("--dura-replay=corridor/free#0", "--dura-evidence=elsewhere/copy")
+    assert result.ret == 0
+    assert "first difference" not in result.stdout.str()
+    assert page(result).parent == project.path / "elsewhere/copy-replay"
+    assert {one: one.read_bytes() for one in copy.rglob("*") if one.is_file()} == before
+    assert not (project.path / "dura-evidence").exists()
+
+
+def tampered(project, change):
+    """Another trace in the place of the one that was kept, and the record of that."""
+    record = project.evidence()
+    told = record["episodes"][0]["trace"]
+    file = project.path / "dura-evidence" / told["file"]
+    told.update(write_trace(file, change(read_trace(file))))
+    project.write("dura-evidence/evidence.json", json.dumps(record))
+
+
+def test_a_trace_of_another_episode_is_found_at_its_tick(project):
+    project.run("corridor/free")
+
+    def change(trace):
+        trace.signals["gap"][7] += 0.5
+        return trace
+
+    tampered(project, change)
+    result = project.run("--dura-replay=corridor/free#0")
+    assert result.ret == 1
+    place = "tick 7 (0.700 s), signals.gap: recorded *, replayed *"
+    result.stdout.fnmatch_lines(
+        ["  the same", f"  yet the trace that was kept is of another episode: {place}"]
+    )
+
+
+def test_what_the_digest_leaves_out_may_differ(project):
+    project.run("corridor/free")
+
+    def change(trace):
+        texts = ("otherwise\x1b[31m", *trace.recording.explanations[1:])
+        return replace(trace, recording=replace(trace.recording, explanations=texts))
+
+    tampered(project, change)
+    result = project.run("--dura-replay=corridor/free#0")
+    assert result.ret == 0
+    place = r"tick 0 (0.000 s), explanations: recorded otherwise\x1b[[]31m, replayed ''"
+    result.stdout.fnmatch_lines([f"  what the digest leaves out is not the same: {place}"])
+
+
+@pytest.mark.parametrize(
+    "damage, line, code",
+    [
+        (lambda file: file.unlink(), "  its trace episodes/*.mcap is not there any more", 0),
+        (lambda file: file.write_bytes(b"\x89MCAP0"), "  its trace cannot be compared:", 1),
+        (
+            lambda file: write_trace(file, replace(read_trace(file), signals={})),
+            "    *.mcap: the trace is not the one that was recorded: its SHA-256 is another",
+            1,
+        ),
+    ],
+)
+def test_a_damaged_trace(project, damage, line, code):
+    project.run("corridor/free")
+    (file,) = (project.path / "dura-evidence/episodes").iterdir()
+    damage(file)
+    result = project.run("--dura-replay=corridor/free#0")
+    result.stdout.fnmatch_lines(["  the same", line])
+    assert result.ret == code
+    assert page(result).exists()
+
+
+def test_a_record_that_leads_out_of_the_bundle(project):
+    project.run("corridor/free")
+    record = project.evidence()
+    record["episodes"][0]["trace"]["file"] = "episodes/../../secret-0123abcd.mcap"
+    project.write("dura-evidence/evidence.json", json.dumps(record))
+    result = project.run("--dura-replay=corridor/free#0")
+    assert result.ret == 1
+    assert "the record names a trace that is none of the bundle's" in result.stdout.str()
 
 
 def test_the_printed_command_replays_a_timeout_exactly(project):
