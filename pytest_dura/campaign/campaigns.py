@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from pytest_dura.campaign.asked import asked
 from pytest_dura.campaign.cases import Case
-from pytest_dura.campaign.reasons import reasons
+from pytest_dura.campaign.reasons import ComponentFailures, reasons
 from pytest_dura.campaign.references import check_formula
 from pytest_dura.core.errors import ConfigurationError, DuraError
 from pytest_dura.requirements.checks import Check, check_name
@@ -51,8 +51,8 @@ class Campaign:
     planned: int
     requirement: Requirement | None = None
     until_decided: bool = False
-    judged: list[JudgedEpisode] = field(default_factory=list, init=False)
-    """The episodes that the last verdict rests on."""
+    failures: ComponentFailures = field(default_factory=ComponentFailures, init=False)
+    """Of the component itself, in the episodes that the last verdict rests on."""
 
     def __repr__(self) -> str:
         return f"Campaign({self.case.id!r}, {self.planned} runs planned)"
@@ -97,18 +97,17 @@ class Campaign:
         if requirement.paired is not None:
             return self.paired(requirement.paired.without).judge(requirement, check)
         judge = self.judge_of(requirement, check)
-        self.judged = []
+        self.failures = ComponentFailures()
+        faulty = []
         for episode in self.enough_for(judge):
             judge.add(judge_episode(requirement, episode, check))
-            self.judged.append(episode)
-        self.tell_of_faults(self.judged)
-        return judge.verdict()
-
-    def tell_of_faults(self, episodes: Sequence[JudgedEpisode]) -> None:
-        """Tell what came of each fault of these episodes."""
-        for episode in episodes:
+            self.failures.add(episode)
             if episode.faults:
-                self.bench.on_chains(self.case, episode, self.bench.chains(self.case, episode))
+                faulty.append(episode.spec.run)
+        # Once all have run: twins come between no two episodes of a component that remembers them.
+        for run in faulty:
+            self.bench.follow(self.case, run)
+        return judge.verdict()
 
     def judge_of(self, requirement: Requirement, check: Check | None) -> CampaignJudge:
         """What takes in the verdicts on this campaign's episodes.
@@ -225,6 +224,6 @@ class Campaign:
         self.bench.on_verdict(verdict, requirement)
         if verdict.verdict != "supported":
             raise RequirementViolated(
-                "\n".join(reasons(verdict, requirement, self.judged)), verdict
+                "\n".join(reasons(verdict, requirement, self.failures)), verdict
             )
         return verdict

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from pytest_dura.campaign.asked import number
 from pytest_dura.campaign.cases import Case
 from pytest_dura.campaign.monitoring import monitor_qualities
+from pytest_dura.campaign.reasons import ComponentFailures
 from pytest_dura.core.episode import Episode
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.requirements.checks import Check, check_name
@@ -71,13 +72,19 @@ class PairedCampaign:
         check_comparison(requirement)
         campaign = self.campaign
         judge = campaign.judge_of(requirement, check)
-        campaign.judged, compared = [], _Compared(requirement, check)
+        campaign.failures, compared = ComponentFailures(), _Compared(requirement, check)
+        runs, faulty = [], []
         for episode in campaign.enough_for(judge):
             twin = self.twin(episode)
             judge.add(compared.add(episode, twin))
-            campaign.judged += [episode, twin]
-        campaign.tell_of_faults(campaign.judged[::2])
-        self._tell_of_monitors(campaign.judged[1::2])
+            campaign.failures.add(episode)
+            campaign.failures.add(twin)
+            runs.append(episode.spec.run)
+            if episode.faults:
+                faulty.append(episode.spec.run)
+        for run in faulty:
+            campaign.bench.follow(campaign.case, run)
+        self._tell_of_monitors(runs)
         found = judge.verdict()
         table = {"without": self.without, "case": self.case.id, **compared.table()}
         doubt = self._doubt(compared)
@@ -99,12 +106,17 @@ class PairedCampaign:
                 expected=RECOVERY,
                 remedy=f'compare with campaign.paired(without="{RECOVERY}")',
             )
-        return monitor_qualities([twin for _, twin in self], self._requirements())
+        return self._monitors([episode.spec.run for episode, _ in self])
 
-    def _tell_of_monitors(self, twins: list[JudgedEpisode]) -> None:
+    def _monitors(self, runs: Sequence[int]) -> list[MonitorQuality]:
+        def twins() -> Iterator[JudgedEpisode]:
+            return (self.campaign.bench.again(self.case, run) for run in runs)
+
+        return monitor_qualities(twins, self._requirements())
+
+    def _tell_of_monitors(self, runs: Sequence[int]) -> None:
         if self.without == RECOVERY:
-            bench = self.campaign.bench
-            bench.on_monitors(self.case, monitor_qualities(twins, self._requirements()))
+            self.campaign.bench.on_monitors(self.case, self._monitors(runs))
 
     def _requirements(self) -> list[Requirement]:
         known = self.campaign.bench.library().requirements

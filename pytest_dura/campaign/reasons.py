@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from pytest_dura.core.episode import Episode
@@ -11,8 +11,29 @@ from pytest_dura.requirements.model import Requirement
 from pytest_dura.requirements.verdicts.campaigns import CampaignVerdict
 
 
+@dataclass
+class ComponentFailures:
+    """The first failure of the component itself, and in how many episodes there was one."""
+
+    first: str = ""
+    count: int = 0
+    episodes: int = 0
+
+    def add(self, episode: Episode) -> None:
+        """Take in an episode."""
+        self.episodes += 1
+        failed = [event for event in episode.events if event.kind == "component_failure"]
+        if failed:
+            told = f"{failed[0].subject} {failed[0].detail} (t = {failed[0].time:.2f} s)"
+            self.first = self.first or told
+            self.count += 1
+
+    def __str__(self) -> str:
+        return f"{self.first}; in {self.count} of {self.episodes} episodes"
+
+
 def reasons(
-    verdict: CampaignVerdict, requirement: Requirement, episodes: Sequence[Episode]
+    verdict: CampaignVerdict, requirement: Requirement, failures: ComponentFailures
 ) -> list[str]:
     """Why a verdict is not "supported": what, in which run, when and by how much, line by line."""
     what = f"{verdict.verdict}: {verdict.requirement} on {verdict.case} ({verdict.component})"
@@ -37,9 +58,8 @@ def reasons(
             lines.append(f"also in:  {_runs(others)}")
     if spoilt is not None and spoilt.verdict == "invalid":
         lines.append(f"invalid:  {spoilt.episode}: {spoilt.detail}")
-    failed = component_failure(episodes)
-    if failed:
-        lines.append(f"component: {failed}")
+    if failures.first:
+        lines.append(f"component: {failures}")
     return lines
 
 
@@ -51,18 +71,6 @@ def describe_counterexample(example: Mapping[str, Any]) -> str:
     if margin is not None:
         by = f", by {abs(margin):.3g}" if margin else ", right at the bound"
     return f"{example['episode']}{when}{by}"
-
-
-def component_failure(episodes: Sequence[Episode]) -> str | None:
-    """The first failure of the component itself, and in how many episodes there was one."""
-    first, count = None, 0
-    for episode in episodes:
-        for event in episode.events:
-            if event.kind == "component_failure":
-                first = first or f"{event.subject} {event.detail} (t = {event.time:.2f} s)"
-                count += 1
-                break
-    return None if first is None else f"{first}; in {count} of {len(episodes)} episodes"
 
 
 def _runs(numbers: Sequence[str]) -> str:

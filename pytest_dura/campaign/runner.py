@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -11,7 +12,7 @@ from pytest_dura.campaign.chains import CausalChain, causal_chains
 from pytest_dura.campaign.fault_campaigns import NO_FAULTS, FaultCampaign
 from pytest_dura.campaign.loading import Library
 from pytest_dura.campaign.scenario import Scenario
-from pytest_dura.campaign.store import EpisodeStore
+from pytest_dura.campaign.store import RECENT, EpisodeStore, Key
 from pytest_dura.core.episode import Episode, EpisodeSpec
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.orchestrator import Orchestrator
@@ -68,7 +69,8 @@ class Bench:
     twins: bool = True
     recorded: bool = False
     store: EpisodeStore = field(default_factory=EpisodeStore)
-    _chains: dict[int, list[CausalChain]] = field(default_factory=dict, init=False)
+    _followed: set[Key] = field(default_factory=set, init=False)
+    _chains: OrderedDict[Key, list[CausalChain]] = field(default_factory=OrderedDict, init=False)
     _cases: dict[str, dict[str, Case]] = field(default_factory=dict, init=False)
 
     def __repr__(self) -> str:
@@ -163,6 +165,19 @@ class Bench:
         spec = case.spec(run, self.base_seed, self.roles, simulator=self.simulator, seed=seed)
         return self.store.get(spec, lambda spec: self._simulate(case, spec))
 
+    def follow(self, case: Case, run: int) -> None:
+        """Tell what came of each fault of an episode that was run before, unless it was told.
+
+        Args:
+            case: The case.
+            run: Number of the run.
+        """
+        episode = self.again(case, run)
+        key = self.store.key(episode.spec)
+        if key not in self._followed:
+            self._followed.add(key)
+            self.on_chains(case, episode, self.chains(case, episode))
+
     def chains(self, case: Case, episode: JudgedEpisode) -> list[CausalChain]:
         """Each fault of an episode from plan to outcome, with the help of fault-free twins.
 
@@ -170,10 +185,12 @@ class Bench:
             case: The case that it belongs to.
             episode: One of its runs.
         """
-        key = id(episode)  # the store keeps its episodes, so that their identity is theirs alone
+        key = self.store.key(episode.spec)
         if key not in self._chains:
             requirements = [self.library().requirements[name] for name in case.requirements]
             self._chains[key] = self._linked(case, episode, requirements)
+        while len(self._chains) > RECENT:
+            self._chains.popitem(last=False)
         return self._chains[key]
 
     def _linked(

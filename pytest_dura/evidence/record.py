@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 from pytest_dura.evidence.attempts import final_outcomes, judged_looks, test_of
 from pytest_dura.evidence.case_metrics import CaseMetrics
+from pytest_dura.evidence.item_report import unpacked
 from pytest_dura.evidence.missing_runs import missing_runs
 from pytest_dura.evidence.session_record import SessionRecord
 from pytest_dura.evidence.spool import EpisodeSpool
@@ -24,49 +25,6 @@ UNKNOWN = "unknown"
 
 Status = Literal["running", "complete", "interrupted"]
 Data = dict[str, Any]
-
-
-@dataclass
-class ItemReport:
-    """What one test item tells; plain data, which crosses processes as JSON.
-
-    Args:
-        item: Node id.
-        components: Components under test, of :func:`describe_component`.
-        cases: ``{id, scenario, faults, component, requirements, planned}``.
-        requirements: ``Requirement.to_json()`` of each requirement involved.
-        episodes: Of :func:`episode_record`.
-        verdicts: ``CampaignVerdict.to_json()``, with the ``check`` and ``paired`` of the
-            requirement that was judged.
-        outcomes: ``EpisodeVerdict.to_json()`` of tests that look at one episode, with ``case``,
-            ``planned``, and the ``at_most`` and ``confidence`` of the requirement.
-        claims: ``{requirement, case, each_run}`` of what the item is to decide, told before it.
-        traces: ``{id, component, digest, trace}`` of episodes whose trace was written.
-        problems: What casts doubt on the whole session, each beginning with ``infrastructure:``.
-        monitors: ``MonitorQuality.to_json()``, with the ``case`` that it was measured on.
-        chains: What came of each fault, with the ``episode`` and its ``case``.
-    """
-
-    item: str
-    components: list[Data] = field(default_factory=list)
-    cases: list[Data] = field(default_factory=list)
-    requirements: list[Data] = field(default_factory=list)
-    episodes: list[Data] = field(default_factory=list)
-    verdicts: list[Data] = field(default_factory=list)
-    outcomes: list[Data] = field(default_factory=list)
-    monitors: list[Data] = field(default_factory=list)
-    chains: list[Data] = field(default_factory=list)
-    claims: list[Data] = field(default_factory=list)
-    traces: list[Data] = field(default_factory=list)
-    problems: list[str] = field(default_factory=list)
-
-    def to_json(self) -> Data:
-        """Plain data."""
-        return dict(vars(self))
-
-    def __bool__(self) -> bool:
-        """Whether there is anything to tell."""
-        return any(value for name, value in vars(self).items() if name != "item")
 
 
 @dataclass
@@ -110,11 +68,13 @@ class EvidenceRecord:
         self._requirements.setdefault(requirement["id"], requirement)
 
     def add(self, report: Mapping[str, Any]) -> None:
-        """What an item told.
+        """What an item told, all that :class:`ItemReport` has.
 
         Raises:
             ConfigurationError: If its episodes cannot be kept.
         """
+        for part in report["parts"]:
+            self.add(unpacked(part))
         item = report["item"]
         for claim in report["claims"]:
             case, decides = claim["case"], test_of(item) if claim["each_run"] else item
@@ -126,7 +86,7 @@ class EvidenceRecord:
         for case in report["cases"]:
             self._add_case(case)
         self._add_episodes(report)
-        self._problems.update(report.get("problems", ()))
+        self._problems.update(report["problems"])
         for verdict in report["verdicts"]:
             self._add_verdict(item, verdict)
         for monitor in report["monitors"]:

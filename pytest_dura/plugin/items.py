@@ -77,7 +77,7 @@ def _judging(
         session.reporter.verdict_reached(verdict, requirement)
         if verdict.verdict == "supported":
             return
-        lines = reasons(verdict, requirement, campaign.judged)
+        lines = reasons(verdict, requirement, campaign.failures)
         if verdict.counterexamples:
             lines.append("replay:   " + replay_command(session, verdict.counterexamples[0].episode))
         lines.append("rerun:    " + rerun_command(session, f"{planned.case.id}::{requirement.id}"))

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import pytest
 
 from pytest_dura.core.errors import DuraError
+from pytest_dura.plugin.case_records import case_record
 from pytest_dura.plugin.commands import replay_command
 from pytest_dura.plugin.episode_outcomes import (
     judged_by_own_check,
@@ -16,13 +16,15 @@ from pytest_dura.plugin.episode_outcomes import (
     word_of_test,
 )
 from pytest_dura.plugin.traces import TraceKeeper
+from pytest_dura.plugin.used_episodes import UsedEpisodes
 
 if TYPE_CHECKING:
     from pytest_dura.campaign.campaigns import Campaign
     from pytest_dura.campaign.cases import Case
     from pytest_dura.campaign.chains import CausalChain
+    from pytest_dura.campaign.store import Key
     from pytest_dura.core.roles import RoleSpec
-    from pytest_dura.evidence.record import ItemReport
+    from pytest_dura.evidence.item_report import ItemReport
     from pytest_dura.plugin.parametrize import Target
     from pytest_dura.plugin.session import DuraSession
     from pytest_dura.requirements.model import Requirement
@@ -45,8 +47,8 @@ class Reporter:
     def __init__(self, session: DuraSession) -> None:
         self.session = session
         self._pending: ItemReport | None = None
-        self._told: set[tuple[int, bool]] = set()
-        self._used: dict[str, list[JudgedEpisode]] = {}
+        self._told: set[tuple[Key, bool]] = set()
+        self._used: dict[str, UsedEpisodes] = {}
         self._decided: set[tuple[str, str]] = set()
         self._components: dict[str, dict[str, Any]] = {}
         self._last: JudgedEpisode | None = None
@@ -56,23 +58,24 @@ class Reporter:
         """An item looked at an episode of so many planned ones; 0 for one chosen by hand."""
         from pytest_dura.evidence.episodes import episode_record
 
-        self._used.setdefault(case.id, []).append(episode)
+        self._used.setdefault(case.id, UsedEpisodes(case)).add(episode)
         generator = episode.spec.roles["generator"]
         self._case_used(case, generator, planned)
-        # The bench keeps its episodes, so that their identity is theirs alone.
-        key = id(episode), planned > 0
+        key = self.session.bench.store.key(episode.spec), planned > 0
         if key not in self._told:
             self._told.add(key)
             self._report.episodes.append(episode_record(episode, planned=planned > 0))
+            self._relieve()
         self._last = episode
         self.traces.used(episode)
 
     def verdict_reached(self, verdict: CampaignVerdict, requirement: Requirement) -> None:
         """A campaign was judged, and what its episodes are worth along with it."""
-        used = {one.id: one for one in self._used.pop(verdict.case, ())}
+        used = self._used.pop(verdict.case, None)
         for counterexample in verdict.counterexamples:
-            if counterexample.episode in used:
-                self.traces.violated(used[counterexample.episode])
+            episode = used and used.again(self.session.bench, counterexample.episode)
+            if episode:
+                self.traces.violated(episode)
         self._used.pop((verdict.pairs or {}).get("case", verdict.case), None)
         asked = requirement.to_json()
         question = {"check": asked["check"], "paired": asked["paired"]}
@@ -90,10 +93,17 @@ class Reporter:
     ) -> None:
         """It was found what came of each fault of an episode."""
         told = {"case": case.id, "component": episode.spec.component, "episode": episode.id}
-        key = id(chains), False
-        if key not in self._told:
-            self._told.add(key)
-            self._report.chains += [{**told, **one.to_json()} for one in chains]
+        self._report.chains += [{**told, **one.to_json()} for one in chains]
+        self._relieve()
+
+    def _relieve(self) -> None:
+        """Let no item hold a great many episodes until it ends."""
+        if self._report.full:
+            part = self._report.split()
+            if self.session.is_worker:
+                self._report.parts.append(part)
+            else:
+                self.session.evidence.take(part)
 
     def outcome_of(self, error: DuraError) -> BaseException:
         """What one of our own errors does to a test: fail it, with a message and no more."""
@@ -109,9 +119,8 @@ class Reporter:
         from pytest_dura.requirements.verdicts import JudgedEpisode
 
         for used in self._used.values():
-            for one in used:
-                if one.failure is not None:
-                    pytest.fail(f"{one.failure} (in {one.id})", pytrace=False)
+            if used.failure:
+                pytest.fail(used.failure, pytrace=False)
         looked_at = item.funcargs.get("episode")
         if isinstance(looked_at, JudgedEpisode):
             if looked_at.validity == "invalid":
@@ -119,7 +128,9 @@ class Reporter:
             self._check_own_checks(item, looked_at)
         campaign = item.funcargs.get("campaign")
         if isinstance(campaign, Campaign):
-            self._check_share(self._used.get(campaign.case.id, []))
+            used_here = self._used.get(campaign.case.id)
+            if used_here is not None and used_here.doubt is not None:
+                self._undecided(used_here.doubt)
             self._check_decided(item, campaign)
 
     def _check_own_checks(self, item: pytest.Function, episode: JudgedEpisode) -> None:
@@ -152,18 +163,6 @@ class Reporter:
             self._undecided(
                 f"undecided: the test never asked for a verdict on {', '.join(left)}; "
                 "call campaign.require(check)"
-            )
-
-    def _check_share(self, used: Sequence[JudgedEpisode]) -> None:
-        """Too many invalid episodes leave a campaign undecided that no verdict was asked of."""
-        from pytest_dura.requirements.verdicts.judging import MAX_INVALID_SHARE
-
-        episodes = {one.id: one for one in used}.values()
-        invalid = [one for one in episodes if one.validity == "invalid"]
-        if len(invalid) > MAX_INVALID_SHARE * len(episodes):
-            first = f"{invalid[0].id}: {invalid[0].invalid_reason}"
-            self._undecided(
-                f"undecided: {len(invalid)} of {len(episodes)} episodes are invalid ({first})"
             )
 
     def _undecided(self, message: str) -> NoReturn:
@@ -208,7 +207,7 @@ class Reporter:
     @property
     def _report(self) -> ItemReport:
         if self._pending is None:
-            from pytest_dura.evidence.record import ItemReport
+            from pytest_dura.evidence.item_report import ItemReport
 
             self._pending = ItemReport("")
         return self._pending
@@ -298,22 +297,3 @@ class Reporter:
                     "confidence": requirement.confidence,
                 }
             )
-
-
-def case_record(
-    case: Case, component: str, planned: int, runs_override: int | None
-) -> dict[str, Any]:
-    """A case as the evidence holds it; ``runs_override`` replaced what its scenario plans."""
-    return {
-        "id": case.id,
-        "scenario": case.scenario.name,
-        "faults": [dict(fault) for fault in case.faults],
-        "component": component,
-        "without": list(case.without),
-        "requirements": list(case.requirements),
-        "variation": {
-            path: spread.model_dump(mode="json") for path, spread in case.scenario.variation.items()
-        },
-        "planned": planned,
-        "runs_override": runs_override,
-    }

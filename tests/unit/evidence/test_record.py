@@ -53,6 +53,8 @@ def report(item="a/b::R", **parts):
             "claims",
             "chains",
             "traces",
+            "problems",
+            "parts",
         )
     }
     return {"item": item, **empty, **parts}

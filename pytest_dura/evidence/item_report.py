@@ -1,0 +1,78 @@
+"""ItemReport: what one test item tells the record."""
+
+from __future__ import annotations
+
+import base64
+import json
+import zlib
+from dataclasses import dataclass, field
+from typing import Any
+
+Data = dict[str, Any]
+
+EPISODES_AT_ONCE = 64
+"""Records of episodes that a process holds as they are; more of them are told or packed."""
+_PART = ("components", "cases", "requirements", "episodes", "chains")
+
+
+@dataclass
+class ItemReport:
+    """What one test item tells; plain data, which crosses processes as JSON.
+
+    Args:
+        item: Node id.
+        components: Components under test, of :func:`describe_component`.
+        cases: ``{id, scenario, faults, component, requirements, planned}``.
+        requirements: ``Requirement.to_json()`` of each requirement involved.
+        episodes: Of :func:`episode_record`.
+        verdicts: ``CampaignVerdict.to_json()``, with the ``check`` and ``paired`` of the
+            requirement that was judged.
+        outcomes: ``EpisodeVerdict.to_json()`` of tests that look at one episode, with ``case``,
+            ``planned``, and the ``at_most`` and ``confidence`` of the requirement.
+        monitors: ``MonitorQuality.to_json()``, with the ``case`` that it was measured on.
+        chains: What came of each fault, with the ``episode`` and its ``case``.
+        claims: ``{requirement, case, each_run}`` of what the item is to decide, told before it.
+        traces: ``{id, component, digest, trace}`` of episodes whose trace was written.
+        problems: What casts doubt on the whole session, each beginning with ``infrastructure:``.
+        parts: Packed reports with earlier episodes of the item.
+    """
+
+    item: str
+    components: list[Data] = field(default_factory=list)
+    cases: list[Data] = field(default_factory=list)
+    requirements: list[Data] = field(default_factory=list)
+    episodes: list[Data] = field(default_factory=list)
+    verdicts: list[Data] = field(default_factory=list)
+    outcomes: list[Data] = field(default_factory=list)
+    monitors: list[Data] = field(default_factory=list)
+    chains: list[Data] = field(default_factory=list)
+    claims: list[Data] = field(default_factory=list)
+    traces: list[Data] = field(default_factory=list)
+    problems: list[str] = field(default_factory=list)
+    parts: list[str] = field(default_factory=list)
+
+    def to_json(self) -> Data:
+        """Plain data."""
+        return dict(vars(self))
+
+    def __bool__(self) -> bool:
+        """Whether there is anything to tell."""
+        return any(value for name, value in vars(self).items() if name != "item")
+
+    @property
+    def full(self) -> bool:
+        """Whether its episodes are so many that they should go."""
+        return len(self.episodes) + len(self.chains) >= EPISODES_AT_ONCE
+
+    def split(self) -> str:
+        """Take the episodes out of it, as a packed report that makes sense on its own."""
+        part = ItemReport("", **{name: getattr(self, name) for name in _PART})
+        self.episodes, self.chains = [], []
+        text = json.dumps(part.to_json(), allow_nan=False)
+        return base64.b64encode(zlib.compress(text.encode(), 1)).decode()
+
+
+def unpacked(part: str) -> Data:
+    """The report of :meth:`ItemReport.split`."""
+    found: Data = json.loads(zlib.decompress(base64.b64decode(part)))
+    return found

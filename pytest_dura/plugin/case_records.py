@@ -1,0 +1,27 @@
+"""A case as the evidence holds it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from pytest_dura.campaign.cases import Case
+
+
+def case_record(
+    case: Case, component: str, planned: int, runs_override: int | None
+) -> dict[str, Any]:
+    """A case as the evidence holds it; ``runs_override`` replaced what its scenario plans."""
+    return {
+        "id": case.id,
+        "scenario": case.scenario.name,
+        "faults": [dict(fault) for fault in case.faults],
+        "component": component,
+        "without": list(case.without),
+        "requirements": list(case.requirements),
+        "variation": {
+            path: spread.model_dump(mode="json") for path, spread in case.scenario.variation.items()
+        },
+        "planned": planned,
+        "runs_override": runs_override,
+    }
