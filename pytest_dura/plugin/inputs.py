@@ -41,9 +41,8 @@ class SessionInputs:
         for name, value in options.given:
             if name == "--dura-faults" and value.endswith((".yaml", ".yml")):
                 self.inputs.add("faults", here / value)
-        argument = config.getoption("dura_argument", None)
-        if argument:
-            self.inputs.add("argument", here / argument)
+        if options.argument is not None:
+            self.inputs.add("argument", options.argument)
         self._baseline(here)
         for planned in self.session.plan:
             self._scenario(planned.case.scenario.name)
