@@ -5,6 +5,9 @@ from __future__ import annotations
 import hashlib
 import re
 
+LONGEST = 80
+"""Readable characters of an anchor."""
+
 
 def requirement_anchor(requirement: str) -> str:
     """Of a requirement and all its verdicts. It is there for each requirement of the record."""
@@ -37,9 +40,9 @@ def anchor(kind: str, *parts: str) -> str:
     Two lists of parts that differ never have the same one: a short hash tells them apart, where
     the readable text leaves anything out.
     """
-    told = "-".join(parts)
-    readable = re.sub(r"[^A-Za-z0-9._]+", "-", told).strip("-")[:80]
-    if len(parts) == 1 and readable == told:
+    told = "-".join(part[:LONGEST] for part in parts)
+    readable = re.sub(r"[^A-Za-z0-9._]+", "-", told).strip("-")[:LONGEST]
+    if len(parts) == 1 and readable == parts[0]:
         return f"{kind}-{readable}"
     joined = "\0".join(parts).encode("utf-8", "surrogatepass")
     return f"{kind}-{readable}-{hashlib.sha256(joined).hexdigest()[:10]}"

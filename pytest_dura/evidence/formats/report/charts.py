@@ -42,7 +42,7 @@ def clearance_chart(rows: Sequence[ClearanceRow]) -> Mapping[str, Any]:
     greatest = max(max(row.times) for row in rows)
     greatest = max([greatest, *((row.mean or 0.0) + (row.sd or 0.0) for row in rows)])
     step = tick_step(greatest)
-    end = step * (floor(greatest / step) + 1)
+    end = step * (floor(greatest / step + 1e-9) + 1)
     scale = (RIGHT - LEFT) / end
     ticks = [{"x": _x(i * step, scale), "value": i * step} for i in range(round(end / step) + 1)]
     height = TOP + ROW * len(rows)

@@ -6,7 +6,7 @@ import shlex
 from collections.abc import Mapping
 from typing import Any
 
-from pytest_dura.evidence.text import name, one_line, visible
+from pytest_dura.evidence.text import LINE, name, one_line, visible
 
 NONE = "\N{EN DASH}"
 
@@ -43,6 +43,11 @@ def size(count: int) -> str:
     return f"{count / 1000:.0f} kB" if count < 1_000_000 else f"{count / 1e6:.1f} MB"
 
 
+def line(text: str, limit: int = LINE) -> str:
+    """On one line; of a very long text only the beginning is looked at."""
+    return one_line(text, limit) if len(text) < 50_000 else visible(text, limit)
+
+
 def replay_command(episode: str) -> str:
     """What runs one episode again, with ``DIR`` for the folder that holds the evidence."""
     return f"pytest --dura-replay={shlex.quote(episode)} --dura-evidence=DIR"
@@ -50,7 +55,7 @@ def replay_command(episode: str) -> str:
 
 FILTERS: Mapping[str, Any] = {
     "name": name,
-    "line": one_line,
+    "line": line,
     "prose": visible,
     "number": number,
     "percent": percent,

@@ -109,11 +109,13 @@ class Gathered:
             shown = Listed(_rank(episode, violates), index, _brief(episode), violates)
             _keep(listed, shown.rank, shown, MAX_LISTED)
             if episode["trace"] is not None:
-                # One of each case after all that violate something, then a second one...
-                of_case = shown.episode["case"], shown.episode["component"]
-                turn = len(wanted) + 1 + sampled[of_case]
-                sampled[of_case] += 1
-                _keep(candidates, wanted.get(shown.key, turn), shown, MAX_CANDIDATES)
+                turn = wanted.get(key)
+                if turn is None:
+                    # One of each case after all that violate something, then a second one...
+                    of_case = episode["case"], episode["component"]
+                    turn = len(wanted) + sampled[of_case]
+                    sampled[of_case] += 1
+                _keep(candidates, turn, shown, MAX_CANDIDATES)
         return cls(cases, _in_order(listed), total, _in_order(candidates))
 
 

@@ -1,0 +1,61 @@
+"""Laws of the report: harmless, whole, and of the record's counts, whatever the record holds."""
+
+from __future__ import annotations
+
+import re
+
+from hostile_records import hostile_records
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from report_pages import Page
+
+from pytest_dura.evidence.counts import Counts
+from pytest_dura.evidence.formats import report
+from pytest_dura.evidence.formats.report.anchors import anchor
+
+some = settings(derandomize=True, deadline=None, max_examples=8)
+
+
+@some
+@given(record=hostile_records())
+def test_the_report_states_the_records_counts(record):
+    assert report.read_counts(report.render(record)) == Counts.of(record)
+
+
+@some
+@given(record=hostile_records())
+def test_nothing_of_a_record_becomes_markup_or_a_control_character(record):
+    html = report.render(record)
+    page = Page(html)
+    assert page.scripts == ["javascript"]
+    assert page.elements["style"] == 1
+    assert (page.handlers, page.sources) == ([], [])
+    assert all(link.startswith("#") for link in page.links)
+    assert not re.search(
+        r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u200b\u2028\u202a-\u202e\u2066-\u2069\ud800-\udfff]", html
+    )
+    assert len(html.encode()) < 300_000
+
+
+@some
+@given(record=hostile_records())
+def test_each_id_is_there_once_and_each_link_leads_to_one(record):
+    page = Page(report.render(record))
+    assert max(page.ids.values()) == 1
+    assert {link[1:] for link in page.links} <= set(page.ids)
+
+
+@some
+@given(record=hostile_records())
+def test_the_same_record_gives_the_same_text(record):
+    assert report.render(record) == report.render(record)
+
+
+@some
+@given(
+    one=st.lists(st.text(max_size=4), min_size=1, max_size=3),
+    other=st.lists(st.text(max_size=4), min_size=1, max_size=3),
+)
+def test_anchors_of_different_parts_differ_and_hold_no_odd_character(one, other):
+    assert (anchor("x", *one) == anchor("x", *other)) == (one == other)
+    assert re.fullmatch(r"[A-Za-z0-9._-]+", anchor("x", *one))

@@ -1,0 +1,359 @@
+"""The report: what each section says, its bounds, and how its counts are read back."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import re
+import tracemalloc
+from dataclasses import replace
+
+import pytest
+from report_pages import VIOLATING, Page, record_with_trace
+from session_records import episode, session_record, verdict
+
+from pytest_dura.evidence.counts import Counts
+from pytest_dura.evidence.formats.report import charts, gathering, players, read_counts, render
+from pytest_dura.evidence.formats.report.anchors import (
+    case_anchor,
+    requirement_anchor,
+    verdict_anchor,
+)
+from pytest_dura.evidence.formats.report.matrix import heading, matrix
+from pytest_dura.evidence.session_record import SessionRecord
+
+
+@pytest.fixture(scope="module")
+def html():
+    return render(session_record())
+
+
+def section(html, name):
+    """The words of a section, with plain spaces."""
+    return Page(re.search(f'<section id="{name}".*?</section>', html, re.DOTALL)[0]).words
+
+
+def row(html, anchor):
+    return Page(re.search(f'<tr[^>]* id="{anchor}">.*?</tr>', html, re.DOTALL)[0]).words
+
+
+def test_the_gate_says_why_it_failed_and_that_nobody_reviewed_it(html):
+    gate = section(html, "gate")
+    assert "failed exit code 1" in gate
+    assert "SAF-1 on a/clear+ghost is violated" in gate
+    assert "commit c0ffee" in gate
+    assert "base seed 0" in gate
+    assert "generated and unreviewed" in gate
+    assert "--dura-replay='CASE#RUN' --dura-evidence=DIR" in gate
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"status": "running"},
+        {"gate": {"result": "incomplete", "exit_code": 2, "reasons": ["it was killed"]}},
+    ],
+)
+def test_an_incomplete_session_says_so_before_anything_else(changes):
+    gate = section(render(session_record(**changes)), "gate")
+    assert "Incomplete:" in gate
+    assert gate.index("Incomplete:") < gate.index("1. Gate result")
+
+
+def test_a_complete_session_is_not_called_incomplete(html):
+    assert "ncomplete" not in section(html, "gate")
+
+
+def test_a_verdict_states_its_counts_bound_margin_and_counterexample(html):
+    words = row(html, verdict_anchor("SAF-1", "a/clear+ghost"))
+    assert words.startswith(
+        "a/clear+ghost ✗ violated 2 / 2 1 0 0 0 ≤ 97.5 % at 95 %1 allowed: none"
+    )
+    assert "-0.5 / 0.5" in words
+    assert "1 of 2 valid episodes violated it" in words
+    assert f"{VIOLATING} at t = 0.90 s, margin -0.5" in words
+    assert f"pytest --dura-replay={VIOLATING!r} --dura-evidence=DIR" in words
+
+
+def test_a_waiver_is_told_beside_the_word_that_it_excuses(html):
+    words = row(html, verdict_anchor("PERF-1", "a/clear"))
+    assert "✗ violated ⚑ waived" in words
+    assert "⚑ xfail: known" in words
+
+
+def test_pairs_are_told_with_and_without_and_their_p():
+    pairs = {
+        "without": "recovery_planner", "case": "a/clear~recovery_planner", "pairs": 5,
+        "only_with": 1, "only_without": 3, "both": 0, "neither": 1, "incomplete": 0,
+        "acted_only_with": 0, "acted_only_without": 0, "acted_both": 2, "acted_neither": 4,
+        "violated_with": 1, "violated_without": 3, "p_value": 0.625,
+    }  # fmt: skip
+    one = verdict("SAF-1", "a/clear", ("satisfied",) * 5, pairs=pairs)
+    html = render(session_record(verdicts=[one]))
+    words = row(html, verdict_anchor("SAF-1", "a/clear"))
+    assert (
+        "violated only with it 1, only without it 3, both 0, neither 1 of 5; McNemar p = 0.62"
+        in words
+    )
+    assert "SAF-1 a/clear 5 3 1 2 4 0.62" in section(html, "monitors")
+    # The test's level does not hold where the pairs themselves say when to stop.
+    html = render(session_record(verdicts=[{**one, "method": "sprt"}]))
+    assert "McNemar p =" not in row(html, verdict_anchor("SAF-1", "a/clear"))
+
+
+def test_cases_are_told_over_valid_and_over_run_episodes():
+    record = session_record()
+    metrics = {**record["cases"][0]["metrics"], "valid": 2, "run": 3}
+    metrics["collided"] = {**metrics["collided"], "valid": 1, "run": 2}
+    html = render(session_record(cases=[{**record["cases"][0], "metrics": metrics}]))
+    assert "1/2 (2/3 run)" in row(html, case_anchor("a/clear"))
+    assert "1.6 s ± 0.07 (2)" in row(html, case_anchor("a/clear"))
+
+
+def test_the_map_of_faults_marks_what_is_untested_and_what_has_no_valid_episode():
+    undecided = verdict("PERF-1", "a/clear+ghost", ("invalid",) * 3)
+    found = [undecided, verdict("SAF-1", "a/clear+ghost", ("satisfied", "violated", "violated"))]
+    html = render(session_record(verdicts=found))
+    heat = re.search('<table id="heat".*?</table>', html, re.DOTALL)[0]
+    assert re.search(r'step-4"><b>2</b>/3 ✗', heat)
+    assert heat.count('<td class="hollow">? 0 valid') == 1
+    assert heat.count('<td class="untested">○ untested') == 4
+    assert 'step-0"' not in heat
+
+
+def test_the_chain_of_a_fault_has_its_counts_outcomes_and_latencies():
+    record = session_record()
+    chain = {
+        "id": "ghost", "target": "lidar", "run": 4, "activated": 4, "manifested": 3, "followed": 3,
+        "propagated": 2, "detected": 1, "recovery": 1, "recovered": 0, "judged": 3, "violated": 1,
+        "rates": {}, "detection_latency": {"median": 0.25, "max": 1.0}, "recovery_latency": None,
+        "time_to_recover": None,
+    }  # fmt: skip
+    case = record["cases"][1]
+    cases = [record["cases"][0], {**case, "metrics": {**case["metrics"], "faults": [chain]}}]
+    words = section(render(session_record(cases=cases)), "faults")
+    assert (
+        "a/clear+ghost ghost on lidar 4/4 3/4 2/3 1/3 1/3 0/1 1/3 4 tolerated detection 0.25 s"
+        in words
+    )
+
+
+def test_untested_cells_and_drawn_parts_of_ranges_are_shown(html):
+    words = section(html, "coverage")
+    assert "4 of 5 cells" in words
+    assert words.count("○ untested") == 1
+    assert "world.wall 2 to 6 6 2.5 to 5 0 2 1 2 1 0 0 0 0 0 4/10 (40 %)" in words.replace(
+        "\N{NO-BREAK SPACE}", " "
+    )
+
+
+def test_requirements_without_a_case_and_cases_without_a_requirement_are_orphans():
+    html = render(session_record(verdicts=[verdict("SAF-1", "a/clear", ("satisfied",) * 2)]))
+    words = section(html, "traceability")
+    assert words.count("orphan: no case tests it") == 2
+    assert words.count("orphan: no requirement is judged on it") == 1
+    assert "untested: no case led to a verdict on it" in section(html, "requirements")
+
+
+def test_a_monitor_is_told_with_n_behind_its_rates(html):
+    words = section(html, "monitors")
+    assert "security_assessor SAF-1 a/clear+ghost 4" in words
+    assert "0.5 (1/2) 1 (1/1)" in words
+
+
+def test_a_baseline_is_compared_only_where_there_is_one(html):
+    assert "Compared with a baseline" not in html
+    comparison = {
+        "requirement": "SAF-1", "case": "a/clear", "component": "C", "baseline_component": "C",
+        "word": "worse", "reason": "", "uncorrected": "worse", "confidence": 0.95, "violations": 3,
+        "episodes": 9, "baseline_violations": 0, "baseline_episodes": 9, "test": "Fisher",
+        "only_now": None, "only_baseline": None, "p_worse": 0.01, "p_better": 1.0,
+        "p_worse_holm": 0.02, "p_better_holm": 1.0,
+    }  # fmt: skip
+    gone = dict.fromkeys(comparison) | {
+        "requirement": "SAF-2", "case": "a/clear", "word": "gone", "reason": "",
+    }  # fmt: skip
+    baseline = {
+        "path": "before", "sha256": "5" * 64, "created": "2026-01-01", "status": "complete",
+        "base_seed": 0, "component": {"name": None}, "correction": "Holm", "tests": 1,
+        "comparisons": [comparison, gone],
+    }  # fmt: skip
+    words = section(render(session_record(baseline=baseline)), "provenance")
+    assert "SAF-1 a/clear worse 3/9 0/9 Fisher 0.01 (0.02) 1 (1)" in words
+    assert "SAF-2 a/clear gone \N{EN DASH} \N{EN DASH}" in words
+
+
+def test_only_our_own_scripts_and_styles_are_allowed_to_run(html):
+    policy = re.search('Content-Security-Policy" content="([^"]*)"', html)[1].replace("&#39;", "'")
+    assert policy.startswith("default-src 'none'; ")
+    for tag in ("script", "style"):
+        text = re.search(f"<{tag}>(.*?)</{tag}>", html, re.DOTALL)[1]
+        digest = base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
+        assert f"{tag}-src 'sha256-{digest}'" in policy
+    assert "unsafe" not in policy
+
+
+def test_a_trace_gives_its_episode_a_player_to_which_the_verdict_links(tmp_path):
+    html = render(record_with_trace(tmp_path))
+    anchor = re.search('<details class="player" id="([^"]*)"', html)[1]
+    assert f'<a href="#{anchor}">{VIOLATING}</a>' in html
+    assert "octet-stream" in html
+    assert read_counts(html) == Counts.of(record_with_trace(tmp_path))
+
+
+@pytest.mark.parametrize(
+    "changes, told",
+    [
+        ({"file": "episodes/gone.mcap"}, "No such file"),
+        ({"file": "../../outside.mcap"}, "the file lies outside the evidence"),
+        ({"trace": {"sha256": "0" * 64}}, "the record says another"),
+    ],
+)
+def test_a_trace_that_cannot_be_read_is_told_in_its_place(tmp_path, changes, told):
+    html = render(record_with_trace(tmp_path, **changes))
+    words = section(html, "episodes")
+    assert told in words
+    assert "cannot be shown" in words
+    assert "octet-stream" not in html
+
+
+def test_a_damaged_trace_is_told_in_its_place(tmp_path):
+    record = record_with_trace(tmp_path)
+    damaged = b"\x89MCAP0\r\n" + b"x" * 500
+    (tmp_path / "episodes/one.mcap").write_bytes(damaged)
+    changed = {"sha256": hashlib.sha256(damaged).hexdigest(), "bytes": len(damaged)}
+    episodes = [
+        one if one["trace"] is None else {**one, "trace": {**one["trace"], **changed}}
+        for one in record.episodes()
+    ]
+    record = SessionRecord.of({**record.head, "episodes": episodes}, tmp_path)
+    assert "trace unreadable" in section(render(record), "episodes")
+
+
+def test_players_are_bounded_in_number_and_size(tmp_path, monkeypatch):
+    record = record_with_trace(tmp_path)
+    trace = next(one["trace"] for one in record.episodes() if one["trace"])
+    many = [episode("a/clear", run, trace=trace) for run in range(20)]
+    found = gathering.Gathered.of(session_record(tmp_path, episodes=many)).candidates
+    assert len(players.embedded(record, found).shown) == players.MAX_PLAYERS
+    one = len(players.embedded(record, found[:1]).rows[0]["packed"])
+    monkeypatch.setattr(players, "MAX_CHARACTERS", 3 * one)
+    assert len(players.embedded(record, found).shown) == 3
+
+
+def test_players_show_the_worst_of_each_verdict_before_the_second_of_one():
+    verdicts = [
+        verdict("SAF-1", "a/clear", ("violated",) * 4),
+        verdict("PERF-1", "a/clear", ("violated", "satisfied")),
+        verdict("SAF-1", "a/clear+ghost", ("violated",) * 2),
+    ]
+    trace = {"file": "x", "sha256": "0", "bytes": 1, "kept_for": "violation"}
+    episodes = [
+        episode(case, run, trace=trace) for case in ("a/clear", "a/clear+ghost") for run in range(6)
+    ]
+    record = session_record(verdicts=verdicts, episodes=episodes)
+    found = [one.episode["id"] for one in gathering.Gathered.of(record).candidates]
+    assert found[:4] == ["a/clear#0", "a/clear+ghost#0", "a/clear#1", "a/clear+ghost#1"]
+    # Then one of each case that violated nothing.
+    assert found[6:8] == ["a/clear#4", "a/clear+ghost#2"]
+
+
+def many_episodes(count):
+    """A record whose episodes are made when they are read."""
+    plain = [episode("a/clear", run % 90) for run in range(90)]
+    told = {"flagged": False, "collided": False}
+    for one in plain:
+        one["outcome"] |= told
+
+    def read():
+        for run in range(count):
+            if run == count - 1:
+                yield episode("a/clear", run, validity="missing")
+            elif run == count - 2:
+                yield episode("a/clear", run, validity="invalid")
+            else:
+                yield plain[run % 90] | {"id": f"a/clear#{run}"}
+
+    return replace(session_record(episodes=[]), read_episodes=read)
+
+
+def test_many_episodes_are_counted_and_the_remarkable_ones_listed():
+    html = render(many_episodes(1500))
+    words = section(html, "episodes")
+    assert "1000 of 1500 episodes" in words
+    assert "500 are left out" in words
+    assert words.index("a/clear#1499") < words.index("a/clear#1498") < words.index("a/clear#7 ")
+    counts = read_counts(html)
+    assert (counts.episodes, counts.valid, counts.invalid, counts.missing) == (1500, 1498, 1, 1)
+
+
+def test_memory_does_not_grow_with_the_number_of_episodes():
+    def peak(count):
+        record = many_episodes(count)
+        tracemalloc.start()
+        gathering.Gathered.of(record)
+        used = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        return used
+
+    assert peak(6000) < peak(2000) + 200_000
+
+
+def changed(html, before, after):
+    assert before in html
+    return html.replace(before, after, 1)
+
+
+def test_counts_are_read_from_rows_and_not_from_what_the_page_says_of_them(html):
+    ghost = verdict_anchor("SAF-1", "a/clear+ghost")
+    without = re.sub(f'<tr class="verdict" id="{ghost}">.*?</tr>', "", html, flags=re.DOTALL)
+    assert read_counts(without).violated == read_counts(html).violated - 1
+    anchor = requirement_anchor("SAF-1")
+    fewer = re.sub(f'<tbody class="requirement" id="{anchor}">', "<tbody>", html)
+    assert read_counts(fewer).requirements == read_counts(html).requirements - 1
+
+
+@pytest.mark.parametrize(
+    "before, after, problem",
+    [
+        ('<strong class="gate-word">failed', '<strong class="gate-word">passed', "gate"),
+        ('<b class="word">violated</b>', '<b class="word">fine</b>', "verdict reads"),
+        ('id="case-counts"', 'id="other"', "is not there"),
+        ('<th scope="col" class="n">Run</th>', '<th scope="col">Ran</th>', "columns"),
+    ],
+)
+def test_what_is_not_as_it_was_written_is_refused(html, before, after, problem):
+    with pytest.raises(ValueError, match=problem):
+        read_counts(changed(html, before, after))
+
+
+def test_another_file_is_no_report():
+    with pytest.raises(ValueError, match="not there"):
+        read_counts("<p>hello</p>")
+
+
+@pytest.mark.parametrize("greatest", [0.3, 1.0, 9.9, 10.0, 12.0, 47.0, 100.0, 3600.0])
+def test_ticks_are_few_and_reach_beyond_the_greatest_time(greatest):
+    row = charts.ClearanceRow("c", [greatest], 1, greatest, None)
+    chart = charts.clearance_chart([row])
+    values = [tick["value"] for tick in chart["ticks"]]
+    assert 4 <= len(values) <= 12
+    assert values[-1] > greatest
+    assert chart["left"] < chart["rows"][0]["dots"][0]["x"] < chart["right"]
+
+
+def test_dots_and_mean_stand_where_the_axis_says():
+    chart = charts.clearance_chart([charts.ClearanceRow("c", [2.0, 4.0], 2, 3.0, 1.0)])
+    at = {tick["value"]: tick["x"] for tick in chart["ticks"]}
+    row = chart["rows"][0]
+    assert [dot["x"] for dot in row["dots"]] == [at[2.0], at[4.0]]
+    assert (row["low"], row["x"], row["high"]) == (at[2.0], at[3.0], at[4.0])
+
+
+def test_a_matrix_has_the_fewer_headings_in_its_columns():
+    one, three = [heading("r")], [heading(name) for name in "xyz"]
+    wide = matrix(one, three, lambda i, j: (i, j), "Fault")
+    assert (wide["corner"], [row["label"] for row in wide["rows"]]) == ("Fault", ["x", "y", "z"])
+    assert wide["rows"][2]["cells"] == [(0, 2)]
+    high = matrix(three, one, lambda i, j: (i, j), "Fault")
+    assert (high["corner"], high["rows"][2]["cells"]) == ("Requirement", [(2, 0)])
