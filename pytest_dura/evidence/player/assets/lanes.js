@@ -14,8 +14,9 @@ const SOURCES = new Map([
 
 /** A strip as long as the episode: a press or a drag on it goes to that time. */
 function strip(player, name, ...children) {
-  const node = make("div", {class: `dura-strip ${name}`}, ...children,
-    make("div", {class: "dura-cursor"}));
+  const cursor = make("div", {class: "dura-cursor"});
+  const node = make("div", {class: `dura-strip ${name}`}, ...children, cursor);
+  player.cursors.push(cursor);
   const go = (event) => {
     const box = node.getBoundingClientRect();
     const share = box.width ? (event.clientX - box.left) / box.width : 0;
@@ -165,11 +166,32 @@ function axis(episode) {
   const step = [0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 5000]
     .find((one) => length / one <= 8) ?? length;
   const marks = [];
-  for (let at = Math.ceil(episode.start / step); at * step <= episode.end + 1e-9 && step; at += 1) {
+  const first = Math.ceil(episode.start / step);
+  for (let at = first; at * step <= episode.end + 1e-9 && marks.length < 10; at += 1) {
     const node = make("span", {}, `${Number((at * step).toFixed(2))}`);
     node.style.left = `${length ? ((at * step - episode.start) / length) * 100 : 0}%`;
     marks.push(node);
   }
   return make("div", {class: "dura-row dura-axis", "aria-hidden": "true"},
     make("div", {class: "dura-label"}, "seconds"), make("div", {class: "dura-strip"}, marks));
+}
+
+/** Explains what occurs in this episode, and nothing else. */
+function rowLegend({episode, plots}) {
+  const {faults, flags, decisions, signals} = episode;
+  const said = new Set(Object.values(flags).flat());
+  const sources = decisions.source.words;
+  const entries = [["line", "signal", signals.size],
+    ["dashed", "as perceived", [...signals.keys()].some((name) => plots.base(name))],
+    ["fault", "F fault active", faults.length],
+    ["manifested", "fault manifested", faults.some((one) => one.manifested.length)],
+    ["safe", "safe", said.has(0)], ["warning", "W warning", said.has(1)],
+    ["unsafe", "U unsafe", said.has(2)], ["silent", "not asked", said.has(-1)],
+    ["proposal", "proposal", sources.includes("proposal")],
+    ["recovery", "R recovery", sources.includes("recovery")],
+    ["fallback", "F fallback", sources.includes("fallback")],
+    ["violation", "violation", violations(episode).length]];
+  return make("ul", {class: "dura-legend", "aria-label": "Legend of the rows"},
+    entries.filter(([, , occurs]) => occurs).map(([look, label]) =>
+      make("li", {}, make("span", {class: `dura-key dura-key-${look}`}), label)));
 }

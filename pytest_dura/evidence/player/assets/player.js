@@ -10,6 +10,7 @@ class Player {
     this.clock = episode.start;
     this.speed = 1;
     this.playing = false;
+    this.cursors = [];
     this.calm = matchMedia("(prefers-reduced-motion: reduce)");
     this.view = episode.scene && episode.ticks ? new View(episode) : null;
     this.decision = new Decision(episode);
@@ -40,7 +41,7 @@ class Player {
       make("div", {class: "dura-drive"}, this.transport(), this.scrubRow()),
       make("div", {class: "dura-side"}, this.decision.node, this.events.node),
       make("div", {class: "dura-timeline"}, this.lanes.node, this.plots.node, axis(episode),
-        this.rowLegend())),
+        rowLegend(this))),
     this.plots.chooser, this.lanes.table, help(this), this.live);
   }
 
@@ -90,26 +91,6 @@ class Player {
     return make("div", {class: "dura-row dura-scrubrow"},
       make("div", {class: "dura-label"}, make("label", {for: id, class: "dura-name"}, "time")),
       this.scrub);
-  }
-
-  /** Explains what occurs in this episode, and nothing else. */
-  rowLegend() {
-    const {faults, flags, decisions, signals} = this.episode;
-    const said = new Set(Object.values(flags).flat());
-    const sources = decisions.source.words;
-    const entries = [["line", "signal", signals.size],
-      ["dashed", "as perceived", [...signals.keys()].some((name) => this.plots.base(name))],
-      ["fault", "F fault active", faults.length],
-      ["manifested", "fault manifested", faults.some((one) => one.manifested.length)],
-      ["safe", "safe", said.has(0)], ["warning", "W warning", said.has(1)],
-      ["unsafe", "U unsafe", said.has(2)], ["silent", "not asked", said.has(-1)],
-      ["proposal", "proposal", sources.includes("proposal")],
-      ["recovery", "R recovery", sources.includes("recovery")],
-      ["fallback", "F fallback", sources.includes("fallback")],
-      ["violation", "violation", violations(this.episode).length]];
-    return make("ul", {class: "dura-legend", "aria-label": "Legend of the rows"},
-      entries.filter(([, , occurs]) => occurs).map(([look, label]) =>
-        make("li", {}, make("span", {class: `dura-key dura-key-${look}`}), label)));
   }
 
   // Time
@@ -211,7 +192,8 @@ class Player {
 
   update(part = 0) {
     const {episode, tick} = this;
-    this.node.style.setProperty("--dura-at", `${episode.share(tick) * 100}%`);
+    const at = `${episode.share(tick) * 100}%`;
+    for (const cursor of this.cursors) cursor.style.left = at;
     this.node.dataset.tick = tick;
     const time = episode.time[tick] ?? 0;
     say(this.clockText, `${seconds(time)} of ${seconds(episode.end)} · tick ${tick}`);
@@ -222,6 +204,7 @@ class Player {
     this.lanes.update(tick);
     this.plots.update(tick);
     if (!this.view) return;
+    if (!this.playing) this.view.colour = null; // a page may have changed its colours
     this.view.draw(tick, part);
     this.showBadges();
     if (!this.playing) {

@@ -17,7 +17,10 @@ class View {
     this.box = make("div", {class: "dura-stage"}, this.canvas, this.badges);
     this.frame = this.extent();
     new ResizeObserver(() => this.draw()).observe(this.box);
-    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.draw());
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
+      this.colour = null;
+      this.draw();
+    });
   }
 
   /** What the fixed camera shows: the ego's way, with room around it. */
@@ -50,9 +53,7 @@ class View {
     if (this.canvas.width !== across || this.canvas.height !== down) {
       [this.canvas.width, this.canvas.height] = [across, down];
     }
-    const style = getComputedStyle(this.box);
-    this.colour = Object.fromEntries(COLOURS.map((name) =>
-      [name, style.getPropertyValue(`--dura-${name}`).trim()]));
+    this.colour ??= this.colours();
     const pen = this.canvas.getContext("2d");
     this.pen = pen;
     pen.setTransform(ratio, 0, 0, ratio, 0, 0);
@@ -74,6 +75,12 @@ class View {
     this.drawThings(ego);
     this.drawLabels(width, height);
     this.drawScale(width, height);
+  }
+
+  colours() {
+    const style = getComputedStyle(this.box);
+    return Object.fromEntries(COLOURS.map((name) =>
+      [name, style.getPropertyValue(`--dura-${name}`).trim()]));
   }
 
   /** A pose at the moment that is drawn. Between ticks both must be known. */
@@ -192,36 +199,31 @@ class View {
     pen.save();
     pen.translate(...this.at(x, y));
     pen.rotate(heading);
-    pen.beginPath();
-    pen.roundRect(-long / 2, -wide / 2, long, wide, Math.min(3, wide / 4));
+    const outline = new Path2D();
+    outline.roundRect(-long / 2, -wide / 2, long, wide, Math.min(3, wide / 4));
     if (kind === "truth" || kind === "ego") {
       pen.fillStyle = kind === "ego" ? colour.ego : colour.body;
-      pen.fill();
+      pen.fill(outline);
       pen.strokeStyle = colour["body-line"];
       pen.lineWidth = 1;
-      pen.stroke();
+      pen.stroke(outline);
       this.arrow(long, wide, colour.halo);
     } else if (kind === "missing") {
-      pen.save();
-      pen.clip();
       pen.strokeStyle = colour.missing;
       pen.lineWidth = 1.5;
+      pen.stroke(outline);
+      pen.clip(outline);
+      pen.beginPath();
       for (let step = -long; step < long + wide; step += 6) {
         pen.moveTo(step - long / 2, -wide / 2);
         pen.lineTo(step - long / 2 - wide, wide / 2);
       }
       pen.stroke();
-      pen.restore();
-      pen.beginPath();
-      pen.roundRect(-long / 2, -wide / 2, long, wide, Math.min(3, wide / 4));
-      pen.strokeStyle = colour.missing;
-      pen.lineWidth = 1.5;
-      pen.stroke();
     } else {
       pen.strokeStyle = kind === "ghost" ? colour.ghost : colour.percept;
       pen.lineWidth = kind === "ghost" ? 2.5 : 2;
       pen.setLineDash(kind === "ghost" ? [6, 4] : []);
-      pen.stroke();
+      pen.stroke(outline);
       pen.setLineDash([]);
       if (kind === "ghost") this.arrow(long, wide, colour.ghost);
     }
