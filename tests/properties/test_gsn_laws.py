@@ -62,7 +62,7 @@ def records(draw):
     )  # fmt: skip
 
 
-@settings(derandomize=True, deadline=None, max_examples=25)
+@settings(derandomize=True, deadline=None, max_examples=15)
 @given(record=records())
 def test_the_rules_hold_and_the_counts_are_the_records(record):
     text = yaml_file.render(record)
@@ -73,7 +73,7 @@ def test_the_rules_hold_and_the_counts_are_the_records(record):
     assert text.encode()
 
 
-@settings(derandomize=True, deadline=None, max_examples=25)
+@settings(derandomize=True, deadline=None, max_examples=15)
 @given(record=records())
 def test_the_picture_is_sound_and_states_the_records_counts(record):
     text = svg_file.render(record)

@@ -155,6 +155,15 @@ def test_a_session_without_anything_has_an_argument_too():
         assert one.read_counts(one.render(nothing)) == Counts.of(nothing)
 
 
+def test_the_policy_is_that_of_the_judged_cases_and_not_of_their_comparison():
+    record = session_record()
+    alone = episode("a/clear~recovery_planner", 0)
+    alone["spec"]["policy"] = "log_only"
+    found = elements(session_record(episodes=[*record.episodes(), alone]))
+    assert "with recovery policy recover meets" in found["GTop"]["text"]
+    assert "log_only" not in found["CComponent"]["text"]
+
+
 def test_twin_verdicts_and_several_components_are_told_apart():
     one = verdict("SAF-1", "a/clear", ("satisfied",))
     record = session_record(verdicts=[one, one, {**one, "component": "D"}])
@@ -182,7 +191,16 @@ def test_reading_notices_what_was_tampered_with():
     del data[goal]["defeated"]
     with pytest.raises(ValueError, match="drawn as supported"):
         yaml_file.read_counts(yaml.safe_dump(data))
-    for wrong in ("", "- a", "{", "a: &x [*x]", text + "\nGTop: {text: again}\n", "module: {}\n"):
+    for wrong in (
+        "",
+        "- a",
+        "{",
+        "a: &x [*x]",
+        "[" * 100_000,
+        "{a: " * 100_000,
+        text + "\nGTop: {text: again}\n",
+        "module: {}\n",
+    ):
         with pytest.raises(ValueError, match=r"gsn\.yaml|no YAML"):
             yaml_file.read_counts(wrong)
 

@@ -97,6 +97,15 @@ def test_the_user_may_challenge_our_elements(user):
     assert rendered(user(text))["CG1"]["challenges"] == "ASensors"
 
 
+def test_a_hostile_id_is_harmless_in_the_picture(user):
+    text = svg_file.render(
+        with_user(user("""'G"><script>': {text: <b>, undeveloped: true, url: 'javascript:x'}"""))
+    )
+    assert "<script" not in text
+    assert "<b>" not in text
+    assert "javascript" not in text
+
+
 def test_an_incomplete_session_challenges_the_users_goal(user):
     found = rendered(user(GOOD), status="incomplete")
     assert found["CGIncomplete"]["challenges"] == "G1"

@@ -17,6 +17,7 @@ UNUSED = "unused:"
 """How the alias of an element begins that tells what a user's argument leaves out."""
 
 _WORDS = ("supported", "violated", "undecided")
+_DEEPEST = 16
 _STATED = ("cases", "episodes", "valid", "invalid", "missing")
 
 
@@ -73,14 +74,18 @@ def elements_of(text: str) -> dict[str, Any]:
     import yaml
 
     # The one of libyaml is ten times as fast and reads the same; not every build has it.
-    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)(text)
+    kind = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+    loader = None
     try:
+        _plain_events(text, kind)
+        loader = kind(text)
         node = loader.get_single_node()
         data = None if node is None else loader.construct_document(node)
     except (yaml.YAMLError, RecursionError, ValueError) as error:
         raise ValueError(f"no YAML: {error}") from None
     finally:
-        loader.dispose()
+        if loader is not None:
+            loader.dispose()
     if not isinstance(node, yaml.MappingNode) or not isinstance(data, dict):
         _refuse("no mapping of elements")
     twice = [key for key, n in Counter(one.value for one, _ in node.value).items() if n > 1]
@@ -89,6 +94,20 @@ def elements_of(text: str) -> dict[str, Any]:
     if not isinstance(data.pop(MODULE, None), dict):
         _refuse("no module is described")
     return data
+
+
+def _plain_events(text: str, loader: Any) -> None:
+    """Refuse depth, which libyaml meets with a crash of the process, and anchors."""
+    import yaml
+
+    depth = 0
+    for event in yaml.parse(text, Loader=loader):
+        depth += isinstance(event, yaml.CollectionStartEvent)
+        depth -= isinstance(event, yaml.CollectionEndEvent)
+        if depth > _DEEPEST:
+            _refuse("it is nested too deeply")
+        if getattr(event, "anchor", None) is not None:
+            _refuse("it has anchors or aliases")
 
 
 def read_counts(text: str) -> Counts:
