@@ -64,7 +64,7 @@ class Redactor:
             value: Its value; one that is too short or too ordinary is ignored, see ``ignored``.
         """
         stripped = value.strip()
-        if is_common(stripped):
+        if is_common(stripped) or _is_own_word(stripped):
             self.ignored |= {name} if stripped else set()
             return
         name = re.sub(r"[^\w. -]", "_", name)[:200]
@@ -239,3 +239,10 @@ def _texts(value: Any) -> Iterator[str]:
             left.extend(one.values())
         elif isinstance(one, (list, tuple)):
             left.extend(one)
+
+
+def _is_own_word(value: str) -> bool:
+    """Whether the record itself is written with this word: without it, nobody could read it."""
+    from pytest_dura.evidence.schema import words
+
+    return any(value in word for word in words())

@@ -39,7 +39,7 @@ def test_the_password_in_the_url_of_any_variable():
     assert redact("pa$sword1") == "[redacted: DATABASE]"
 
 
-@pytest.mark.parametrize("value", ["", "short", "********", "password", "PRODUCTION"])
+@pytest.mark.parametrize("value", ["", "short", "********", "password", "PRODUCTION", "verdicts"])
 def test_what_is_too_ordinary_to_be_looked_for_is_told(value):
     redactor = Redactor.of_environment({"MY_SECRET": value})
     assert redactor.redact(f"a {value} here") == f"a {value} here"

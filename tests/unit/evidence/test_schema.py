@@ -1,0 +1,227 @@
+"""The schema holds for what we write, and tells what is wrong with what we did not."""
+
+from __future__ import annotations
+
+import copy
+import json
+import math
+import re
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from jsonschema import Draft202012Validator
+from session_records import session_record
+
+from pytest_dura.evidence.baseline_file import Baseline
+from pytest_dura.evidence.schema import MOST, check_record, schema, schema_text, words
+from pytest_dura.evidence.schema_page import BEGIN, END, PAGE, page_of, tables
+
+DOCS = Path(__file__).parents[3] / "docs"
+lawful = settings(derandomize=True, deadline=None, max_examples=40)
+
+
+def whole(**changes):
+    record = session_record(**changes)
+    return {**record.head, "episodes": list(record.episodes())}
+
+
+RECORD = whole()
+RECORD["episodes"] = RECORD["episodes"][1:3]
+RECORD["verdicts"] = RECORD["verdicts"][1:3]
+
+
+def properties(part=None, path=""):
+    """Each property of the schema, with its path."""
+    part = schema() if part is None else part
+    for name, one in part.get("properties", {}).items():
+        yield f"{path}.{name}", one
+        yield from properties(one, f"{path}.{name}")
+    for key in ("items", "additionalProperties"):
+        if isinstance(part.get(key), dict):
+            yield from properties(part[key], f"{path}.{key}")
+    for inner in part.get("anyOf", ()):
+        yield from properties(inner, path)
+    for name, one in part.get("$defs", {}).items():
+        yield from properties(one, f"{path}.{name}")
+
+
+def steps(data, path=()):
+    """The path of every value below a record that its schema has a word on."""
+    items = data.items() if isinstance(data, dict) else enumerate(data)
+    for key, value in items:
+        if path and path[-1] in OPEN:
+            return
+        yield (*path, key)
+        if isinstance(value, (dict, list)):
+            yield from steps(value, (*path, key))
+
+
+OPEN = {
+    "params", "world", "parameters", "data", "packages", "activation", "duration", "choice",
+    "redacted", "user", "violations", "processing_us", "processing_seconds", "robustness_min",
+}  # fmt: skip
+"""Keys whose values are the user's own, or of names that are."""
+OPTIONAL = {"type", "duration", "world", "path", "digest", "file_count", "files", "opaque",
+            "distribution", "params"}  # fmt: skip
+STEPS = [step for step in steps(RECORD) if not (set(step[:-1]) & OPEN)]
+
+
+def at(data, step):
+    for key in step:
+        data = data[key]
+    return data
+
+
+def test_the_schema_is_one_of_its_draft():
+    Draft202012Validator.check_schema(schema())
+    assert schema()["$id"] == "urn:pytest-dura:evidence:1"
+    assert json.loads(schema_text()) == schema()
+
+
+def test_every_property_is_described():
+    found = dict(properties())
+    assert len(found) > 350
+    assert [path for path, one in found.items() if len(one.get("description", "")) < 4] == []
+
+
+def test_times_and_sizes_say_their_unit():
+    names = ("latency", "_at", "_time", "time_to", "seconds", "horizon", "bytes", "hours")
+    units = ("in s", "econds", "hour", "bytes", "null for what")
+    silent = [
+        path
+        for path, one in properties()
+        if path.rpartition(".")[2].endswith(names)
+        and not any(unit in one.get("description", "") for unit in units)
+    ]
+    assert silent == []
+
+
+def test_a_record_of_ours_is_valid():
+    assert check_record(session_record()) == []
+    assert check_record(RECORD) == []
+
+
+def test_a_session_that_was_killed_is_valid_too():
+    gate = {"result": "incomplete", "exit_code": 3, "warn_undecided": False, "reasons": ["killed"]}
+    nothing = {"name": None, "version": None}
+    assert check_record(
+        whole(status="running", finished=None, gate=gate, component_under_test=nothing,
+              cases=[], episodes=[], verdicts=[], monitors=[])
+    ) == []  # fmt: skip
+
+
+def test_a_baseline_is_valid(tmp_path):
+    (tmp_path / "evidence.json").write_text(json.dumps(RECORD))
+    baseline = Baseline.read(".", tmp_path).to_json(session_record())
+    assert baseline["comparisons"]
+    assert check_record({**RECORD, "baseline": json.loads(json.dumps(baseline))}) == []
+
+
+@lawful
+@given(step=st.sampled_from(STEPS))
+def test_a_key_that_is_gone_is_found(step):
+    if isinstance(step[-1], int) or step[-1] in OPTIONAL:
+        return
+    broken = copy.deepcopy(RECORD)
+    del at(broken, step[:-1])[step[-1]]
+    if _has_free_names(step[:-1]):
+        return
+    (told,) = check_record(broken)
+    assert told.endswith(f'missing key "{step[-1]}"')
+    assert told.startswith("/" + "/".join(map(str, step[:-1])))
+
+
+@lawful
+@given(step=st.sampled_from(STEPS), data=st.data())
+def test_a_value_of_another_type_is_found(step, data):
+    broken = copy.deepcopy(RECORD)
+    value = at(broken, step)
+    others = [one for one in ("text", 7.5, True, {"x": 1}, [None]) if not _alike(one, value)]
+    wrong = data.draw(st.sampled_from(others))
+    if value is None:
+        wrong = object()  # what may be null may be a text or a number, and nothing else
+    if step[-1] in OPEN or step[-1] == "value":
+        return
+    at(broken, step[:-1])[step[-1]] = wrong
+    told = check_record(broken)
+    assert told
+    assert all(one.startswith("/" + "/".join(map(str, step[:1]))) for one in told)
+
+
+@lawful
+@given(step=st.sampled_from(STEPS))
+def test_a_key_that_nobody_knows_is_found(step):
+    parent = at(RECORD, step[:-1])
+    if not isinstance(parent, dict) or _has_free_names(step[:-1]):
+        return
+    broken = copy.deepcopy(RECORD)
+    at(broken, step[:-1])["nobody knows"] = 1
+    assert any('unknown key "nobody knows"' in one for one in check_record(broken))
+
+
+def _alike(one, value):
+    number = (int, float)
+    both_numbers = isinstance(one, number) and isinstance(value, number)
+    return type(one) is type(value) or (
+        both_numbers and not isinstance(one, bool) and isinstance(value, float)
+    )
+
+
+def _has_free_names(step):
+    """Whether the keys of this mapping are names, or the user's own."""
+    names = {"roles", "variation", "packages", "scenario", "performance", "wall_clock"} | OPEN
+    last = next((one for one in reversed(step) if isinstance(one, str)), "")
+    return last in names or (last == "faults" and ("spec" in step or "cases" in step))
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_a_number_that_json_does_not_have_is_found(value):
+    timings = {**RECORD["timings"], "wall_seconds": value}
+    assert check_record({**RECORD, "timings": timings}) == [
+        "/timings/wall_seconds: found number, expected number"
+    ]
+
+
+def test_what_is_wrong_is_told_in_few_words():
+    broken = copy.deepcopy(RECORD)
+    broken["episodes"][1]["validity"] = "fine"
+    broken["episodes"][1]["digest"] = "x" * 10**6
+    broken["verdicts"][0]["margins"] = 3
+    broken["a/b~c\n"] = 1
+    broken["cases"][0]["planned"] = -1
+    assert check_record(broken) == [
+        "/cases/0/planned: found -1, expected at least 0",
+        "/verdicts/0/margins: found integer, expected object or null",
+        '/: unknown key "a/b~c\\n"',
+        '/episodes/1/validity: found "fine", expected "valid" or "invalid" or "missing"',
+        f'/episodes/1/digest: found "{"x" * 56}..., expected a text like "^[0-9a-f]{{64}}$"',
+    ]
+
+
+def test_the_problems_of_a_foreign_file_are_bounded():
+    assert check_record([]) == ["/: found array, expected object"]
+    assert len(check_record({"episodes": [{}] * 10**4})) == MOST
+
+
+def test_the_words_of_a_record():
+    assert {"episodes", "undecided", "violations", "complete"} <= words()
+    assert "nobody knows" not in words()
+
+
+def test_the_committed_page_is_up_to_date():
+    committed = (DOCS / PAGE).read_text("utf-8")
+    assert committed == page_of(committed), "run `python -m pytest_dura.evidence.schema_page`"
+    assert committed.count(BEGIN) == committed.count(END) == 1
+
+
+def test_every_key_has_its_row_in_the_page():
+    page = tables()
+    for path, one in properties():
+        name = path.rpartition(".")[2]
+        told = one.get("description", "").replace("|", "\\|")
+        assert re.search(rf"^\\| `([^`|]*\\.)?{name}` \\|", page, re.MULTILINE), path
+        assert told in page or "attempt" in path, path
+    rows = [line for line in page.splitlines() if line.startswith("|")]
+    assert {line.replace("\\|", "").count("|") for line in rows} == {4}
