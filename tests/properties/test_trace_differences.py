@@ -15,7 +15,7 @@ from pytest_dura.evidence.traces.difference import first_difference
 TRACE = simple_trace(8)
 
 
-@settings(derandomize=True, deadline=None, max_examples=60)
+@settings(derandomize=True, deadline=None, max_examples=20)
 @given(traces())
 def test_a_trace_does_not_differ_from_itself(trace):
     assert first_difference(trace, unpack_columns(pack_columns(trace))) is None
@@ -90,7 +90,8 @@ def test_the_earliest_tick_comes_first_and_names_the_others():
 def test_one_that_ends_earlier():
     short = replace(TRACE, time=TRACE.time[:7])
     found = first_difference(TRACE, short)
-    assert str(found) == "tick 7 (0.700 s), time: recorded 0.7000000000000001, replayed nothing"
+    words = "tick 7 (0.700 s), time: recorded 0.7000000000000001, replayed nothing"
+    assert str(found).startswith(f"{words}; at this tick also truth.EGO.x, ")
 
 
 def test_what_belongs_to_no_tick():

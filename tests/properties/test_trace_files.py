@@ -18,13 +18,13 @@ FILE = trace_bytes(simple_trace())
 COLUMNS = pack_columns(simple_trace())
 
 
-@settings(derandomize=True, deadline=None, max_examples=60)
+@settings(derandomize=True, deadline=None, max_examples=35)
 @given(traces())
 def test_every_column_comes_back_bit_by_bit(trace):
     assert same(trace, unpack_columns(pack_columns(trace)))
 
 
-@settings(derandomize=True, deadline=None, max_examples=40)
+@settings(derandomize=True, deadline=None, max_examples=20)
 @given(traces())
 def test_every_message_fits_its_schema(trace):
     data = trace_bytes(trace)
@@ -35,7 +35,7 @@ def test_every_message_fits_its_schema(trace):
         jsonschema.validate(told, json.loads(schema.data))
 
 
-@settings(derandomize=True, deadline=None, max_examples=150)
+@settings(derandomize=True, deadline=None, max_examples=100)
 @given(st.integers(0, len(FILE) - 1), st.integers(1, 255), st.booleans())
 def test_a_damaged_file_is_one_error_or_the_same_trace(place, change, cut):
     data = bytearray(FILE)
@@ -48,7 +48,7 @@ def test_a_damaged_file_is_one_error_or_the_same_trace(place, change, cut):
     assert same(found, simple_trace())
 
 
-@settings(derandomize=True, deadline=None, max_examples=150)
+@settings(derandomize=True, deadline=None, max_examples=100)
 @given(st.integers(0, len(COLUMNS) - 1), st.integers(1, 255), st.booleans())
 def test_damaged_columns_are_one_error_or_the_same_trace(place, change, cut):
     data = bytearray(COLUMNS)
@@ -60,7 +60,7 @@ def test_damaged_columns_are_one_error_or_the_same_trace(place, change, cut):
     assert same(found, simple_trace())
 
 
-@settings(derandomize=True, deadline=None, max_examples=30)
+@settings(derandomize=True, deadline=None, max_examples=10)
 @given(traces())
 def test_a_file_holds_the_trace(trace):
     assert same(read_trace(_File(trace_bytes(trace))), trace)

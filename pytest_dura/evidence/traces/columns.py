@@ -138,8 +138,15 @@ def _arrays(data: bytes) -> dict[str, Column]:
         if sum(member.file_size for member in members) > LIMIT + 1024 * len(members):
             raise ValueError(f"the columns are larger than {LIMIT} bytes")
         return {
-            member.filename.removesuffix(".npy"): _array(archive.read(member)) for member in members
+            member.filename.removesuffix(".npy"): _array(_member(archive, member))
+            for member in members
         }
+
+
+def _member(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes:
+    """What it declares to hold and no more, which ``archive.read`` would unpack first."""
+    with archive.open(member) as stream:
+        return stream.read(member.file_size)
 
 
 def _array(data: bytes) -> Column:
