@@ -42,7 +42,7 @@ def _verify(directory: Path) -> int:
         print(
             f"{found.files} files, {counts.episodes} episodes, "
             f"{counts.supported + counts.violated + counts.undecided} verdicts, "
-            f"{found.rejudged.judged} violations judged again on their traces; "
+            f"{found.rejudged.judged} of their judgements made again on traces; "
             f"gate {counts.gate}"
         )
     print("intact" if found.intact else f"NOT INTACT: {len(found.problems)} differences")

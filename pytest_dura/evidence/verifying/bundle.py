@@ -27,7 +27,7 @@ class Verification:
         problems: Every difference, as ``file: what``; an intact bundle has none.
         files: Files that were looked at.
         counts: What the record holds, if it could be read.
-        rejudged: How many violations were judged again, on their traces.
+        rejudged: How much was judged again, on traces.
     """
 
     problems: list[str]

@@ -23,11 +23,11 @@ Data = Mapping[str, Any]
 
 @dataclass
 class Rejudged:
-    """How many counterexamples were judged again on their traces, and how many could not be.
+    """How many verdicts on single episodes were judged again on their traces.
 
     Args:
-        judged: Judged again.
-        left_out: Without a trace, of pairs, or by a function, which this check does not run.
+        judged: Judged again, whether they were violations or not.
+        left_out: Violations without a trace, of pairs, or by a function, which is not run here.
     """
 
     judged: int = 0
@@ -36,30 +36,44 @@ class Rejudged:
 
 def trace_problems(record: SessionRecord, rejudged: Rejudged) -> Iterator[str]:
     """Everything in which traces differ from the record; counts what was judged again."""
-    claims: dict[tuple[str, str], list[tuple[Data, Data]]] = defaultdict(list)
-    for verdict in record["verdicts"]:
-        for one in verdict["counterexamples"]:
-            claims[one["episode"], verdict["component"]].append((verdict, one))
     requirements = {one["id"]: one for one in record["requirements"]}
+    verdicts: dict[tuple[str, str], list[Data]] = defaultdict(list)
+    for one in record["verdicts"]:
+        if one["requirement"] in requirements:  # another one is told as such
+            verdicts[one["case"], one["component"]].append(one)
     for episode in record.episodes():
-        own = claims.get((episode["id"], episode["component"]), []) if episode["planned"] else []
+        own = verdicts[episode["case"], episode["component"]] if episode["planned"] else []
+        claims = [_Claim.of(one, requirements[one["requirement"]], episode) for one in own]
         if episode["trace"] is None:
-            rejudged.left_out += len(own)
+            rejudged.left_out += sum(one.counterexample is not None for one in claims)
             continue
         name = episode["trace"]["file"]
         try:
-            for problem in _trace(record, episode, own, requirements, rejudged):
+            for problem in _trace(record, episode, claims, rejudged):
                 yield f"{name}: {problem}"
         except (DuraError, OSError, LookupError, TypeError, ValueError, AttributeError) as error:
             yield f"{name}: cannot be read as the trace of {episode['id']} ({error})"
 
 
+@dataclass(frozen=True)
+class _Claim:
+    """What a verdict says of one episode: that it is a counterexample, or that it is none."""
+
+    requirement: Requirement | None
+    counterexample: Data | None
+
+    @classmethod
+    def of(cls, verdict: Data, requirement: Data, episode: Data) -> _Claim:
+        """Without a requirement where it cannot be judged on a trace alone."""
+        listed = [one for one in verdict["counterexamples"] if one["episode"] == episode["id"]]
+        check = verdict["check"]
+        by_formula = check and not is_function_path(check) and verdict["paired"] is None
+        judged_by = Requirement.from_json({**requirement, "check": check}) if by_formula else None
+        return cls(judged_by, listed[0] if listed else None)
+
+
 def _trace(
-    record: SessionRecord,
-    episode: Data,
-    claims: list[tuple[Data, Data]],
-    requirements: Mapping[str, Data],
-    rejudged: Rejudged,
+    record: SessionRecord, episode: Data, claims: list[_Claim], rejudged: Rejudged
 ) -> Iterator[str]:
     told, file = episode["trace"], record.directory / episode["trace"]["file"]
     if file_entry(file) != {"sha256": told["sha256"], "bytes": told["bytes"]}:
@@ -72,22 +86,32 @@ def _trace(
     if list(trace.events) != episode["events"]:
         yield f"its events are not those of {episode['id']} in the record"
     again = _episode(trace, episode)
-    for verdict, counterexample in claims:
-        requirement = {**requirements[verdict["requirement"]], "check": verdict["check"]}
-        formula = verdict["check"] and not is_function_path(verdict["check"])
-        if verdict["paired"] is not None or not formula:
-            rejudged.left_out += 1
-            continue
-        rejudged.judged += 1
-        found = judge_episode(Requirement.from_json(requirement), again)
-        if (found.verdict, found.time, found.margin) != (
-            "violated", counterexample["time"], counterexample["margin"],
-        ):  # fmt: skip
+    for one in claims:
+        if one.requirement is None:
+            rejudged.left_out += one.counterexample is not None
+        else:
+            rejudged.judged += 1
+            yield from _judged_again(one.requirement, one.counterexample, again)
+
+
+def _judged_again(
+    requirement: Requirement, counterexample: Data | None, episode: JudgedEpisode
+) -> Iterator[str]:
+    found = judge_episode(requirement, episode)
+    if counterexample is None:
+        if found.verdict == "violated":
             yield (
-                f"{verdict['requirement']} on it is {found.verdict} at {found.time} s by "
-                f"{found.margin}, and the record says violated at {counterexample['time']} s by "
-                f"{counterexample['margin']}"
+                f"violates {requirement.id} at {found.time} s by {found.margin}, "
+                "and the record does not say so"
             )
+    elif (found.verdict, found.time, found.margin) != (
+        "violated", counterexample["time"], counterexample["margin"],
+    ):  # fmt: skip
+        yield (
+            f"{requirement.id} on it is {found.verdict} at {found.time} s by {found.margin}, "
+            f"and the record says violated at {counterexample['time']} s by "
+            f"{counterexample['margin']}"
+        )
 
 
 def _episode(trace: Trace, episode: Data) -> JudgedEpisode:

@@ -1,0 +1,332 @@
+"""`python -m pytest_dura verify` on a real bundle, and on what has been done to copies of it.
+
+Each copy gets a fresh manifest, so that its hashes are true: what finds the difference is that the
+bundle contradicts itself.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from pytest_dura.__main__ import main
+from pytest_dura.evidence.counts import Counts
+from pytest_dura.evidence.manifest import MANIFEST, file_entry, files_of, manifest_text
+from pytest_dura.evidence.session_record import SessionRecord
+from pytest_dura.evidence.verifying import verify_bundle
+from pytest_dura.evidence.writing import write_bundle
+from pytest_dura.requirements.statistics.exact import upper_bound
+
+PROJECT = Path(__file__).with_name("project")
+WAIVED = """
+import pytest
+@pytest.mark.xfail(reason="known: the wall is near")
+@pytest.mark.dura(scenario="corridor/tight")
+@pytest.mark.requirement("GAP-1")
+def test_tight(campaign):
+    campaign.require()
+"""
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A session with supported, violated and undecided verdicts, and traces of its violations."""
+    folder = tmp_path_factory.mktemp("verified")
+    shutil.copytree(PROJECT, folder, dirs_exist_ok=True)
+    (folder / "test_tight.py").write_text(WAIVED)
+    scenario = (folder / "scenarios/corridor/free.yaml").read_text()
+    broken = scenario.replace("corridor:Watch", "corridor:Broken")
+    broken = broken.replace("corridor/free", "corridor/broken")
+    (folder / "scenarios/corridor/broken.yaml").write_text(broken)
+    environment = {name: one for name, one in os.environ.items() if name != "PYTEST_ADDOPTS"}
+    found = subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "test_tight.py",
+         "--dura-scenarios", "--dura-select=corridor/*", "--dura-generator=corridor:Reckless"],
+        cwd=folder, env=environment, capture_output=True, text=True, timeout=60, check=False,
+    )  # fmt: skip
+    assert found.returncode == 1, found.stdout + found.stderr
+    return folder / "dura-evidence"
+
+
+@pytest.fixture
+def bundle(made, tmp_path):
+    return shutil.copytree(made, tmp_path / "bundle")
+
+
+def sealed(bundle):
+    """A manifest that agrees with whatever lies there now."""
+    names = [name for name in files_of(bundle) if name != MANIFEST]
+    (bundle / MANIFEST).write_text(
+        manifest_text({name: file_entry(bundle / name) for name in names})
+    )
+    return verify_bundle(bundle)
+
+
+def changed(bundle, change):
+    """The bundle after a change to its record."""
+    file = bundle / "evidence.json"
+    record = json.loads(file.read_text())
+    change(record)
+    file.write_text(json.dumps(record, indent=1, ensure_ascii=False) + "\n")
+    return sealed(bundle)
+
+
+def test_the_bundle_of_a_session_is_intact(made):
+    found = verify_bundle(made)
+    assert found.problems == []
+    words = found.counts
+    assert (words.gate, words.supported > 0, words.violated > 0) == ("failed", True, True)
+    assert words.undecided > 0
+    assert words.missing > 0
+    assert words.waived == 1
+    assert found.rejudged.judged > 0
+
+
+def test_the_command_says_so(made, capsys):
+    assert main(["verify", str(made)]) == 0
+    told = capsys.readouterr().out
+    assert told.endswith("gate failed\nintact\n")
+
+
+def test_the_command_lists_differences(bundle, capsys):
+    (bundle / "summary.md").write_text("all is well\n")
+    assert main(["verify", str(bundle)]) == 1
+    told = capsys.readouterr().out
+    assert "summary.md: changed since it was written" in told
+    assert "NOT INTACT" in told
+
+
+def test_a_directory_that_is_not_there_is_a_wrong_call(tmp_path, capsys):
+    assert main(["verify", str(tmp_path / "nowhere")]) == 2
+    assert "there is no such directory" in capsys.readouterr().err
+
+
+def test_a_directory_without_evidence_is_not_intact(tmp_path, capsys):
+    assert main(["verify", str(tmp_path)]) == 1
+    assert "there is no evidence here" in capsys.readouterr().out
+
+
+def verdict(record, word):
+    return next(one for one in record["verdicts"] if one["verdict"] == word)
+
+
+def set_verdict(word, **values):
+    def change(record):
+        verdict(record, word).update(values)
+
+    return change
+
+
+def drop_episode(record):
+    del record["episodes"][0]
+
+
+def drop_verdict(record):
+    record["verdicts"].remove(verdict(record, "violated"))
+
+
+def turn_violation(record):
+    """What a forger would do: the word, its counts and the gate, all of them consistent."""
+    one = verdict(record, "violated")
+    one |= {"verdict": "supported", "violations": 0, "counterexamples": []}
+
+
+def pass_gate(record):
+    record["gate"] |= {"result": "passed", "exit_code": 0, "reasons": []}
+    record["totals"]["gate"] = "passed"
+
+
+def lower_bound_of_a_supported_rate(record):
+    verdict(record, "supported")["bound"]["upper"] = 0.01
+
+
+def other_case(record):
+    record["episodes"][0]["case"] = "corridor/elsewhere"
+
+
+def other_seed(record):
+    record["episodes"][0]["seed"] += 1
+
+
+def valid_after_all(record):
+    one = next(one for one in record["episodes"] if one["validity"] == "missing")
+    one["validity"] = "valid"
+
+
+def forget_the_failure(record):
+    one = next(one for one in record["episodes"] if one["validity"] == "missing")
+    one |= {"validity": "valid", "failure": None, "termination": "time"}
+
+
+def unknown_counterexample(record):
+    verdict(record, "violated")["counterexamples"][0]["episode"] = "corridor/tight#99"
+
+
+def milder_violation(record):
+    traced = {one["id"] for one in record["episodes"] if one["trace"]}
+    for one in record["verdicts"]:
+        for counterexample in one["counterexamples"]:
+            if counterexample["episode"] in traced and one["check"]:
+                counterexample["margin"] = -1e-9
+                return
+    raise AssertionError("no counterexample with a trace")
+
+
+def other_trace(record):
+    traced = [one for one in record["episodes"] if one["trace"]]
+    traced[0]["trace"], traced[1]["trace"] = traced[1]["trace"], traced[0]["trace"]
+
+
+def trace_elsewhere(record):
+    next(one for one in record["episodes"] if one["trace"])["trace"]["file"] = "../outside.mcap"
+
+
+def unknown_requirement(record):
+    verdict(record, "supported")["requirement"] = "OTHER-1"
+
+
+def untested_after_all(record):
+    cell = next(one for one in record["coverage"]["cells"] if one["verdict"])
+    cell["case"] = "corridor/elsewhere"
+
+
+def running(record):
+    record["status"] = "running"
+
+
+def more_flags(record):
+    case = next(one for one in record["cases"] if one["metrics"]["flagged"])
+    case["metrics"]["flagged"]["run"] += 1
+
+
+def waive(record):
+    verdict(record, "undecided")["waiver"] = {"kind": "xfail", "reason": "known"}
+
+
+CHANGES = {
+    "a supported verdict is called violated": set_verdict("supported", verdict="violated"),
+    "an undecided verdict is called supported": set_verdict("undecided", verdict="supported"),
+    "violations without counterexamples": set_verdict("violated", violations=0),
+    "fewer invalid episodes": set_verdict("undecided", missing=0),
+    "an episode is left out": drop_episode,
+    "a violated verdict is left out": drop_verdict,
+    "a violated verdict is turned": turn_violation,
+    "the gate is said to have passed": pass_gate,
+    "a bound is lower than its counts allow": lower_bound_of_a_supported_rate,
+    "an episode of no case": other_case,
+    "another seed": other_seed,
+    "a missing episode is called valid": valid_after_all,
+    "a failure is forgotten": forget_the_failure,
+    "a counterexample that is no episode": unknown_counterexample,
+    "a milder violation": milder_violation,
+    "traces are exchanged": other_trace,
+    "a trace outside the bundle": trace_elsewhere,
+    "a requirement that is not listed": unknown_requirement,
+    "a cell without a verdict counts as tested": untested_after_all,
+    "a session that did not end": running,
+    "a case with more flags than its episodes": more_flags,
+    "a waiver that nobody gave": waive,
+}
+
+
+@pytest.mark.parametrize("change", CHANGES.values(), ids=list(CHANGES))
+def test_a_record_that_contradicts_itself_is_found_though_its_hashes_are_true(bundle, change):
+    assert not changed(bundle, change).intact
+
+
+def cut(pattern):
+    def change(text):
+        shorter = re.sub(pattern, "", text, count=1, flags=re.DOTALL)
+        assert shorter != text
+        return shorter
+
+    return change
+
+
+def without_claim(text):
+    document = json.loads(text)
+    del document["declarations"]["claims"][0]
+    return json.dumps(document)
+
+
+def dangling(text):
+    document = json.loads(text)
+    document["declarations"]["claims"][0]["target"] = "nobody"
+    return json.dumps(document)
+
+
+def passed(text):
+    statement = json.loads(text)
+    statement["predicate"]["result"] = "PASSED"
+    return json.dumps(statement)
+
+
+def other_digest(text):
+    statement = json.loads(text)
+    statement["subject"][-1]["digest"]["sha256"] = "0" * 64
+    return json.dumps(statement)
+
+
+FORMATS = {
+    "summary.md, a row less": ("summary.md", cut(r"\n\|[^\n]*corridor/tight[^\n]*")),
+    "cyclonedx.json, a claim less": ("cyclonedx.json", without_claim),
+    "cyclonedx.json, a target that is not there": ("cyclonedx.json", dangling),
+    "test-result.intoto.json, passed": ("test-result.intoto.json", passed),
+    "test-result.intoto.json, other evidence": ("test-result.intoto.json", other_digest),
+    "assurance-case.gsn.yaml, no support": (
+        "assurance-case.gsn.yaml",
+        cut(r"\nSn[^\n]*:\n(  [^\n]*\n)+"),
+    ),
+    "report.html, no verdicts": ("report.html", cut(r"<tr[^>]*id=\"verdict.*?</tr>")),
+    "report.html, empty": ("report.html", lambda _: ""),
+    "assurance-case.svg, empty": ("assurance-case.svg", lambda _: ""),
+}
+
+
+@pytest.mark.parametrize("name, change", FORMATS.values(), ids=list(FORMATS))
+def test_a_format_that_says_something_else_is_found_though_its_hash_is_true(bundle, name, change):
+    file = bundle / name
+    file.write_text(change(file.read_text()))
+    found = sealed(bundle)
+    assert any(one.startswith(name) for one in found.problems), found.problems
+
+
+def test_a_signal_of_a_trace_that_was_changed_is_found_by_judging_it_again(bundle):
+    from pytest_dura.evidence.traces.mcap_file import read_trace, write_trace
+
+    def change(record):
+        violating = {one["episode"] for v in record["verdicts"] for one in v["counterexamples"]}
+        one = next(one for one in record["episodes"] if one["trace"] and one["id"] in violating)
+        file = bundle / one["trace"]["file"]
+        trace = read_trace(file)
+        trace.signals["gap"][:] = 5.0
+        one["trace"] |= write_trace(file, trace)
+
+    found = changed(bundle, change)
+    assert any("the record says violated at" in one for one in found.problems), found.problems
+
+
+def test_a_whole_bundle_that_was_forged_is_found_as_far_as_it_has_traces(bundle):
+    """Word, counts, totals, gate and every format agree: only the traces say otherwise."""
+    record = json.loads((bundle / "evidence.json").read_text())
+    for one in record["verdicts"]:
+        if one["verdict"] == "violated":
+            upper = upper_bound(0, one["episodes"], one["bound"]["confidence"])
+            one |= {"verdict": "supported", "violations": 0, "counterexamples": []}
+            one["bound"]["upper"] = upper
+    words = {(one["requirement"], one["case"]): one["verdict"] for one in record["verdicts"]}
+    for cell in record["coverage"]["cells"]:
+        cell["verdict"] = words.get((cell["requirement"], cell["case"]))
+    forged = SessionRecord.of(record, bundle)
+    record["totals"] = Counts.of(forged).to_json()
+    write_bundle(SessionRecord.of(record, bundle))
+    problems = verify_bundle(bundle).problems
+    assert problems
+    assert all("and the record does not say so" in one for one in problems), problems
