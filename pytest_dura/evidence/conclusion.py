@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -22,6 +22,7 @@ def concluded(
     inputs: Sequence[Mapping[str, Any]],
     wall_seconds: float,
     evidence_seconds: float,
+    redact: Callable[[Any], Any],
 ) -> SessionRecord:
     """The record with gate, inputs, coverage, timings, redactions and totals.
 
@@ -32,6 +33,7 @@ def concluded(
         inputs: Every input file, with its digest.
         wall_seconds: From the session's start until now.
         evidence_seconds: Those of them that were spent on gathering the evidence.
+        redact: Takes secrets out of plain data; episodes have lost theirs where they were run.
     """
     head = {
         **record.head,
@@ -43,6 +45,7 @@ def concluded(
             record.episodes(), wall_seconds=wall_seconds, evidence_seconds=evidence_seconds
         ),
     }
+    head = redact(head)
     hidden = redactions_in(head)
     for episode in record.episodes():
         hidden += redactions_in(episode)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import zlib
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -64,11 +65,19 @@ class ItemReport:
         """Whether its episodes are so many that they should go."""
         return len(self.episodes) + len(self.chains) >= EPISODES_AT_ONCE
 
-    def split(self) -> str:
-        """Take the episodes out of it, as a packed report that makes sense on its own."""
+    def without_secrets(self, redact: Callable[[Any], Any]) -> ItemReport:
+        """The same report as it may be told; what is packed has lost its secrets before."""
+        return ItemReport(**{**redact({**self.to_json(), "parts": []}), "parts": self.parts})
+
+    def split(self, redact: Callable[[Any], Any]) -> str:
+        """Take the episodes out of it, as a packed report that makes sense on its own.
+
+        Args:
+            redact: Takes secrets out of plain data.
+        """
         part = ItemReport("", **{name: getattr(self, name) for name in _PART})
         self.episodes, self.chains = [], []
-        text = json.dumps(part.to_json(), allow_nan=False)
+        text = json.dumps(part.without_secrets(redact).to_json(), allow_nan=False)
         return base64.b64encode(zlib.compress(text.encode(), 1)).decode()
 
 

@@ -240,6 +240,7 @@ class SessionEvidence:
             inputs=self._sources().to_json(),
             wall_seconds=perf_counter() - self._begun,
             evidence_seconds=self._spent,
+            redact=self.session.redact,
         )
 
     def _unlock(self) -> None:

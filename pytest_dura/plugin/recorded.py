@@ -118,8 +118,18 @@ def _named(record: Data, name: str, option: str) -> list[Data]:
 
 def _found(config: pytest.Config, record: Data, episode: Data, option: str) -> Recorded:
     from pytest_dura.core.episode import EpisodeSpec
+    from pytest_dura.evidence.secrets import holds_redaction
     from pytest_dura.requirements.model import Requirement
 
+    if holds_redaction(episode["spec"]):
+        raise ConfigurationError(
+            f"the episode {episode['id']!r} cannot be run again: what it was run from held a "
+            "secret, which is not in the evidence",
+            key=option,
+            found=episode["id"],
+            expected="an episode whose spec is recorded whole",
+            remedy="let the component read the secret from the environment, not from a parameter",
+        )
     spec = EpisodeSpec.from_json(episode["spec"])
     roles = {name: _local(config, role, option) for name, role in spec.roles.items()}
     spec = replace(spec, roles=roles, simulator=_local(config, spec.simulator, option))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -76,9 +77,8 @@ def _by_trace(
     """Whether the episode is the recorded one, and where it differs from its trace."""
     from pytest_dura.evidence.text import one_line
     from pytest_dura.evidence.traces.difference import first_difference
-    from pytest_dura.evidence.traces.trace import Trace
 
-    replayed = Trace.of(episode)
+    replayed = _trace_of(episode)
     first = first_difference(recorded, replayed)
     place = one_line(str(first), 1000)
     if one.digest != episode.digest:
@@ -145,6 +145,14 @@ def _read_trace(told: Any, evidence: Path) -> Trace:
     return trace
 
 
+def _trace_of(episode: Episode) -> Trace:
+    """The episode's trace as a session would have kept it: without secrets."""
+    from pytest_dura.evidence.secrets import Redactor
+    from pytest_dura.evidence.traces.trace import Trace
+
+    return Trace.of(episode).without_secrets(Redactor.of_environment(os.environ).redact)
+
+
 def _page(one: Recorded, episode: Episode, evidence: Path) -> str:
     """Write the page that plays the episode; its URL.
 
@@ -154,9 +162,8 @@ def _page(one: Recorded, episode: Episode, evidence: Path) -> str:
     from pytest_dura.evidence.files import write_file
     from pytest_dura.evidence.player.page import player_page
     from pytest_dura.evidence.traces.names import episode_name
-    from pytest_dura.evidence.traces.trace import Trace
 
-    trace = Trace.of(episode)
+    trace = _trace_of(episode)
     file = beside(evidence, "replay") / f"{episode_name(trace.about)}.html"
     write_file(file, [player_page(trace, _verdicts(one, episode))])
     return file.as_uri()

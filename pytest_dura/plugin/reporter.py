@@ -99,7 +99,7 @@ class Reporter:
     def _relieve(self) -> None:
         """Let no item hold a great many episodes until it ends."""
         if self._report.full:
-            part = self._report.split()
+            part = self._report.split(self.session.redact)
             if self.session.is_worker:
                 self._report.parts.append(part)
             else:
@@ -192,6 +192,7 @@ class Reporter:
             return None
         told, self._pending = self._pending, None
         told.item = item.nodeid
+        told = told.without_secrets(self.session.redact)
         if told:
             setattr(report, ATTRIBUTE, json.dumps(told.to_json(), allow_nan=False))
         return told

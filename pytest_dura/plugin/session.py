@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from pytest_dura.campaign.loading import Library
     from pytest_dura.campaign.runner import Bench
     from pytest_dura.core.roles import RoleSpec
+    from pytest_dura.evidence.secrets import Redactor
     from pytest_dura.requirements.model import Requirement
 
 
@@ -56,6 +57,7 @@ class DuraSession:
         self._own_arguments: set[str] = set()
         self._library: Library | ConfigurationError | None = None
         self._defaults: dict[str, RoleSpec] = {}
+        self._redactor: Redactor | None = None
 
     @cached_property
     def options(self) -> Options:
@@ -154,6 +156,15 @@ class DuraSession:
         if isinstance(self._library, ConfigurationError):
             raise self._library.with_traceback(None)
         return self._library
+
+    def redact(self, value: Any) -> Any:
+        """Plain data without the secrets that this process knows of by now."""
+        from pytest_dura.evidence.secrets import Redactor
+
+        if self._redactor is None:
+            self._redactor = Redactor()
+        self._redactor.learn(os.environ)
+        return self._redactor.redact(value)
 
     @property
     def unused(self) -> Mapping[str, str]:

@@ -62,12 +62,14 @@ class TraceKeeper:
         return told
 
     def _keep(self, episode: Episode, reason: Reason) -> None:
-        about = {
-            "id": episode.id,
-            "component": episode.spec.component,
-            "seed": episode.spec.seed,
-            "digest": episode.digest,
-        }
+        about = self.session.redact(
+            {
+                "id": episode.id,
+                "component": episode.spec.component,
+                "seed": episode.spec.seed,
+                "digest": episode.digest,
+            }
+        )
         key = tuple(about.values())
         before = self._kept.get(key)
         if before is not None and _RANK[before[0]] >= _RANK[reason]:
@@ -87,7 +89,8 @@ class TraceKeeper:
         path, directory = trace_path(about), self.session.evidence_directory
         try:
             _check_inside(directory / FOLDER)
-            return {"file": path, **write_trace(directory / path, Trace.of(episode))}
+            trace = Trace.of(episode).without_secrets(self.session.redact)
+            return {"file": path, **write_trace(directory / path, trace)}
         except Exception as error:  # whatever it is, the verdicts do not need the trace
             if not self._told_problem:
                 self._told_problem = True

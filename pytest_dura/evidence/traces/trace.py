@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -59,6 +59,41 @@ class Trace:
             [_event(event) for event in episode.events],
             episode.recording or Recording(),
         )
+
+    def without_secrets(self, redact: Callable[[Any], Any]) -> Trace:
+        """The same trace with what takes secrets out of plain data applied to all of its texts."""
+        decisions = dict(self.decisions)
+        for name, column in decisions.items():
+            if column.dtype.kind == "U":
+                found, places = np.unique(column, return_inverse=True)
+                texts = found.tolist()
+                told = redact(texts)
+                if told is not texts:
+                    decisions[name] = np.array(told, dtype=np.str_)[places]
+        said = self.recording
+        return replace(
+            self,
+            about=redact(self.about),
+            decisions=decisions,
+            events=redact(self.events),
+            recording=replace(
+                said,
+                explanations=_redacted(said.explanations, redact),
+                reasons=_redacted(said.reasons, redact),
+                recoveries=_redacted(said.recoveries, redact),
+                problem=None if said.problem is None else redact(said.problem),
+            ),
+        )
+
+
+def _redacted(texts: tuple[str, ...], redact: Callable[[Any], Any]) -> tuple[str, ...]:
+    """Texts that are the same for many ticks are looked at once."""
+    distinct = list(dict.fromkeys(texts))
+    told = redact(distinct)
+    if told is distinct:
+        return texts
+    found = dict(zip(distinct, told, strict=True))
+    return tuple(found[text] for text in texts)
 
 
 def _event(event: Event) -> dict[str, Any]:

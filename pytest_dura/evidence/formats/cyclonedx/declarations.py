@@ -167,7 +167,9 @@ def _counterexamples(number: int, verdict: Data, places: Mapping[Any, Any]) -> D
     return {
         "bom-ref": f"evidence/{number}/counterexamples",
         "propertyName": f"{PREFIX}counterexamples",
-        "description": f"{min(len(found), LISTED)} of {len(found)} listed, the largest violation first.",
+        "description": (
+            f"{min(len(found), LISTED)} of {len(found)} listed, the largest violation first."
+        ),
         "data": data,
     }
 
