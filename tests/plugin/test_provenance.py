@@ -1,0 +1,115 @@
+"""What a real session's record says of where it comes from."""
+
+from __future__ import annotations
+
+import hashlib
+
+import pytest
+
+from pytest_dura.evidence.schema import check_record
+
+OWN_TEST = """
+import pytest
+
+@pytest.mark.dura(scenario="corridor/free", runs=1)
+@pytest.mark.requirement("OWN-1")
+def test_it(episode):
+    pass
+"""
+OWN_REQUIREMENT = """
+requirements:
+  - {id: OWN-1, text: "Of its own.", kind: safety, check: "own_checks:fine"}
+"""
+
+
+def sha256(file):
+    return hashlib.sha256(file.read_bytes()).hexdigest()
+
+
+def inputs(project):
+    return {(one["kind"], one["path"]): one for one in project.evidence()["inputs"]}
+
+
+@pytest.fixture
+def full_project(project):
+    """One with an input of each kind that a session can have."""
+    project.write("own_checks.py", "def fine(episode):\n    return True\n")
+    project.write("scenarios/requirements-own.yaml", OWN_REQUIREMENT)
+    project.write("faults.yaml", "campaigns: [none]\n")
+    project.write("tests/conftest.py", "")
+    project.write("conftest.py", "")
+    project.write("tests/test_own.py", OWN_TEST)
+    project.write("tests/test_other.py", "def test_nothing():\n    pass\n")
+    return project
+
+
+def test_every_input_file_is_listed_with_its_digest(full_project):
+    project = full_project
+    # With a worker, since the controller then collects nothing itself.
+    project.scenarios("tests", "--dura-faults=faults.yaml", "-n", "1", select="corridor/tight")
+    found = inputs(project)
+    assert set(found) >= {
+        ("scenario", "scenarios/corridor/tight.yaml"),
+        ("scenario", "scenarios/corridor/free.yaml"),
+        ("requirements", "scenarios/requirements.yaml"),
+        ("requirements", "scenarios/requirements-own.yaml"),
+        ("check", "own_checks.py"),
+        ("faults", "faults.yaml"),
+        ("test", "tests/test_own.py"),
+        ("conftest", "tests/conftest.py"),
+        ("conftest", "conftest.py"),
+        ("configuration", "pytest.ini"),
+        ("role", "corridor.py"),
+        ("component", "corridor.py"),
+    }
+    assert ("test", "tests/test_other.py") not in found
+    for (_, path), one in found.items():
+        if (project.path / path).exists():
+            assert one["sha256"] == sha256(project.path / path)
+        assert not one["changed"]
+        assert str(project.path) not in path
+        assert not path.startswith(("/", ".."))
+
+
+def test_a_real_record_is_valid_by_its_schema_also_with_the_baseline_that_it_replaces(project):
+    project.scenarios()
+    before = sha256(project.path / "dura-evidence/evidence.json")
+    assert check_record(project.evidence()) == []
+    project.scenarios("--dura-baseline=dura-evidence")
+    assert check_record(project.evidence()) == []
+    told = inputs(project)["baseline", "dura-evidence/evidence.json"]
+    assert (told["sha256"], told["changed"]) == (before, False)
+
+
+def test_a_file_that_changes_meanwhile_is_told(project):
+    project.write(
+        "conftest.py",
+        "import pathlib\n"
+        "def pytest_runtest_teardown(item):\n"
+        "    file = pathlib.Path('scenarios/corridor/tight.yaml')\n"
+        "    file.write_text(file.read_text() + '# changed\\n')\n",
+    )
+    before = sha256(project.path / "scenarios/corridor/tight.yaml")
+    project.scenarios(select="corridor/tight")
+    found = inputs(project)
+    assert found["scenario", "scenarios/corridor/tight.yaml"] == {
+        "kind": "scenario", "path": "scenarios/corridor/tight.yaml", "sha256": before,
+        "changed": True,
+    }  # fmt: skip
+    assert not found["requirements", "scenarios/requirements.yaml"]["changed"]
+
+
+def test_cells_and_ranges_of_a_real_session(project):
+    project.scenarios()
+    coverage = project.evidence()["coverage"]
+    words = {
+        (one["case"], one["requirement"]): one["verdict"] for one in project.evidence()["verdicts"]
+    }
+    tested = [cell for cell in coverage["cells"] if cell["verdict"] is not None]
+    assert {(cell["case"], cell["requirement"]): cell["verdict"] for cell in tested} == words
+    variation = {
+        (case["scenario"], path)
+        for case in project.evidence()["cases"]
+        for path in case["variation"]
+    }
+    assert {(one["scenario"], one["parameter"]) for one in coverage["parameters"]} == variation
