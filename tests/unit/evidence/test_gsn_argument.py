@@ -196,7 +196,7 @@ def test_reading_notices_what_was_tampered_with():
         "- a",
         "{",
         "a: &x [*x]",
-        "[" * 100_000,
+        "[" * 100_000 + "]" * 100_000,
         "{a: " * 100_000,
         text + "\nGTop: {text: again}\n",
         "module: {}\n",

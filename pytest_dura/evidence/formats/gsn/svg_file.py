@@ -56,9 +56,7 @@ def _head(record: SessionRecord, view: View) -> tuple[str, float]:
     """Title, warning, place for the reviewer and legend; and where they end."""
     lines = [("head", "Assurance case (GSN): generated, unreviewed")]
     if incomplete(record):
-        lines.append(
-            ("warning", "INCOMPLETE SESSION: the top goal is undeveloped, no claim is made.")
-        )
+        lines.append(("warning", "INCOMPLETE SESSION: not all was run, so no claim is made here."))
     lines += [("", one) for one in view.folded]
     if REVIEW in view.argument:
         layers = view.argument[REVIEW].layers
