@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 from collections.abc import Mapping
 from typing import Any
@@ -43,6 +44,13 @@ def size(count: int) -> str:
     return f"{count / 1000:.0f} kB" if count < 1_000_000 else f"{count / 1e6:.1f} MB"
 
 
+def moment(text: str) -> str:
+    """A point in time as it is read: ``2026-01-02 03:04:05 UTC``."""
+    if not re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\+00:00", text):
+        return one_line(text)
+    return text.replace("T", " ").replace("+00:00", " UTC")
+
+
 def line(text: str, limit: int = LINE) -> str:
     """On one line; of a very long text only the beginning is looked at."""
     return one_line(text, limit) if len(text) < 50_000 else visible(text, limit)
@@ -60,6 +68,7 @@ FILTERS: Mapping[str, Any] = {
     "number": number,
     "percent": percent,
     "seconds": seconds,
+    "moment": moment,
     "size": size,
     "replay": replay_command,
 }

@@ -107,7 +107,9 @@ def _judged(record: SessionRecord, one: Listed) -> list[Data]:
             told |= {"time": against[0]["time"], "margin": against[0]["margin"]}
             violated.append({**told, "verdict": "violated"})
         else:
-            others.append({**told, "verdict": "not violated"})
+            sure = verdict["pairs"] is None and not (verdict["invalid"] or verdict["missing"])
+            sure = sure and one.episode["planned"] and verdict["saved"] == 0
+            others.append({**told, "verdict": "satisfied" if sure else "not violated"})
     return violated + others
 
 
