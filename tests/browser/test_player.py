@@ -163,6 +163,12 @@ def test_keyboard(page):
     assert tick(page) == pytest.approx(10, abs=1)
 
 
+def test_keys_work_wherever_the_focus_is_on_a_page_of_its_own(page):
+    page.evaluate("document.activeElement.blur()")
+    page.keyboard.press("ArrowRight")
+    assert tick(page) == 1
+
+
 def test_space_on_a_button_presses_that_button(page):
     page.get_by_role("button", name="Step forward").focus()
     page.keyboard.press("Space")
@@ -414,6 +420,7 @@ def test_a_screen_reader_hears_where_it_ends_and_not_each_tick(page):
         "document.querySelector('[role=status]').textContent)).observe("
         "document.querySelector('[role=status]'), {childList: true})"
     )
+    press(page, "Step forward")
     press(page, "Play")
     page.clock.run_for(2700)
     assert page.evaluate("window.told") == []
