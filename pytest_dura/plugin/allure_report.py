@@ -21,6 +21,7 @@ from pytest_dura.plugin.item_results import ItemResult, episode_of
 
 if TYPE_CHECKING:
     from pytest_dura.core.episode import Episode
+    from pytest_dura.evidence.traces.trace import Trace
     from pytest_dura.plugin.session import DuraSession
     from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict
 
@@ -105,6 +106,8 @@ def _description(item: pytest.Item, results: Sequence[ItemResult]) -> str:
 
 def _show_worst(session: DuraSession, item: pytest.Item, results: Sequence[ItemResult]) -> None:
     """One episode: the worst violation, one that says nothing, or else the first as a sample."""
+    from pytest_dura.evidence.traces.trace import Trace
+
     result = next((one for one in results if one.word == "violated"), None)
     result = result or next(iter(results), None)
     episode = episode_of(item) or (None if result is None else _episode(session, result))
@@ -118,11 +121,15 @@ def _show_worst(session: DuraSession, item: pytest.Item, results: Sequence[ItemR
     elif episode.validity != "valid":
         kind = episode.validity.capitalize()
         problem = episode.failure or episode.invalid_reason
-    title = one_line(f"{kind} {episode.id}, seed {episode.spec.seed}", 200)
-    told = {"replay": one_line(replay_command(session, episode.id)), "digest": episode.digest}
-    with _step(title, told, None if problem is None else one_line(problem)):
-        _loop(episode, judged, _check(result))
-        _attachments(episode, judged, _check(result))
+    # Attachments leave the machine as the bundle does.
+    redact = session.redact
+    title = one_line(redact(f"{kind} {episode.id}, seed {episode.spec.seed}"), 200)
+    replay = one_line(redact(replay_command(session, episode.id)))
+    told = {"replay": replay, "digest": episode.digest}
+    trace = Trace.of(episode).without_secrets(redact)
+    with _step(title, told, None if problem is None else one_line(redact(problem))):
+        _loop(episode, trace, judged, _check(result))
+        _attachments(episode, trace, judged, _check(result))
 
 
 def _is_counterexample(result: ItemResult, episode: Episode) -> bool:
@@ -162,12 +169,10 @@ def _judged(result: ItemResult, episode: Episode) -> EpisodeVerdict | None:
         return None
 
 
-def _loop(episode: Episode, judged: EpisodeVerdict | None, check: str) -> None:
+def _loop(episode: Episode, trace: Trace, judged: EpisodeVerdict | None, check: str) -> None:
     """The loop's six steps at the tick of the violation."""
     from pytest_dura.evidence.loop_steps import decision_at, loop_steps
-    from pytest_dura.evidence.traces.trace import Trace
 
-    trace = Trace.of(episode)
     tick = decision_at(trace, None if judged is None else judged.time)
     if tick is None:
         return
@@ -191,13 +196,11 @@ def _signals(episode: Episode, check: str) -> list[str]:
     return found or [one for one in sorted(episode.signals) if not one.startswith("percept.")][:4]
 
 
-def _attachments(episode: Episode, judged: EpisodeVerdict | None, check: str) -> None:
+def _attachments(episode: Episode, trace: Trace, judged: EpisodeVerdict | None, check: str) -> None:
     from pytest_dura.evidence.player import player_page
     from pytest_dura.evidence.signal_table import signals_csv
     from pytest_dura.evidence.traces.mcap_file import trace_bytes
-    from pytest_dura.evidence.traces.trace import Trace
 
-    trace = Trace.of(episode)
     verdicts = [] if judged is None else [{**judged.to_json(), "check": check}]
     _attach(_plot(episode, judged, check), "plot", "SVG")
     _attach(player_page(trace, verdicts), "animation", "HTML")
