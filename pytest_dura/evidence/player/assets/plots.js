@@ -49,7 +49,7 @@ class Plots {
   }
 
   refresh() {
-    const wanted = this.names.filter((name) => this.chosen.has(name));
+    const wanted = [...this.chosen]; // in the order of their choice
     this.area.replaceChildren(...wanted.map((name) => {
       if (!this.shown.has(name)) this.shown.set(name, this.plot(name));
       return this.shown.get(name).node;
