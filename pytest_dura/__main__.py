@@ -21,18 +21,24 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "verify", help="check that a bundle is whole and agrees with itself"
     )
     verify.add_argument("directory", metavar="DIR", type=Path, help="the evidence directory")
+    verify.add_argument(
+        "--junit-xml",
+        metavar="FILE",
+        type=Path,
+        help="compare it with the session's JUnit file, too",
+    )
     given = parser.parse_args(arguments)
     try:
-        return _verify(given.directory)
+        return _verify(given.directory, given.junit_xml)
     except ConfigurationError as error:
         print(error, file=sys.stderr)
         return USAGE_ERROR
 
 
-def _verify(directory: Path) -> int:
+def _verify(directory: Path, junit: Path | None) -> int:
     from pytest_dura.evidence.verifying import verify_bundle
 
-    found = verify_bundle(directory)
+    found = verify_bundle(directory, junit)
     if isinstance(sys.stdout, TextIOWrapper):  # a file's name need not be text
         sys.stdout.reconfigure(errors="backslashreplace")
     for problem in found.problems:

@@ -48,7 +48,8 @@ def made(tmp_path_factory):
     environment = {name: one for name, one in os.environ.items() if name != "PYTEST_ADDOPTS"}
     found = subprocess.run(
         [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "test_tight.py",
-         "--dura-scenarios", "--dura-select=corridor/*", "--dura-generator=corridor:Reckless"],
+         "--dura-scenarios", "--dura-select=corridor/*", "--dura-generator=corridor:Reckless",
+         "--junit-xml=junit.xml"],
         cwd=folder, env=environment, capture_output=True, text=True, timeout=60, check=False,
     )  # fmt: skip
     assert found.returncode == 1, found.stdout + found.stderr
@@ -330,3 +331,28 @@ def test_a_whole_bundle_that_was_forged_is_found_as_far_as_it_has_traces(bundle)
     problems = verify_bundle(bundle).problems
     assert problems
     assert all("and the record does not say so" in one for one in problems), problems
+
+
+def test_the_junit_file_of_the_session_says_the_same(made, capsys):
+    assert main(["verify", str(made), f"--junit-xml={made.parent / 'junit.xml'}"]) == 0
+    assert capsys.readouterr().out.endswith("intact\n")
+
+
+@pytest.mark.parametrize(
+    "before, after",
+    [
+        ('name="verdict" value="violated"', 'name="verdict" value="supported"'),
+        ('name="verdict" value="supported"', 'name="verdict" value="violated"'),
+        ('name="verdict" value="undecided"', 'name="verdict" value="violated"'),
+        ('name="requirement" value="GAP-1"', 'name="requirement" value="GAP-2"'),
+        ("<testcase", "<testcase_"),
+        ("<testsuites", "<!DOCTYPE x><testsuites"),
+    ],
+)
+def test_a_junit_file_that_says_something_else_is_found(made, tmp_path, before, after):
+    text = (made.parent / "junit.xml").read_text()
+    assert before in text
+    (tmp_path / "junit.xml").write_text(text.replace(before, after, 1))
+    found = verify_bundle(made, tmp_path / "junit.xml")
+    assert all(one.startswith("junit.xml: ") for one in found.problems)
+    assert found.problems

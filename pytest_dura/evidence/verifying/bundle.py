@@ -11,6 +11,7 @@ from pytest_dura.evidence.bundle import RECORD, read_session_record
 from pytest_dura.evidence.counts import Counts
 from pytest_dura.evidence.manifest import files_of, manifest_problems
 from pytest_dura.evidence.session_record import SessionRecord
+from pytest_dura.evidence.verifying.junit import junit_problems
 from pytest_dura.evidence.verifying.references import format_problems
 from pytest_dura.evidence.verifying.sums import record_problems
 from pytest_dura.evidence.verifying.traces import Rejudged, trace_problems
@@ -41,10 +42,14 @@ class Verification:
         return not self.problems
 
 
-def verify_bundle(directory: Path) -> Verification:
+def verify_bundle(directory: Path, junit: Path | None = None) -> Verification:
     """Check a bundle against itself: its hashes, its references, its sums, its formats.
 
     Nothing of the user's code is run, and nothing is written.
+
+    Args:
+        directory: The evidence directory.
+        junit: The JUnit file of the same session, which lies elsewhere, if it is to be compared.
 
     Raises:
         ConfigurationError: If there is no such directory.
@@ -74,6 +79,8 @@ def verify_bundle(directory: Path) -> Verification:
         return found
     found.problems += format_problems(record, found.counts)
     found.problems += trace_problems(record, found.rejudged)
+    if junit is not None:
+        found.problems += junit_problems(record, junit)
     return found
 
 
