@@ -67,16 +67,12 @@ class _Grid:
         self.faults = sorted({"", *map(faults_of, whole)})
         self.ids: dict[tuple[str, str], str] = {}
         """Of the cases, by scenario and faults."""
-        self.own: dict[str, str] = {}
-        """The faults that a scenario has by itself, as far as a case shows them."""
         self.applies: dict[tuple[str, str], str] = {}
         """By scenario and requirement."""
         by_id: dict[str, Data] = {}
         for case in whole:
             scenario, by_id[case["id"]] = case["scenario"], case
             self.ids[scenario, faults_of(case)] = case["id"]
-            if case["id"] == scenario:
-                self.own[scenario] = faults_of(case)
             for requirement in case["requirements"]:
                 self.applies[scenario, requirement] = "scenario"
         self.words: dict[Place, str] = {}
@@ -115,12 +111,7 @@ class _Grid:
 
     def _case(self, scenario: str, faults: str) -> str:
         """The id of the case, also of one that was not run."""
-        known = self.ids.get((scenario, faults))
-        if known is not None:
-            return known
-        if self.own.get(scenario) == faults:
-            return scenario
-        return f"{scenario}+{faults or NO_FAULTS}"
+        return self.ids.get((scenario, faults), f"{scenario}+{faults or NO_FAULTS}")
 
 
 def faults_of(case: Data) -> str:

@@ -54,7 +54,10 @@ def test_the_digest_covers_all_files_of_the_package(package, tmp_path):
     package("ownpkg/more.py", "")
     added = described(tmp_path)["digest"]
     (tmp_path / "ownpkg/more.py").unlink()
-    assert len({before["digest"], changed, added}) == 3
+    (tmp_path / "ownpkg/helping.py").rename(tmp_path / "ownpkg/helps.py")
+    renamed = described(tmp_path)["digest"]
+    (tmp_path / "ownpkg/helps.py").rename(tmp_path / "ownpkg/helping.py")
+    assert len({before["digest"], changed, added, renamed}) == 4
     assert described(tmp_path) == before
 
 

@@ -135,6 +135,13 @@ def test_a_secret_does_not_hide_in_what_looks_redacted():
     assert SECRET not in redactor.redact(f"[redacted: {SECRET}]")
 
 
+def test_what_is_redacted_is_not_taken_for_another_secret():
+    redactor = Redactor.of_environment({"A_KEY": SECRET, "B_PASSWORD": "A_KEYS_VALUE"})
+    assert redactor.redact(f"--token {SECRET}") == "--token [redacted: A_KEY]"
+    assert redactor.redact(f"password='{SECRET}'") == "password='[redacted: A_KEY]'"
+    assert redactor.redact({"password": SECRET}) == {"password": "[redacted: A_KEY]"}
+
+
 def test_redactions_are_counted_by_name():
     data = {"a": ["[redacted: A_KEY] and [redacted: A_KEY]"], "[redacted: option]": 1}
     assert redactions_in(data) == {"A_KEY": 2, "option": 1}
