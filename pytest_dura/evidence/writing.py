@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
-from pytest_dura.core.errors import describe_error
-from pytest_dura.evidence.bundle import RECORD, clear_traces, write_record
+from pytest_dura.core.errors import ConfigurationError, describe_error
+from pytest_dura.evidence.bundle import RECORD, RENDERED, clear_traces, write_record
 from pytest_dura.evidence.files import write_file
 from pytest_dura.evidence.formats import Format, all_formats
 from pytest_dura.evidence.manifest import MANIFEST, file_entry, manifest_text
@@ -22,8 +24,18 @@ def write_bundle(record: SessionRecord) -> SessionRecord:
     not there and its gate has failed, and so say all other formats.
 
     Raises:
-        ConfigurationError: If the directory cannot be written.
+        ConfigurationError: If the directory cannot be written. What is left of the bundle then
+            says that it is incomplete.
     """
+    before = _identity(record.directory / RECORD)
+    try:
+        return _written(record)
+    except BaseException as error:  # also on ctrl-C; it is raised again
+        _withdraw(record, error, before)
+        raise
+
+
+def _written(record: SessionRecord) -> SessionRecord:
     traces = {
         one["trace"]["file"]: {"sha256": one["trace"]["sha256"], "bytes": one["trace"]["bytes"]}
         for one in record.episodes()
@@ -46,6 +58,39 @@ def write_bundle(record: SessionRecord) -> SessionRecord:
     files = {name: file_entry(found.directory / name) for name in names} | traces
     write_file(found.directory / MANIFEST, [manifest_text(files)])
     return found
+
+
+def _withdraw(record: SessionRecord, error: BaseException, before: object) -> None:
+    """Leave no half bundle that reads as a pass: room first, then a record that says so."""
+    for name in RENDERED:
+        with suppress(OSError):
+            (record.directory / name).unlink(missing_ok=True)
+    file = record.directory / RECORD
+    if _identity(file) == before:
+        return  # it says that the session is running
+    why = f"infrastructure: the evidence could not be written as a whole: {describe_error(error)}"
+    gate = {
+        **record["gate"],
+        "result": "incomplete",
+        "exit_code": record["gate"]["exit_code"] or 1,
+        "reasons": [*record["gate"]["reasons"], why],
+    }
+    told = {"status": "interrupted", "gate": gate}
+    told["totals"] = {**record["totals"], "gate": gate["result"]}
+    try:
+        write_record(record.directory, replace(record, head={**record.head, **told}))
+    except ConfigurationError:  # there is not even room for that
+        with suppress(OSError):
+            file.unlink(missing_ok=True)
+
+
+def _identity(file: Path) -> tuple[int, int] | None:
+    """Which file it is that has this name."""
+    try:
+        found = file.lstat()
+    except OSError:
+        return None
+    return found.st_ino, found.st_mtime_ns
 
 
 def _write_format(one: Format, record: SessionRecord, broken: dict[str, str]) -> None:

@@ -174,9 +174,9 @@ class SessionEvidence:
         from pytest_dura.evidence.writing import write_bundle
 
         try:
-            gate, record = self._judged(session)
-            self.final = write_bundle(record)
-            self.file = record.directory / "evidence.json"
+            gate, self.final = self._judged(session)
+            self.final = write_bundle(self.final)
+            self.file = self.final.directory / "evidence.json"
         except ConfigurationError as error:
             self.objections += str(error).splitlines()
             session.exitstatus = session.exitstatus or pytest.ExitCode.TESTS_FAILED

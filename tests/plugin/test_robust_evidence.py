@@ -1,0 +1,221 @@
+"""Whatever ends a session: what is left never reads as a pass, and nobody's files suffer."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+from conftest import output
+from corridors import scenario
+
+from pytest_dura.evidence.bundle import RENDERED, read_session_record
+from pytest_dura.evidence.lock import DirectoryLock
+
+WAIT = 60.0
+"""Seconds that a session may take to get going on a busy machine."""
+
+HOLDS = """
+import time
+from pathlib import Path
+
+def test_first(orchestrator):
+    orchestrator.run("corridor/it")
+
+def test_then():
+    Path("begun").write_text("")
+    time.sleep(120)
+"""
+
+
+def begun(project, *arguments, **environment):
+    """A session in a process of its own that is in the middle of its second test."""
+    project.write("test_it.py", HOLDS)
+    kept = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST")}
+    process = subprocess.Popen(
+        [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "test_it.py", *arguments],
+        cwd=project.path,
+        env=kept | environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+    )
+    deadline = time.monotonic() + WAIT
+    while not (project.path / "begun").exists():
+        assert process.poll() is None, process.communicate()[0]
+        if time.monotonic() > deadline:
+            process.kill()
+            raise AssertionError(process.communicate()[0])
+        time.sleep(0.02)
+    return process
+
+
+def test_a_killed_session_is_incomplete_and_takes_no_pass_over(project):
+    scenario(project, requirements="[GAP-1]")
+    project.run("corridor/it")
+    evidence = project.path / "dura-evidence"
+    assert project.evidence()["gate"]["result"] == "passed"
+    assert {*RENDERED} <= {file.name for file in evidence.iterdir()}
+    process = begun(project)
+    process.send_signal(signal.SIGKILL)
+    process.communicate(timeout=WAIT)
+    record = read_session_record(evidence)
+    assert (record["status"], record["gate"]["result"]) == ("running", "incomplete")
+    assert record["gate"]["exit_code"] != 0
+    assert not {*RENDERED} & {file.name for file in evidence.iterdir()}
+    assert not list(evidence.glob(".session*")), "episodes on disk leave no file"
+    project.run("corridor/it")
+    assert project.evidence()["gate"]["result"] == "passed", "its lock blocks nobody"
+    assert {file.name for file in evidence.iterdir()} - {*RENDERED} <= {"evidence.json", "episodes"}
+
+
+def test_an_interrupted_session_tells_what_it_got_to(project):
+    """With ctrl-C, in a locale of ASCII alone, in a directory whose name is no text."""
+    scenario(project, requirements="[GAP-1]")
+    folder = "caf\udce9"
+    process = begun(
+        project, f"--dura-evidence={folder}", LC_ALL="C", PYTHONUTF8="0", PYTHONCOERCECLOCALE="0"
+    )
+    process.send_signal(signal.SIGINT)
+    told = process.communicate(timeout=WAIT)[0]
+    assert process.returncode == 2, told
+    assert b"Traceback" not in told
+    record = read_session_record(project.path / folder)
+    assert (record["status"], record["gate"]["result"]) == ("interrupted", "incomplete")
+    assert [one["id"] for one in record.episodes()] == ["corridor/it#0"]
+
+
+DIES = """
+import os, signal
+from pathlib import Path
+from corridor import Careful
+
+class Dies(Careful):
+    def reset(self, context):
+        tried = Path("tried")
+        tried.write_text(tried.read_text() + "x" if tried.exists() else "x")
+        if len(tried.read_text()) == 3:
+            os.kill(os.getpid(), signal.SIGKILL)
+"""
+EACH_RUN = """
+import pytest
+
+@pytest.mark.dura(scenario="corridor/it", runs=5)
+@pytest.mark.requirement("GAP-1")
+def test_it(episode):
+    assert not episode.collided
+"""
+
+
+def test_the_episodes_of_a_dead_worker_are_listed_as_missing(project):
+    scenario(project, generator="deadly:Dies")
+    project.write("deadly.py", DIES)
+    project.write("test_it.py", EACH_RUN)
+    result = project.run("test_it.py", "-n", "2", "--maxprocesses=2")
+    assert result.ret == 1
+    record = project.evidence()
+    (case,) = record["cases"]
+    heard = {one["spec"]["run"] for one in record["episodes"]}
+    assert case["missing_runs"] == sorted({*range(5)} - heard)
+    assert case["missing_runs_total"] == len(case["missing_runs"]) == 1
+    found = project.verdict("GAP-1")
+    assert (found["verdict"], found["planned"], found["run"]) == ("undecided", 5, 4)
+
+
+FULL = """
+import pytest, resource
+
+def full():
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1024, resource.RLIM_INFINITY))
+"""
+FULL_AT_THE_END = (
+    FULL
+    + """
+@pytest.hookimpl(tryfirst=True)
+def pytest_sessionfinish():
+    full()
+"""
+)
+FULL_MEANWHILE = (
+    FULL
+    + """
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_call():
+    full()
+"""
+)
+
+
+@pytest.mark.parametrize(
+    "conftest, told, code",
+    [
+        (FULL_AT_THE_END, b"the evidence cannot be written: File too large", 1),
+        (FULL_MEANWHILE, b"the episodes of the session cannot be kept", 2),
+    ],
+    ids=["at the end", "meanwhile"],
+)
+def test_a_full_disk_fails_the_session_and_leaves_no_half_record(project, conftest, told, code):
+    scenario(project, requirements="[GAP-1]")
+    project.write("conftest.py", conftest)
+    kept = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST")}
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "corridor/it"],
+        cwd=project.path, env=kept, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+        check=False, timeout=WAIT,
+    )  # fmt: skip
+    assert done.returncode == code, done.stdout
+    assert told in done.stdout
+    assert b"Traceback" not in done.stdout
+    assert b"INTERNALERROR" not in done.stdout
+    record = project.evidence()
+    assert (record["status"], record["gate"]["result"]) == ("running", "incomplete")
+    names = {file.name for file in (project.path / "dura-evidence").iterdir()}
+    assert names <= {"evidence.json", "episodes"}
+
+
+def test_a_directory_that_cannot_be_written_is_told_before_anything_runs(project, monkeypatch):
+    scenario(project, requirements="[GAP-1]")
+    monkeypatch.setenv("CORRIDOR_LOG", str(project.path / "log"))
+    (project.path / "file").write_text("mine")
+    result = project.run("corridor/it", "--dura-evidence=file/folder")
+    assert result.ret == 4
+    assert "cannot be" in output(result)
+    assert "Traceback" not in output(result)
+    assert not (project.path / "log").exists()
+    assert (project.path / "file").read_text() == "mine"
+
+
+def test_two_sessions_do_not_write_one_directory(project):
+    scenario(project, requirements="[GAP-1]")
+    project.run("corridor/it")
+    before = project.evidence()
+    lock = DirectoryLock(project.path / "dura-evidence")
+    result = project.run("corridor/it")
+    assert result.ret == 4
+    assert "another session is writing to this evidence directory" in output(result)
+    assert f"held by process {os.getpid()}" in output(result)
+    assert project.evidence() == before
+    other = project.run("corridor/it", "--dura-evidence=other")
+    assert other.ret == 0
+    lock.release()
+    assert project.run("corridor/it").ret == 0
+
+
+def test_links_in_the_directory_are_replaced_and_never_followed(project):
+    scenario(project, requirements="[GAP-1]")
+    evidence, outside = project.path / "dura-evidence", project.path / "outside"
+    evidence.mkdir()
+    outside.mkdir()
+    for name in ("evidence.json", *RENDERED):
+        (outside / name).write_text("mine")
+        (evidence / name).symlink_to(outside / name)
+    (outside / "traces").mkdir()
+    (evidence / "episodes").symlink_to(outside / "traces")
+    assert project.run("corridor/it").ret == 0
+    assert not any(file.is_symlink() for file in evidence.iterdir())
+    assert {file.read_text() for file in outside.iterdir() if file.is_file()} == {"mine"}
+    assert not list((outside / "traces").iterdir())
+    assert json.loads((evidence / "evidence.json").read_text())["status"] == "complete"
