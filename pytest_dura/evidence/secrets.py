@@ -17,6 +17,7 @@ PIECE = 12
 PARAMETER_NAME = "parameter"
 """What stands for the value of a parameter whose name speaks of a secret."""
 
+_SHORT = 200
 _MARK = re.compile(r"(\[redacted: [\w. -]{1,200}\])")
 _HINT = "[redacted: "
 _NAMES_IN_DATA = ("key", "token", "secret", "passw", "passphrase", "credential", "authorization")
@@ -116,6 +117,8 @@ class _Active:
     ) -> None:
         self.names = names
         self.named = named
+        self.known: dict[str, str] = {}
+        self.named_keys: dict[str, bool] = {}
         self.steps: list[Callable[[str], str]] = []
         if cores:
             self.steps.append(_replacing(cores, encoded=True))
@@ -130,6 +133,14 @@ class _Active:
 
     def text(self, text: str) -> str:
         """One text without secrets."""
+        # Data of many entries has the same keys and words in each of them.
+        if len(text) > _SHORT:
+            return self._without(text)
+        if text not in self.known:
+            self.known[text] = self._without(text)
+        return self.known[text]
+
+    def _without(self, text: str) -> str:
         for step in self.steps:
             if _HINT not in text:
                 text = step(text)
@@ -165,9 +176,11 @@ class _Active:
 
     def _under(self, key: Any, item: Any) -> Any:
         redacted = self.data(item)
-        if isinstance(key, str) and PARAMETER.match(key) and _is_open(redacted):
-            return _mark(PARAMETER_NAME)
-        return redacted
+        if not isinstance(key, str) or not _is_open(redacted):
+            return redacted
+        if key not in self.named_keys:
+            self.named_keys[key] = PARAMETER.match(key) is not None
+        return _mark(PARAMETER_NAME) if self.named_keys[key] else redacted
 
 
 def redactions_in(value: Any) -> Counter[str]:
