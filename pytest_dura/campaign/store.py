@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 import tempfile
+import weakref
 import zlib
 from collections import OrderedDict
 from collections.abc import Callable
@@ -77,6 +78,7 @@ class EpisodeStore:
             data = zlib.compress(pickle.dumps(known, pickle.HIGHEST_PROTOCOL), 1)
             if self._file is None:
                 self._file = tempfile.TemporaryFile(prefix="pytest-dura-")  # noqa: SIM115 - stays
+                weakref.finalize(self, self._file.close)
             place = self._file.seek(0, 2)
             self._file.write(data)
             self._file.flush()

@@ -14,6 +14,7 @@ from conftest import output
 from corridors import scenario
 
 from pytest_dura.evidence.bundle import RENDERED, read_session_record
+from pytest_dura.evidence.item_report import EPISODES_AT_ONCE
 from pytest_dura.evidence.lock import DirectoryLock
 
 WAIT = 60.0
@@ -114,7 +115,7 @@ def test_the_episodes_of_a_dead_worker_are_listed_as_missing(project):
     scenario(project, generator="deadly:Dies")
     project.write("deadly.py", DIES)
     project.write("test_it.py", EACH_RUN)
-    result = project.run("test_it.py", "-n", "2", "--maxprocesses=2")
+    result = project.run("test_it.py", "-n", "1")
     assert result.ret == 1
     record = project.evidence()
     (case,) = record["cases"]
@@ -219,3 +220,13 @@ def test_links_in_the_directory_are_replaced_and_never_followed(project):
     assert {file.read_text() for file in outside.iterdir() if file.is_file()} == {"mine"}
     assert not list((outside / "traces").iterdir())
     assert json.loads((evidence / "evidence.json").read_text())["status"] == "complete"
+
+
+@pytest.mark.parametrize("arguments", [["-p", "no:xdist"], ["-n", "1"]], ids=["plain", "n1"])
+def test_all_of_a_great_many_episodes_of_one_item_arrive(project, arguments):
+    scenario(project, runs=EPISODES_AT_ONCE * 2 + 3, requirements="[GAP-1]")
+    project.run("corridor/it", *arguments)
+    record = project.evidence()
+    assert [one["spec"]["run"] for one in record["episodes"]] == list(range(131))
+    (case,) = record["cases"]
+    assert (case["planned"], case["metrics"]["run"], case["missing_runs"]) == (131, 131, [])
