@@ -7,7 +7,6 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from pytest_dura.core.state import NOTHING
 from pytest_dura.evidence.places import told_path
 
 Kind = Literal[
@@ -25,9 +24,9 @@ class Inputs:
         known: Folders outside of it that have a name of their own.
     """
 
-    def __init__(self, root: Path, known: Mapping[Path, str] = NOTHING) -> None:
+    def __init__(self, root: Path, known: Mapping[Path, str] | None = None) -> None:
         self.root = root
-        self.known = known
+        self.known = known or {}
         self._found: dict[tuple[str, Path], str | None] = {}
         self._told: dict[tuple[str, str], str] = {}
         self._steady: set[Path] = set()
@@ -84,7 +83,7 @@ class Inputs:
 
 
 def describe_inputs(
-    files: Iterable[tuple[Kind, Path]], root: Path, known: Mapping[Path, str] = NOTHING
+    files: Iterable[tuple[Kind, Path]], root: Path, known: Mapping[Path, str] | None = None
 ) -> list[dict[str, Any]]:
     """The record's key ``inputs`` for these files, as they are now; see :class:`Inputs`."""
     inputs = Inputs(root, known)

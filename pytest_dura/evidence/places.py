@@ -8,10 +8,8 @@ from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 
-from pytest_dura.core.state import NOTHING
 
-
-def told_path(file: Path, root: Path, known: Mapping[Path, str] = NOTHING) -> str:
+def told_path(file: Path, root: Path, known: Mapping[Path, str] | None = None) -> str:
     """The name of a file in the record, with ``/`` between its parts.
 
     Within an installed package it is ``package/...``, below the project's root it is relative to
@@ -27,7 +25,7 @@ def told_path(file: Path, root: Path, known: Mapping[Path, str] = NOTHING) -> st
         (folder, "") for folder in (*installed(), _absolute(root), _resolved(root))
     ]
     for path in dict.fromkeys((absolute, _resolved(absolute))):
-        for folder, name in [*places, *known.items()]:
+        for folder, name in [*places, *(known or {}).items()]:
             if path.is_relative_to(folder):
                 return (Path(name) / path.relative_to(folder)).as_posix()
     return f"{absolute.parent.name}/{absolute.name}".lstrip("/")

@@ -47,15 +47,20 @@ def sources_of(file: Path, module: str, root: Path) -> Sources | None:
     """
     package = _package(file, module)
     found = sorted(_python_files(package)) if package is not None else []
-    if not 0 < len(found) <= MOST or file not in found:
-        package, found = file.parent, [file]
+    base = file.parent
+    if package is None or not 0 < len(found) <= MOST or file not in found:
+        found = [file]
+    elif len(found) > 1:
+        base = package.parent
+    else:
+        base = package
     state = hashlib.sha256()
     told = []
     try:
         for one in found:
             sha256 = hashlib.sha256(one.read_bytes()).hexdigest()
             # Names within the package: it is the same component wherever it is installed.
-            name = one.relative_to(package.parent if len(found) > 1 else package).as_posix()
+            name = one.relative_to(base).as_posix()
             state.update(f"{name}\0{sha256}\n".encode("utf-8", "surrogateescape"))
             told.append((one, sha256))
     except OSError:  # gone, or not for us to read

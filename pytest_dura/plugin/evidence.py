@@ -124,6 +124,8 @@ class SessionEvidence:
             return
         requirements = self.session.library().requirements if self.session.plan else {}
         chosen = set(items)
+        for item in items:  # as near as can be to when their files were read
+            self._sources().item(item)
         for planned in self.session.plan:
             case = planned.case
             runs = self.session.options.runs or case.scenario.planned
@@ -131,7 +133,9 @@ class SessionEvidence:
             for name in planned.requirements:
                 item = f"{case.id}::{name}"
                 if item in chosen:
-                    self.record.expect(item, requirements[name].to_json(), record)
+                    told = (item, requirements[name].to_json(), record)
+                    # As the items themselves will tell it.
+                    self.record.expect(*self.session.redact(told))
 
     def gather(self, report: pytest.TestReport) -> None:
         """Take in what an item told."""
@@ -280,15 +284,22 @@ class SessionEvidence:
 
     def _waive(self, report: pytest.TestReport) -> None:
         assert self.record is not None
-        reason = getattr(report, "wasxfail", None)
-        if reason is not None:
-            self.record.waive(report.nodeid, "xfail", reason)
-        elif str(report.outcome) == "rerun":  # of pytest-rerunfailures
-            self.record.waive(report.nodeid, "rerun", "the item was run again")
-        elif report.skipped and report.when == "setup":
-            longrepr = report.longrepr
-            reason = longrepr[2] if isinstance(longrepr, tuple) else str(longrepr)
-            self.record.waive(report.nodeid, "skip", reason)
+        waiver = _waiver(report)
+        if waiver is not None:
+            self.record.waive(*self.session.redact([report.nodeid, *waiver]))
+
+
+def _waiver(report: pytest.TestReport) -> tuple[str, str] | None:
+    """What excuses an item, and why."""
+    reason = getattr(report, "wasxfail", None)
+    if reason is not None:
+        return "xfail", reason
+    if str(report.outcome) == "rerun":  # of pytest-rerunfailures
+        return "rerun", "the item was run again"
+    if report.skipped and report.when == "setup":
+        longrepr = report.longrepr
+        return "skip", longrepr[2] if isinstance(longrepr, tuple) else str(longrepr)
+    return None
 
 
 def _now() -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import pytest
 
@@ -205,7 +205,7 @@ class Options:
             runs=runs,
             seed=DEFAULT_SEED if seed is None else seed,
             evidence=_evidence(config),
-            evidence_level=get("dura_evidence_level") or DEFAULT_LEVEL,
+            evidence_level=cast("Level", get("dura_evidence_level") or DEFAULT_LEVEL),
             replay=get("dura_replay"),
             reduce=get("dura_reduce"),
             twins=not get("dura_no_twins"),

@@ -12,8 +12,8 @@ import pytest
 KEYS = {
     "schema_version", "status", "created", "tool", "command", "base_seed", "environment",
     "component_under_test", "requirements", "cases", "episodes", "verdicts", "monitors",
-    "baseline", "finished", "evidence_level", "gate", "inputs", "coverage", "timings", "redacted",
-    "totals",
+    "argument", "baseline", "finished", "evidence_level", "gate", "inputs", "coverage", "timings",
+    "redacted", "totals",
 }  # fmt: skip
 
 

@@ -38,13 +38,13 @@ def junit_problems(record: SessionRecord, file: Path) -> Iterator[str]:
     for key in sorted({*stated, *held}):
         words, known = stated.get(key, ()), sorted(held.get(key, []))
         decided = [one for one in known if one != "undecided"]
-        told = list(words)
+        left = list(words)
         for word in decided:
-            if word in told:
-                told.remove(word)
+            if word in left:
+                left.remove(word)
             else:
                 yield f"{file.name}: {key[1]} on {key[0]} is {word} in the record, and not here"
-        if len(told) > known.count("undecided"):
-            yield f"{file.name}: {key[1]} on {key[0]} is {told[0]}, and not in the record"
-        elif "violated" in told:
+        if len(left) > known.count("undecided"):
+            yield f"{file.name}: {key[1]} on {key[0]} is {left[0]}, and not in the record"
+        elif "violated" in left:
             yield f"{file.name}: {key[1]} on {key[0]} is violated, and undecided in the record"
