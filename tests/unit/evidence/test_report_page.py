@@ -15,6 +15,7 @@ from session_records import episode, session_record, verdict
 from pytest_dura.evidence.counts import Counts
 from pytest_dura.evidence.formats.report import charts, gathering, players, read_counts, render
 from pytest_dura.evidence.formats.report.anchors import (
+    anchor,
     case_anchor,
     requirement_anchor,
     verdict_anchor,
@@ -169,6 +170,34 @@ def test_a_monitor_is_told_with_n_behind_its_rates(html):
     assert "0.5 (1/2) 1 (1/1)" in words
 
 
+def test_targets_on_which_a_monitor_did_equally_well_share_a_row():
+    one = session_record()["monitors"][0]
+    silent = {**one, "true_positives": 0, "false_positives": 0, "false_negatives": 0}
+    found = [one, {**one, "target": "SEC-1"}, {**one, "target": "SAF-2", "lead_times": []}, silent]
+    words = section(render(session_record(monitors=found)), "monitors")
+    assert "security_assessor SAF-1, SEC-1 a/clear+ghost" in words
+    assert "security_assessor SAF-2 a/clear+ghost" in words
+    assert "1 further measurements are not listed" in words
+
+
+def test_bars_are_as_high_as_their_counts(html):
+    heights = re.findall('class="bar" x="([^"]*)" y="[^"]*" width="10" height="([^"]*)"', html)
+    assert [float(height) for _, height in heights] == [0, 22, 11, 22, 11, 0, 0, 0, 0, 0]
+    assert [float(x) for x, _ in heights] == [12 * place for place in range(10)]
+
+
+def test_a_choice_is_covered_by_what_was_drawn_of_it():
+    one = session_record()["coverage"]["parameters"][0] | {
+        "low": None, "high": None, "least": None, "greatest": None, "bins": [], "covered": 0.5,
+        "choices": [{"value": "left", "count": 6}, {"value": True, "count": 0}],
+    }  # fmt: skip
+    coverage = {"cells": [], "left_out": 7, "parameters": [one]}
+    words = section(render(session_record(coverage=coverage)), "coverage")
+    assert "world.wall 2 choices 6 left, True 6 0 1/2 (50 %)" in words
+    assert "0 of 7 cells" in words
+    assert "7 untested cells are too many to be listed" in words
+
+
 def test_a_baseline_is_compared_only_where_there_is_one(html):
     assert "Compared with a baseline" not in html
     comparison = {
@@ -203,8 +232,8 @@ def test_only_our_own_scripts_and_styles_are_allowed_to_run(html):
 
 def test_a_trace_gives_its_episode_a_player_to_which_the_verdict_links(tmp_path):
     html = render(record_with_trace(tmp_path))
-    anchor = re.search('<details class="player" id="([^"]*)"', html)[1]
-    assert f'<a href="#{anchor}">{VIOLATING}</a>' in html
+    player = re.search('<details class="player" id="([^"]*)"', html)[1]
+    assert f'<a href="#{player}">{VIOLATING}</a>' in html
     assert "octet-stream" in html
     assert read_counts(html) == Counts.of(record_with_trace(tmp_path))
 
@@ -266,6 +295,33 @@ def test_players_show_the_worst_of_each_verdict_before_the_second_of_one():
     assert found[6:8] == ["a/clear#4", "a/clear+ghost#2"]
 
 
+def test_a_run_by_hand_is_not_blamed_for_the_violation_of_its_namesake():
+    found = verdict("SAF-1", "a/clear", ("violated",))
+    episodes = [episode("a/clear", 0), episode("a/clear", 0, planned=False, seed=77)]
+    listed = gathering.Gathered.of(session_record(verdicts=[found], episodes=episodes)).listed
+    assert [(one.violates, one.episode["planned"]) for one in listed] == [
+        (("SAF-1",), True),
+        ((), False),
+    ]
+
+
+def test_clearance_times_are_those_of_valid_planned_runs():
+    episodes = [
+        episode("a/clear", 0), episode("a/clear", 1, planned=False),
+        episode("a/clear+ghost", 2, validity="invalid"), episode("a/clear", 3),
+    ]  # fmt: skip
+    cases = gathering.Gathered.of(session_record(episodes=episodes)).cases
+    assert cases["a/clear", "C"].times == [1.5, 1.8]
+    assert cases["a/clear+ghost", "C"].times == []
+    assert cases["a/clear", "C"].words["valid"] == 3
+
+
+def test_anchors_tell_apart_parts_that_read_alike():
+    assert anchor("x", "-", "a") != anchor("x", "", "-a")
+    assert anchor("x", "a", "b") != anchor("x", "a-b")
+    assert requirement_anchor("SAF-1") == "requirement-SAF-1"
+
+
 def many_episodes(count):
     """A record whose episodes are made when they are read."""
     plain = [episode("a/clear", run % 90) for run in range(90)]
@@ -316,8 +372,8 @@ def test_counts_are_read_from_rows_and_not_from_what_the_page_says_of_them(html)
     ghost = verdict_anchor("SAF-1", "a/clear+ghost")
     without = re.sub(f'<tr class="verdict" id="{ghost}">.*?</tr>', "", html, flags=re.DOTALL)
     assert read_counts(without).violated == read_counts(html).violated - 1
-    anchor = requirement_anchor("SAF-1")
-    fewer = re.sub(f'<tbody class="requirement" id="{anchor}">', "<tbody>", html)
+    ours = requirement_anchor("SAF-1")
+    fewer = re.sub(f'<tbody class="requirement" id="{ours}">', "<tbody>", html)
     assert read_counts(fewer).requirements == read_counts(html).requirements - 1
 
 
