@@ -88,10 +88,11 @@ class Gate:
 def unsupported_verdicts(
     verdicts: Sequence[Data], *, warn_undecided: bool
 ) -> list[tuple[str, str, str]]:
-    """Requirement, case and word of every verdict that the gate does not accept."""
+    """Requirement, case and word of every verdict that the gate does not accept; worst first."""
     accepted = {"supported"} | ({"undecided"} if warn_undecided else set())
-    return [
+    found = [
         (one["requirement"], one["case"], one["verdict"])
         for one in verdicts
         if one["verdict"] not in accepted and one["waiver"] is None
     ]
+    return sorted(found, key=lambda one: one[2] != "violated")
