@@ -26,7 +26,7 @@ from pytest_dura.evidence.text import name, visible
 FILE = "cyclonedx.json"
 Data = dict[str, Any]
 _SCHEMA = "http://cyclonedx.org/schema/bom-1.6.schema.json"
-_NAMESPACE = uuid.uuid5(uuid.NAMESPACE_URL, "https://pypi.org/project/pytest-dura/")
+_NAMESPACE = uuid.uuid5(uuid.NAMESPACE_URL, "urn:pytest-dura")
 
 
 def render(record: SessionRecord) -> str:
