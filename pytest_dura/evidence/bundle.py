@@ -45,21 +45,24 @@ def write_record(directory: Path, record: SessionRecord) -> Path:
     return directory / RECORD
 
 
-def begin_bundle(record: SessionRecord) -> Path:
+def begin_bundle(record: SessionRecord, *, traces: bool = True) -> None:
     """Write the record of a session that begins, and remove what an earlier one left beside it.
 
     In this order nothing that an earlier session came to is ever there without a record that says
     that a session is running.
 
+    Args:
+        record: Of the session that begins.
+        traces: Whether traces go, too; not if some may be of the session that begins.
+
     Raises:
         ConfigurationError: If the directory cannot be made, written or cleared.
     """
     earlier = os.path.lexists(record.directory / RECORD)
-    file = write_record(record.directory, record)
+    write_record(record.directory, record)
     # Without a record of ours, files of such names are somebody else's.
     if earlier:
-        clear_bundle(record.directory)
-    return file
+        clear_bundle(record.directory, traces=traces)
 
 
 def clear_bundle(directory: Path, *, traces: bool = True) -> None:

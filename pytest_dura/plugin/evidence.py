@@ -89,7 +89,7 @@ class SessionEvidence:
         if self.record is not None or self.session.is_worker or config.option.collectonly:
             return
         import pytest_dura
-        from pytest_dura.evidence.bundle import clear_bundle, write_record
+        from pytest_dura.evidence.bundle import begin_bundle
         from pytest_dura.evidence.environment import describe_environment
         from pytest_dura.evidence.lock import DirectoryLock
         from pytest_dura.evidence.record import EvidenceRecord
@@ -110,10 +110,7 @@ class SessionEvidence:
                 options.evidence,
             )
             gate = Gate.running(warn_undecided=options.warn_undecided)
-            # First of all nothing may read as a pass any more; then what an earlier session
-            # left goes.
-            write_record(options.evidence, self._concluded("running", gate))
-            clear_bundle(options.evidence, traces=not late)
+            begin_bundle(self._concluded("running", gate), traces=not late)
         except BaseException:
             self._unlock()
             raise
