@@ -15,7 +15,8 @@ if TYPE_CHECKING:
     import os
 
     from pytest_dura.campaign.runner import Bench
-    from pytest_dura.plugin.session import DuraSession, Planned
+    from pytest_dura.plugin.planning import Planned
+    from pytest_dura.plugin.session import DuraSession
     from pytest_dura.requirements.model import Requirement
 
 

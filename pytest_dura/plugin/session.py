@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,7 +13,9 @@ from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.plugin.evidence import SessionEvidence
 from pytest_dura.plugin.options import Options
 from pytest_dura.plugin.overrides import conftest_defining, root_conftest_with
+from pytest_dura.plugin.planning import make_plan
 from pytest_dura.plugin.reporter import Reporter
+from pytest_dura.plugin.scenario_arguments import scenario_arguments
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -25,15 +25,8 @@ if TYPE_CHECKING:
     from pytest_dura.campaign.runner import Bench
     from pytest_dura.core.roles import RoleSpec
     from pytest_dura.evidence.secrets import Redactor
+    from pytest_dura.plugin.planning import Planned
     from pytest_dura.requirements.model import Requirement
-
-
-@dataclass(frozen=True)
-class Planned:
-    """A case whose requirements become scenario items."""
-
-    case: Case
-    requirements: tuple[str, ...]
 
 
 class DuraSession:
@@ -249,39 +242,12 @@ class DuraSession:
             raise given_twice(f"the fixture `generator` in {conftest}")
 
     def _make_plan(self) -> None:
-        chosen = self._scenario_arguments()
+        chosen = scenario_arguments(self)
         self._own_arguments = set(chosen)
-        if not (self.options.scenarios or self.options.list_only or chosen):
-            self._check_faults_used()
-            return
-        from pytest_dura.campaign.cases import expand_cases, selected
-
-        library = self.library()
-        if chosen:
-            # A case of our own arguments may have other faults than its scenario.
-            named = {name: self.bench.case(name) for name, _ in chosen.values()}
-            found = selected(list(named.values()), self.options.select)
+        if self.options.scenarios or self.options.list_only or chosen:
+            self.plan += make_plan(self, chosen)
         else:
-            found = expand_cases(library.scenarios, self.options.faults, self.options.select)
-        cases = {case.id: case for case in found}
-        for name in sorted(cases):
-            case = cases[name]
-            if not (case.requirements or chosen or self.options.list_only):
-                raise ConfigurationError(
-                    f"the scenario {name!r} has no requirements, so nothing would judge it",
-                    file=case.scenario.file or None,
-                    key="requirements",
-                    expected="at least one requirement where a scenario is run as a gate",
-                    remedy="name requirements, or leave the scenario out with --dura-select",
-                )
-            requirements = [
-                requirement
-                for requirement in case.requirements
-                if not chosen or any(_matches(one, name, requirement) for one in chosen.values())
-            ]
-            if requirements:
-                self.take_case(case)
-                self.plan.append(Planned(case, tuple(requirements)))
+            self._check_faults_used()
 
     def take_case(self, case: Case) -> None:
         """Take in a case that is to be run; the record tells cases apart by their ids.
@@ -309,57 +275,6 @@ class DuraSession:
                 expected="--dura-scenarios, or a case among the arguments",
                 remedy="add --dura-scenarios; a test function names its faults in the marker dura",
             )
-
-    def _scenario_arguments(self) -> dict[str, tuple[str, str]]:
-        """Arguments that name scenario items, as ``(case, requirement)``; "" stands for all."""
-        if self.config.args_source is not self.config.ArgsSource.ARGS:
-            return {}
-        found = {}
-        for argument in self.config.args:
-            path, _, requirement = argument.partition("::")
-            if path.endswith(".py") or os.path.lexists(self.config.invocation_params.dir / path):
-                continue
-            name = self._case_name(path)
-            if name is not None:
-                found[argument] = (name, self._requirement_name(name, requirement))
-        return found
-
-    def _case_name(self, path: str) -> str | None:
-        """The case that an argument names which is no file, if there is such a case."""
-        try:
-            library = self.library()
-        except ConfigurationError as error:
-            if self.options.any_given:
-                raise
-            # Whoever misspelt a path should hear of the path, and whoever meant a scenario of it.
-            raise ConfigurationError(
-                f"file or directory not found: {path}\n"
-                f"and it names no scenario as long as these cannot be read:\n{error}"
-            ) from None
-        # Terminal lines are relative to where pytest was started.
-        absolute = os.path.normpath(self.config.invocation_params.dir / path)
-        relative = os.path.relpath(absolute, self.config.rootpath).replace(os.sep, "/")
-        for name in (path, relative):
-            if re.split(r"[+~]", name, maxsplit=1)[0] in library.scenarios:
-                return self.bench.case(name).id
-        return None
-
-    def _requirement_name(self, name: str, requirement: str) -> str:
-        known = self.bench.case(name).requirements
-        if requirement and requirement not in known:
-            from pytest_dura.campaign.problems import did_you_mean
-
-            raise ConfigurationError(
-                f"the case {name!r} has no requirement {requirement!r}",
-                found=f"{name}::{requirement}",
-                expected="one of " + ", ".join(known) if known else "a case with requirements",
-                remedy=did_you_mean(requirement, known),
-            )
-        return requirement
-
-
-def _matches(chosen: tuple[str, str], case: str, requirement: str) -> bool:
-    return chosen[0] == case and chosen[1] in ("", requirement)
 
 
 def given_twice(where: str) -> ConfigurationError:
