@@ -64,6 +64,23 @@ class SessionEvidence:
             name = given.relative_to(root).as_posix() if given.is_relative_to(root) else given.name
             self._argument = {**read_user_argument(given), "path": name}
 
+    def check_argument(self) -> None:
+        """Check that the requirements to which the user's argument refers are in the session.
+
+        Raises:
+            ConfigurationError: If one is not.
+        """
+        if self._argument is None:
+            return
+        from pytest_dura.evidence.formats.gsn.user_file import check_requirements
+
+        known = set(self.session.named_requirements)
+        known.update(name for planned in self.session.plan for name in planned.requirements)
+        if self.session.config.getoption("numprocesses", None):
+            # Which of them the tests claim is known to the workers.
+            known.update(self.session.library().requirements)
+        check_requirements(self._argument, known - {""})
+
     def read_baseline(self) -> None:
         """Read what this session is compared with, which its own record may replace.
 

@@ -93,6 +93,7 @@ class SessionHooks:
         """Note what will run, in a record that takes the place of an earlier session's."""
         if any(uses_bench(item) for item in session.items):
             self.session.begin_evidence()
+        self.session.check_argument()
         self.session.evidence.expect([item.nodeid for item in session.items])
 
     def pytest_report_collectionfinish(self) -> list[str]:

@@ -125,6 +125,15 @@ class DuraSession:
         with usage_errors():
             self.evidence.start()
 
+    def check_argument(self) -> None:
+        """Check the user's argument against what was collected.
+
+        Raises:
+            pytest.UsageError: If it refers to what is not there.
+        """
+        with usage_errors():
+            self.evidence.check_argument()
+
     def take_arguments(self) -> None:
         """Leave to pytest the arguments that name files, and none if scenarios run alone."""
         config = self.config
