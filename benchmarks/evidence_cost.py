@@ -63,7 +63,7 @@ class Clock:
 def watch(clock: Clock) -> None:
     """Let the clock run in everything that makes evidence."""
     from pytest_dura.core.log import EpisodeLog
-    from pytest_dura.evidence import writing
+    from pytest_dura.evidence.bundle import writing
     from pytest_dura.plugin.evidence import SessionEvidence
     from pytest_dura.plugin.reporter import Reporter
     from pytest_dura.plugin.traces import TraceKeeper

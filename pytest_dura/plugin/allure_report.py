@@ -171,7 +171,7 @@ def _judged(result: ItemResult, episode: Episode) -> EpisodeVerdict | None:
 
 def _loop(episode: Episode, trace: Trace, judged: EpisodeVerdict | None, check: str) -> None:
     """The loop's six steps at the tick of the violation."""
-    from pytest_dura.evidence.loop_steps import decision_at, loop_steps
+    from pytest_dura.evidence.views.loop_steps import decision_at, loop_steps
 
     tick = decision_at(trace, None if judged is None else judged.time)
     if tick is None:
@@ -188,7 +188,7 @@ def _loop(episode: Episode, trace: Trace, judged: EpisodeVerdict | None, check: 
 
 def _signals(episode: Episode, check: str) -> list[str]:
     """The signals that the check reads, or else the first ones of the truth."""
-    from pytest_dura.evidence.margin import formula_of
+    from pytest_dura.evidence.views.margin import formula_of
 
     formula = formula_of(check)
     names = [] if formula is None else [one.removeprefix("percept.") for one in formula.signals]
@@ -198,8 +198,8 @@ def _signals(episode: Episode, check: str) -> list[str]:
 
 def _attachments(episode: Episode, trace: Trace, judged: EpisodeVerdict | None, check: str) -> None:
     from pytest_dura.evidence.player import player_page
-    from pytest_dura.evidence.signal_table import signals_csv
     from pytest_dura.evidence.traces.mcap_file import trace_bytes
+    from pytest_dura.evidence.views.signal_table import signals_csv
 
     verdicts = [] if judged is None else [{**judged.to_json(), "check": check}]
     _attach(_plot(episode, judged, check), "plot", "SVG")
@@ -209,8 +209,8 @@ def _attachments(episode: Episode, trace: Trace, judged: EpisodeVerdict | None, 
 
 
 def _plot(episode: Episode, judged: EpisodeVerdict | None, check: str) -> str:
-    from pytest_dura.evidence.margin import margin_over_time
-    from pytest_dura.evidence.plots import Panel, signal_plot
+    from pytest_dura.evidence.views.margin import margin_over_time
+    from pytest_dura.evidence.views.plots import Panel, signal_plot
 
     panels = []
     margin = margin_over_time(check, episode)

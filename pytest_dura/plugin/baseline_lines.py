@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 from pytest_dura.plugin.tables import WIDTH, Data, counted
 
 if TYPE_CHECKING:
-    from pytest_dura.evidence.baseline_file import Baseline
-    from pytest_dura.evidence.session_record import SessionRecord
+    from pytest_dura.evidence.baseline.file import Baseline
+    from pytest_dura.evidence.record.session_record import SessionRecord
 
 NO_EVIDENCE = "no evidence of a change"
 COLOURS: Mapping[str, dict[str, bool]] = {"worse": {"red": True}, "better": {"green": True}}

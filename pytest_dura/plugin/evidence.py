@@ -20,10 +20,10 @@ from pytest_dura.plugin.reporter import ATTRIBUTE
 
 if TYPE_CHECKING:
     from pytest_dura.campaign.cases import Case
-    from pytest_dura.evidence.baseline_file import Baseline
-    from pytest_dura.evidence.lock import DirectoryLock
-    from pytest_dura.evidence.record import EvidenceRecord, Status
-    from pytest_dura.evidence.session_record import SessionRecord
+    from pytest_dura.evidence.baseline.file import Baseline
+    from pytest_dura.evidence.bundle.lock import DirectoryLock
+    from pytest_dura.evidence.record.evidence_record import EvidenceRecord, Status
+    from pytest_dura.evidence.record.session_record import SessionRecord
     from pytest_dura.plugin.inputs import SessionInputs
     from pytest_dura.plugin.session import DuraSession
 
@@ -89,7 +89,7 @@ class SessionEvidence:
         """
         given = self.session.options.baseline
         if given is not None and not self.session.is_worker:
-            from pytest_dura.evidence.baseline_file import Baseline
+            from pytest_dura.evidence.baseline.file import Baseline
 
             self.baseline = Baseline.read(given, self.session.config.invocation_params.dir)
 
@@ -106,10 +106,10 @@ class SessionEvidence:
         if self.record is not None or self.session.is_worker or config.option.collectonly:
             return
         import pytest_dura
-        from pytest_dura.evidence.bundle import begin_bundle
-        from pytest_dura.evidence.environment import describe_environment
-        from pytest_dura.evidence.lock import DirectoryLock
-        from pytest_dura.evidence.record import EvidenceRecord
+        from pytest_dura.evidence.bundle.directory import begin_bundle
+        from pytest_dura.evidence.bundle.lock import DirectoryLock
+        from pytest_dura.evidence.provenance.environment import describe_environment
+        from pytest_dura.evidence.record.evidence_record import EvidenceRecord
 
         options = self.session.options
         self._lock = DirectoryLock(options.evidence)
@@ -168,7 +168,7 @@ class SessionEvidence:
 
     def take(self, part: str) -> None:
         """Take in episodes of the item that is running in this process; see ItemReport."""
-        from pytest_dura.evidence.item_report import unpacked
+        from pytest_dura.evidence.record.item_report import unpacked
 
         begun = perf_counter()
         self._add(unpacked(part))
@@ -189,7 +189,7 @@ class SessionEvidence:
         """Write the bundle; a session that it does not support has failed, whatever tests say."""
         if self.record is None:
             return
-        from pytest_dura.evidence.writing import write_bundle
+        from pytest_dura.evidence.bundle.writing import write_bundle
 
         try:
             gate, self.final = self._judged(session)
@@ -247,7 +247,7 @@ class SessionEvidence:
     ) -> SessionRecord:
         """The record with everything that follows from it."""
         assert self.record is not None
-        from pytest_dura.evidence.conclusion import concluded
+        from pytest_dura.evidence.record.conclusion import concluded
 
         if record is None:
             record = self._compared(self.record.record(status), status)
@@ -291,7 +291,7 @@ class SessionEvidence:
     def _component(self, case: Case) -> str:
         """The component's name, if it is known before anything runs."""
         if root_conftest_with(self.session.config, "generator") is not None:
-            from pytest_dura.evidence.record import UNKNOWN
+            from pytest_dura.evidence.record.evidence_record import UNKNOWN
 
             return UNKNOWN
         return case.roles(self.session.chosen_roles())["generator"].label

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pytest_dura.evidence.inputs import Inputs, Kind
-from pytest_dura.evidence.places import is_installed
+from pytest_dura.evidence.provenance.inputs import Inputs, Kind
+from pytest_dura.evidence.provenance.places import is_installed
 
 if TYPE_CHECKING:
     from pytest_dura.plugin.session import DuraSession
@@ -61,7 +61,7 @@ class SessionInputs:
         self._conftests(file.parent)
 
     def heard(self, report: Data) -> None:
-        """What an item told, of :class:`pytest_dura.evidence.record.ItemReport`."""
+        """What an item told, of :class:`pytest_dura.evidence.record.evidence_record.ItemReport`."""
         self.item(report["item"])
         for component in report["components"]:
             self.inputs.add_told("component", component["files"])
@@ -83,7 +83,7 @@ class SessionInputs:
     def _baseline(self, here: Path) -> None:
         baseline = self.session.evidence.baseline
         if baseline is not None:
-            from pytest_dura.evidence.bundle import RECORD
+            from pytest_dura.evidence.bundle.directory import RECORD
 
             file = here / baseline.path
             file = file / RECORD if file.is_dir() else file

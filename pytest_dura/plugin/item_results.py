@@ -12,7 +12,7 @@ from pytest_dura.core.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from pytest_dura.campaign.cases import Case
-    from pytest_dura.evidence.item_report import ItemReport
+    from pytest_dura.evidence.record.item_report import ItemReport
     from pytest_dura.plugin.session import DuraSession
     from pytest_dura.requirements.model import Requirement
     from pytest_dura.requirements.verdicts import JudgedEpisode

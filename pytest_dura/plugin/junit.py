@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from pytest_dura.evidence.junit_results import junit_name
+from pytest_dura.evidence.formats.junit_results import junit_name
 from pytest_dura.evidence.text import one_line
 from pytest_dura.plugin.commands import replay_command
 from pytest_dura.plugin.item_results import ItemResult, episode_of, target_of

@@ -73,7 +73,7 @@ def recorded_episodes(
         ConfigurationError: For an unknown episode, a damaged record, and an episode that cannot be
             built again.
     """
-    from pytest_dura.evidence.bundle import read_record
+    from pytest_dura.evidence.bundle.directory import read_record
 
     record = read_record(options.evidence)
     with damage_told(options, name, option):
@@ -118,7 +118,7 @@ def _named(record: Data, name: str, option: str) -> list[Data]:
 
 def _found(config: pytest.Config, record: Data, episode: Data, option: str) -> Recorded:
     from pytest_dura.core.episode import EpisodeSpec
-    from pytest_dura.evidence.secrets import holds_redaction
+    from pytest_dura.evidence.redaction.redactor import holds_redaction
     from pytest_dura.requirements.model import Requirement
 
     if holds_redaction(episode["spec"]):

@@ -104,9 +104,9 @@ def _told(reduction: Reduction, budget: int) -> list[str]:
 
 def _record(record: Data, recorded: Recorded, reduction: Reduction, folder: Path) -> None:
     """A record with the reduced episode alone, in the form of the one that it came from."""
-    from pytest_dura.evidence.bundle import write_record
-    from pytest_dura.evidence.episodes import episode_record
-    from pytest_dura.evidence.session_record import SessionRecord
+    from pytest_dura.evidence.bundle.directory import write_record
+    from pytest_dura.evidence.record.episodes import episode_record
+    from pytest_dura.evidence.record.session_record import SessionRecord
 
     episode = reduction.episode
     assert episode is not None

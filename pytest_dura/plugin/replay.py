@@ -116,7 +116,7 @@ def _read_trace(told: Any, evidence: Path) -> Trace:
         FileNotFoundError: If it is gone.
         ConfigurationError: If it is another one than the record says, or damaged.
     """
-    from pytest_dura.evidence.manifest import file_entry
+    from pytest_dura.evidence.bundle.manifest import file_entry
     from pytest_dura.evidence.traces.mcap_file import read_trace
     from pytest_dura.evidence.traces.names import is_trace_path
 
@@ -147,7 +147,7 @@ def _read_trace(told: Any, evidence: Path) -> Trace:
 
 def _trace_of(episode: Episode) -> Trace:
     """The episode's trace as a session would have kept it: without secrets."""
-    from pytest_dura.evidence.secrets import Redactor
+    from pytest_dura.evidence.redaction.redactor import Redactor
     from pytest_dura.evidence.traces.trace import Trace
 
     return Trace.of(episode).without_secrets(Redactor.of_environment(os.environ).redact)
@@ -159,7 +159,7 @@ def _page(one: Recorded, episode: Episode, evidence: Path) -> str:
     Raises:
         ConfigurationError: If it cannot be written.
     """
-    from pytest_dura.evidence.files import write_file
+    from pytest_dura.evidence.bundle.files import write_file
     from pytest_dura.evidence.player.page import player_page
     from pytest_dura.evidence.traces.names import episode_name
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from pytest_dura.campaign.chains import CausalChain
     from pytest_dura.campaign.store import Key
     from pytest_dura.core.roles import RoleSpec
-    from pytest_dura.evidence.item_report import ItemReport
+    from pytest_dura.evidence.record.item_report import ItemReport
     from pytest_dura.plugin.parametrize import Target
     from pytest_dura.plugin.session import DuraSession
     from pytest_dura.requirements.model import Requirement
@@ -56,7 +56,7 @@ class Reporter:
 
     def episode_used(self, case: Case, episode: JudgedEpisode, planned: int) -> None:
         """An item looked at an episode of so many planned ones; 0 for one chosen by hand."""
-        from pytest_dura.evidence.episodes import episode_record
+        from pytest_dura.evidence.record.episodes import episode_record
 
         self._used.setdefault(case.id, UsedEpisodes(case)).add(episode)
         generator = episode.spec.roles["generator"]
@@ -208,14 +208,14 @@ class Reporter:
     @property
     def _report(self) -> ItemReport:
         if self._pending is None:
-            from pytest_dura.evidence.item_report import ItemReport
+            from pytest_dura.evidence.record.item_report import ItemReport
 
             self._pending = ItemReport("")
         return self._pending
 
     def _case_used(self, case: Case, generator: RoleSpec, planned: int) -> None:
         from pytest_dura.campaign.components import LocalRole
-        from pytest_dura.evidence.environment import describe_component
+        from pytest_dura.evidence.provenance.environment import describe_component
 
         report = self._report
         component = generator.label
@@ -254,7 +254,7 @@ class Reporter:
         from pytest_dura.plugin.parametrize import marked_requirements
 
         campaign = getattr(item, "funcargs", {}).get("campaign")
-        from pytest_dura.evidence.record import UNKNOWN
+        from pytest_dura.evidence.record.evidence_record import UNKNOWN
 
         component = getattr(campaign, "component", None) or UNKNOWN
         override = self.session.options.runs

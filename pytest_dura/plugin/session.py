@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from pytest_dura.campaign.loading import Library
     from pytest_dura.campaign.runner import Bench
     from pytest_dura.core.roles import RoleSpec
-    from pytest_dura.evidence.secrets import Redactor
+    from pytest_dura.evidence.redaction.redactor import Redactor
     from pytest_dura.plugin.planning import Planned
     from pytest_dura.requirements.model import Requirement
 
@@ -161,7 +161,7 @@ class DuraSession:
 
     def redact(self, value: Any) -> Any:
         """Plain data without the secrets that this process knows of by now."""
-        from pytest_dura.evidence.secrets import Redactor
+        from pytest_dura.evidence.redaction.redactor import Redactor
 
         if self._redactor is None:
             self._redactor = Redactor()

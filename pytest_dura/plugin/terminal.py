@@ -12,7 +12,7 @@ from pytest_dura.plugin.tables import case_table, counted, monitor_table, pair_t
 from pytest_dura.plugin.verdict_lines import show_verdicts
 
 if TYPE_CHECKING:
-    from pytest_dura.evidence.session_record import SessionRecord
+    from pytest_dura.evidence.record.session_record import SessionRecord
     from pytest_dura.plugin.session import DuraSession
 
 

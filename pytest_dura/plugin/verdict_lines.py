@@ -11,7 +11,7 @@ from pytest_dura.plugin.fault_lines import chain_line
 from pytest_dura.plugin.tables import WIDTH, Data, counted
 
 if TYPE_CHECKING:
-    from pytest_dura.evidence.session_record import SessionRecord
+    from pytest_dura.evidence.record.session_record import SessionRecord
     from pytest_dura.plugin.session import DuraSession
 
 TOGETHER = "\N{NO-BREAK SPACE}"

@@ -10,7 +10,7 @@ from report_pages import VIOLATING, record_with_trace
 from session_records import session_record, totals
 
 from pytest_dura.evidence.formats.report import render
-from pytest_dura.evidence.session_record import SessionRecord
+from pytest_dura.evidence.record.session_record import SessionRecord
 
 PHONE = {"viewport": {"width": 360, "height": 740}}
 HOSTILE_TEXT = (

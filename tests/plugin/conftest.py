@@ -23,10 +23,10 @@ for module in (
     "pytest_dura.driving.roles.recovery",
     "pytest_dura.driving.roles.safety",
     "pytest_dura.driving.roles.security",
-    "pytest_dura.evidence.conclusion",
-    "pytest_dura.evidence.environment",
+    "pytest_dura.evidence.record.conclusion",
+    "pytest_dura.evidence.provenance.environment",
     "pytest_dura.evidence.verifying",
-    "pytest_dura.evidence.writing",
+    "pytest_dura.evidence.bundle.writing",
     "pytest_dura.faults.injector",
     "scipy.special",
 ):

@@ -5,13 +5,13 @@ from collections import Counter
 import pytest
 from junitparser import JUnitXml, Properties
 
-from pytest_dura.evidence import attempts
-from pytest_dura.evidence.junit_results import (
+from pytest_dura.evidence.formats.junit_results import (
     junit_key,
     junit_name,
     junit_outcomes,
     junit_verdicts,
 )
+from pytest_dura.evidence.record import attempts
 from pytest_dura.evidence.text import LINE
 
 RECKLESS = "--dura-generator=corridor:Reckless"

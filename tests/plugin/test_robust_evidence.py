@@ -13,9 +13,9 @@ import pytest
 from conftest import output
 from corridors import scenario
 
-from pytest_dura.evidence.bundle import RENDERED, read_session_record
-from pytest_dura.evidence.item_report import EPISODES_AT_ONCE
-from pytest_dura.evidence.lock import DirectoryLock
+from pytest_dura.evidence.bundle.directory import RENDERED, read_session_record
+from pytest_dura.evidence.bundle.lock import DirectoryLock
+from pytest_dura.evidence.record.item_report import EPISODES_AT_ONCE
 
 WAIT = 60.0
 """Seconds that a session may take to get going on a busy machine."""

@@ -17,11 +17,11 @@ from pathlib import Path
 import pytest
 
 from pytest_dura.__main__ import main
-from pytest_dura.evidence.counts import Counts
-from pytest_dura.evidence.manifest import MANIFEST, file_entry, files_of, manifest_text
-from pytest_dura.evidence.session_record import SessionRecord
+from pytest_dura.evidence.bundle.manifest import MANIFEST, file_entry, files_of, manifest_text
+from pytest_dura.evidence.bundle.writing import write_bundle
+from pytest_dura.evidence.record.counts import Counts
+from pytest_dura.evidence.record.session_record import SessionRecord
 from pytest_dura.evidence.verifying import verify_bundle
-from pytest_dura.evidence.writing import write_bundle
 from pytest_dura.requirements.statistics.exact import upper_bound
 
 PROJECT = Path(__file__).with_name("project")

@@ -7,9 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from session_records import REQUIREMENTS, episode, session_record, verdict
 
-from pytest_dura.evidence.counts import Counts
 from pytest_dura.evidence.formats.gsn import svg_file, yaml_file
 from pytest_dura.evidence.formats.gsn.rules import problems
+from pytest_dura.evidence.record.counts import Counts
 
 HOSTILE = st.sampled_from(
     [

@@ -17,9 +17,9 @@ from in_toto_attestation.v1.resource_descriptor import ResourceDescriptor
 from in_toto_attestation.v1.statement import Statement
 from markdown_it import MarkdownIt
 
-from pytest_dura.evidence.bundle import write_record
-from pytest_dura.evidence.counts import Counts
+from pytest_dura.evidence.bundle.directory import write_record
 from pytest_dura.evidence.formats import cyclonedx, intoto, summary
+from pytest_dura.evidence.record.counts import Counts
 
 some = settings(derandomize=True, deadline=None, max_examples=25)
 

@@ -12,8 +12,8 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from session_records import session_record
 
-from pytest_dura.evidence.secret_names import is_common
-from pytest_dura.evidence.secrets import Redactor, redactions_in
+from pytest_dura.evidence.redaction.names import is_common
+from pytest_dura.evidence.redaction.redactor import Redactor, redactions_in
 
 SETTINGS = settings(derandomize=True, deadline=None, max_examples=60)
 SECRETS = st.text(

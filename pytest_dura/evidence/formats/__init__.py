@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from importlib import import_module
 from typing import Protocol, cast
 
-from pytest_dura.evidence.counts import Counts
-from pytest_dura.evidence.session_record import SessionRecord
+from pytest_dura.evidence.record.counts import Counts
+from pytest_dura.evidence.record.session_record import SessionRecord
 
 NAMES = ("summary", "report", "gsn.yaml_file", "gsn.svg_file", "cyclonedx", "intoto")
 """The modules of this package that are formats, in the order in which they are written."""

@@ -23,12 +23,12 @@ from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
-from pytest_dura.evidence.bundle import RECORD
-from pytest_dura.evidence.counts import Counts
+from pytest_dura.evidence.bundle.directory import RECORD
+from pytest_dura.evidence.bundle.manifest import file_entry
 from pytest_dura.evidence.formats.stated import UNREVIEWED, components, sha256
-from pytest_dura.evidence.manifest import file_entry
 from pytest_dura.evidence.plain import plain
-from pytest_dura.evidence.session_record import SessionRecord
+from pytest_dura.evidence.record.counts import Counts
+from pytest_dura.evidence.record.session_record import SessionRecord
 from pytest_dura.evidence.text import name, visible
 
 FILE = "test-result.intoto.json"

@@ -14,9 +14,9 @@ from collections.abc import Iterable, Iterator
 from functools import lru_cache
 from typing import Any
 
-from pytest_dura.evidence.counts import Counts
 from pytest_dura.evidence.formats.stated import UNREVIEWED, bound, components, sample
-from pytest_dura.evidence.session_record import SessionRecord
+from pytest_dura.evidence.record.counts import Counts
+from pytest_dura.evidence.record.session_record import SessionRecord
 from pytest_dura.evidence.text import code, markdown, name
 
 FILE = "summary.md"

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.evidence.files import temporary_prefix
+from pytest_dura.evidence.bundle.files import temporary_prefix
 from pytest_dura.evidence.traces.columns import LIMIT, pack_columns, unpack_columns
 from pytest_dura.evidence.traces.messages import (
     Texts,

@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.evidence.bundle import RECORD, read_session_record
-from pytest_dura.evidence.counts import Counts
-from pytest_dura.evidence.manifest import files_of, manifest_problems
-from pytest_dura.evidence.session_record import SessionRecord
+from pytest_dura.evidence.bundle.directory import RECORD, read_session_record
+from pytest_dura.evidence.bundle.manifest import files_of, manifest_problems
+from pytest_dura.evidence.record.counts import Counts
+from pytest_dura.evidence.record.session_record import SessionRecord
 from pytest_dura.evidence.verifying.junit import junit_problems
 from pytest_dura.evidence.verifying.references import format_problems
 from pytest_dura.evidence.verifying.sums import record_problems
@@ -85,7 +85,7 @@ def verify_bundle(directory: Path, junit: Path | None = None) -> Verification:
 
 
 def _schema_problems(record: SessionRecord) -> Iterator[str]:
-    from pytest_dura.evidence.schema import check_record
+    from pytest_dura.evidence.bundle.schema import check_record
 
     for problem in check_record(record):
         yield f"{RECORD}: schema: {problem}"

@@ -6,8 +6,13 @@ from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 
-from pytest_dura.evidence.junit_results import Key, junit_key, junit_outcomes, junit_verdicts
-from pytest_dura.evidence.session_record import SessionRecord
+from pytest_dura.evidence.formats.junit_results import (
+    Key,
+    junit_key,
+    junit_outcomes,
+    junit_verdicts,
+)
+from pytest_dura.evidence.record.session_record import SessionRecord
 
 
 def junit_problems(record: SessionRecord, file: Path) -> Iterator[str]:

@@ -6,9 +6,9 @@ import re
 from collections.abc import Iterator
 
 from pytest_dura.core.errors import DuraError
-from pytest_dura.evidence.counts import Counts
 from pytest_dura.evidence.formats import Format, all_formats
-from pytest_dura.evidence.session_record import SessionRecord
+from pytest_dura.evidence.record.counts import Counts
+from pytest_dura.evidence.record.session_record import SessionRecord
 
 
 def format_problems(record: SessionRecord, counts: Counts) -> Iterator[str]:

@@ -7,9 +7,9 @@ from collections.abc import Iterator, Mapping
 from math import isclose
 from typing import Any
 
-from pytest_dura.evidence.bundle import RECORD
-from pytest_dura.evidence.counts import Counts
-from pytest_dura.evidence.session_record import SessionRecord
+from pytest_dura.evidence.bundle.directory import RECORD
+from pytest_dura.evidence.record.counts import Counts
+from pytest_dura.evidence.record.session_record import SessionRecord
 from pytest_dura.requirements.statistics import METHOD
 from pytest_dura.requirements.statistics.exact import upper_bound
 

@@ -10,8 +10,8 @@ from typing import Any
 from pytest_dura.core.episode import Episode, EpisodeSpec
 from pytest_dura.core.errors import DuraError
 from pytest_dura.core.metrics import DependabilityMetrics, FaultRecord
-from pytest_dura.evidence.manifest import file_entry
-from pytest_dura.evidence.session_record import SessionRecord
+from pytest_dura.evidence.bundle.manifest import file_entry
+from pytest_dura.evidence.record.session_record import SessionRecord
 from pytest_dura.evidence.traces.mcap_file import read_trace
 from pytest_dura.evidence.traces.trace import Trace
 from pytest_dura.requirements.checks import is_function_path

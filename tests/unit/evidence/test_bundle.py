@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from pytest_dura import ConfigurationError
-from pytest_dura.evidence import bundle, files
+from pytest_dura.evidence.bundle import directory, files
+from pytest_dura.evidence.bundle.manifest import MANIFEST
 from pytest_dura.evidence.formats import all_formats
-from pytest_dura.evidence.manifest import MANIFEST
 from pytest_dura.evidence.plain import plain
-from pytest_dura.evidence.session_record import SessionRecord
+from pytest_dura.evidence.record.session_record import SessionRecord
 
 
 def test_plain_data_holds_builtins_only():
@@ -38,12 +38,12 @@ RECORD = {"schema_version": "1", "text": "gap ≥ 0.5", "number": 0.1, "cases": 
 
 
 def write(folder, record):
-    return bundle.write_record(folder, SessionRecord.of(record, folder))
+    return directory.write_record(folder, SessionRecord.of(record, folder))
 
 
 def test_what_is_written_and_read_back_is_equal(tmp_path):
     file = write(tmp_path / "new" / "folder", RECORD)
-    assert bundle.read_record(file.parent) == RECORD
+    assert directory.read_record(file.parent) == RECORD
 
 
 def test_a_failed_write_leaves_the_old_record_and_no_rubbish(tmp_path, monkeypatch):
@@ -61,10 +61,10 @@ def test_a_failed_write_leaves_the_old_record_and_no_rubbish(tmp_path, monkeypat
 
 def test_reading_explains_what_is_wrong(tmp_path):
     with pytest.raises(ConfigurationError, match="there is no evidence here"):
-        bundle.read_record(tmp_path)
+        directory.read_record(tmp_path)
     (tmp_path / "evidence.json").write_bytes(b"\xff\x00")
     with pytest.raises(ConfigurationError, match="this is no evidence record"):
-        bundle.read_record(tmp_path)
+        directory.read_record(tmp_path)
 
 
 def test_the_text_is_that_of_the_whole_record_at_once(tmp_path):
@@ -82,7 +82,7 @@ def test_the_text_is_that_of_the_whole_record_at_once(tmp_path):
 def test_a_name_that_is_no_text_can_be_written_and_read(tmp_path):
     record = {**RECORD, "file": "caf\udce9"}
     write(tmp_path, record)
-    assert bundle.read_record(tmp_path) == record
+    assert directory.read_record(tmp_path) == record
 
 
 def test_what_is_written_has_the_size_and_digest_that_are_told(tmp_path):
@@ -111,10 +111,10 @@ def test_a_link_is_replaced_and_never_followed(tmp_path):
     folder.mkdir()
     (folder / "evidence.json").symlink_to(outside)
     with pytest.raises(ConfigurationError, match="symbolic link"):
-        bundle.read_session_record(folder)
+        directory.read_session_record(folder)
     write(folder, RECORD)
     assert outside.read_text() == "mine"
-    assert bundle.read_session_record(folder).head == {
+    assert directory.read_session_record(folder).head == {
         key: value for key, value in RECORD.items() if key != "episodes"
     }
 
@@ -122,18 +122,18 @@ def test_a_link_is_replaced_and_never_followed(tmp_path):
 def test_a_record_without_episodes_is_none(tmp_path):
     (tmp_path / "evidence.json").write_text('{"schema_version": "1", "episodes": {}}')
     with pytest.raises(ConfigurationError, match="no episodes"):
-        bundle.read_session_record(tmp_path)
+        directory.read_session_record(tmp_path)
 
 
 def test_every_file_of_a_bundle_is_known_to_whoever_clears_it():
     known = {MANIFEST, "evidence.schema.json", *(one.FILE for one in all_formats())}
-    assert set(bundle.RENDERED) == known
+    assert set(directory.RENDERED) == known
 
 
 def test_a_session_that_begins_removes_what_is_left_of_the_last_one(tmp_path):
     folder, outside = tmp_path / "evidence", tmp_path / "outside"
     write(folder, RECORD)
-    own = [*bundle.RENDERED, ".evidence.json-x7", ".session-q", "episodes/a.mcap",
+    own = [*directory.RENDERED, ".evidence.json-x7", ".session-q", "episodes/a.mcap",
            "episodes/.b.mcap-x7"]  # fmt: skip
     others = ["notes.txt", "report.html.bak", "episodes/notes.txt", "reduced/evidence.json",
               ".hidden"]  # fmt: skip
@@ -144,10 +144,10 @@ def test_a_session_that_begins_removes_what_is_left_of_the_last_one(tmp_path):
     (folder / "report.html").unlink()
     (folder / "report.html").symlink_to(outside)
     new = {**RECORD, "text": "new"}
-    bundle.begin_bundle(SessionRecord.of(new, folder))
+    directory.begin_bundle(SessionRecord.of(new, folder))
     left = {str(one.relative_to(folder)) for one in folder.rglob("*") if not one.is_dir()}
     assert left == {"evidence.json", *others}
-    assert bundle.read_record(folder) == new
+    assert directory.read_record(folder) == new
     assert outside.read_text() == "mine"
 
 
@@ -157,12 +157,12 @@ def test_a_linked_folder_of_traces_is_not_followed(tmp_path):
     (outside / "a.mcap").write_text("mine")
     write(folder, RECORD)
     (folder / "episodes").symlink_to(outside)
-    bundle.clear_bundle(folder)
+    directory.clear_bundle(folder)
     assert not (folder / "episodes").exists()
     assert (outside / "a.mcap").read_text() == "mine"
 
 
 def test_files_of_others_are_left_alone_where_no_record_was(tmp_path):
     (tmp_path / "summary.md").write_text("mine")
-    bundle.begin_bundle(SessionRecord.of(RECORD, tmp_path))
+    directory.begin_bundle(SessionRecord.of(RECORD, tmp_path))
     assert (tmp_path / "summary.md").read_text() == "mine"

@@ -6,7 +6,7 @@ from dataclasses import asdict
 from typing import Any
 
 from pytest_dura.core.metrics import FaultRecord
-from pytest_dura.evidence.faults import UNFOLLOWED, FaultMetrics, with_chains
+from pytest_dura.evidence.record.faults import UNFOLLOWED, FaultMetrics, with_chains
 from pytest_dura.plugin.fault_lines import chain_line, fault_table
 
 

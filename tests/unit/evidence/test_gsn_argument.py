@@ -7,10 +7,10 @@ import pytest
 import yaml
 from session_records import REQUIREMENTS, episode, session_record, verdict
 
-from pytest_dura.evidence.counts import Counts
 from pytest_dura.evidence.formats.gsn import svg_file, yaml_file
 from pytest_dura.evidence.formats.gsn.argument import argument_of
 from pytest_dura.evidence.formats.gsn.rules import problems, roots
+from pytest_dura.evidence.record.counts import Counts
 
 WAIVER = {"kind": "xfail", "reason": "known"}
 

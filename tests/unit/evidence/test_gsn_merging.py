@@ -6,10 +6,10 @@ import pytest
 from session_records import session_record
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.evidence.counts import Counts
 from pytest_dura.evidence.formats.gsn import svg_file, yaml_file
 from pytest_dura.evidence.formats.gsn.rules import problems, roots
 from pytest_dura.evidence.formats.gsn.user_file import check_requirements, read_user_argument
+from pytest_dura.evidence.record.counts import Counts
 
 GOOD = """\
 module:

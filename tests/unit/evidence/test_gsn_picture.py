@@ -7,9 +7,9 @@ from xml.etree import ElementTree as ET
 import pytest
 from session_records import REQUIREMENTS, session_record, verdict
 
-from pytest_dura.evidence.counts import Counts
 from pytest_dura.evidence.formats.gsn import svg_file
 from pytest_dura.evidence.formats.gsn.wrapping import text_width, wrapped
+from pytest_dura.evidence.record.counts import Counts
 
 SUPPORTED = verdict("SAF-1", "a/clear", ("satisfied",))
 VIOLATED = verdict("SAF-1", "a/clear", ("violated",))

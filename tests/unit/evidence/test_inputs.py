@@ -5,10 +5,10 @@ import time
 
 import pytest
 
-from pytest_dura.evidence.environment import describe_component, describe_environment
-from pytest_dura.evidence.inputs import Inputs, describe_inputs
-from pytest_dura.evidence.places import installed, told_path
-from pytest_dura.evidence.sources import sources_of
+from pytest_dura.evidence.provenance.environment import describe_component, describe_environment
+from pytest_dura.evidence.provenance.inputs import Inputs, describe_inputs
+from pytest_dura.evidence.provenance.places import installed, told_path
+from pytest_dura.evidence.provenance.sources import sources_of
 
 
 def sha256(text):

@@ -9,12 +9,12 @@ import sys
 import pytest
 
 from pytest_dura import ConfigurationError
-from pytest_dura.evidence.lock import LOCK, DirectoryLock
+from pytest_dura.evidence.bundle.lock import LOCK, DirectoryLock
 
 HOLD = """
 import sys
 from pathlib import Path
-from pytest_dura.evidence.lock import DirectoryLock
+from pytest_dura.evidence.bundle.lock import DirectoryLock
 lock = DirectoryLock(Path(sys.argv[1]))
 print("held", flush=True)
 sys.stdin.read()
@@ -47,7 +47,7 @@ def test_a_killed_session_blocks_nobody(tmp_path):
 
 def test_a_file_that_was_removed_by_its_holder_is_no_lock(tmp_path, monkeypatch):
     """The holder releases it between the moments at which another one opens and locks it."""
-    from pytest_dura.evidence import lock as module
+    from pytest_dura.evidence.bundle import lock as module
 
     first = DirectoryLock(tmp_path)
     really = module._lock

@@ -6,9 +6,9 @@ import re
 import pytest
 from session_records import session_record, verdict
 
-from pytest_dura.evidence.bundle import write_record
-from pytest_dura.evidence.counts import Counts
+from pytest_dura.evidence.bundle.directory import write_record
 from pytest_dura.evidence.formats import cyclonedx, intoto, summary
+from pytest_dura.evidence.record.counts import Counts
 
 PASSED = {"result": "passed", "exit_code": 0, "reasons": []}
 SUPPORTED = verdict("SAF-1", "a/clear", ("satisfied",) * 3)

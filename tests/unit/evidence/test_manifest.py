@@ -4,7 +4,12 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from pytest_dura.evidence.manifest import MANIFEST, file_entry, manifest_problems, manifest_text
+from pytest_dura.evidence.bundle.manifest import (
+    MANIFEST,
+    file_entry,
+    manifest_problems,
+    manifest_text,
+)
 
 FILES = {
     "evidence.json": b'{"status": "complete"}\n',

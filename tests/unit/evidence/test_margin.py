@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from handmade import decided, handmade
 
-from pytest_dura.evidence.margin import formula_of, margin_over_time
+from pytest_dura.evidence.views.margin import formula_of, margin_over_time
 
 GAP = [4.0, 2.0, -1.0, 3.0]
 

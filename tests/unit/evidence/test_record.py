@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import copy
 
-from pytest_dura.evidence.case_metrics import CaseMetrics
-from pytest_dura.evidence.record import UNKNOWN, EvidenceRecord
+from pytest_dura.evidence.record.case_metrics import CaseMetrics
+from pytest_dura.evidence.record.evidence_record import UNKNOWN, EvidenceRecord
 from pytest_dura.requirements.model import Requirement
 from pytest_dura.requirements.verdicts import EpisodeVerdict, judge_campaign
 

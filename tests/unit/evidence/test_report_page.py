@@ -12,7 +12,6 @@ import pytest
 from report_pages import VIOLATING, Page, record_with_trace
 from session_records import episode, session_record, verdict
 
-from pytest_dura.evidence.counts import Counts
 from pytest_dura.evidence.formats.report import charts, gathering, players, read_counts, render
 from pytest_dura.evidence.formats.report.anchors import (
     anchor,
@@ -21,7 +20,8 @@ from pytest_dura.evidence.formats.report.anchors import (
     verdict_anchor,
 )
 from pytest_dura.evidence.formats.report.matrix import heading, matrix
-from pytest_dura.evidence.session_record import SessionRecord
+from pytest_dura.evidence.record.counts import Counts
+from pytest_dura.evidence.record.session_record import SessionRecord
 
 
 @pytest.fixture(scope="module")

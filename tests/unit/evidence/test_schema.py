@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 from session_records import session_record
 
-from pytest_dura.evidence.baseline_file import Baseline
-from pytest_dura.evidence.schema import MOST, check_record, schema, schema_text, words
-from pytest_dura.evidence.schema_page import BEGIN, END, PAGE, page_of, tables
+from pytest_dura.evidence.baseline.file import Baseline
+from pytest_dura.evidence.bundle.schema import MOST, check_record, schema, schema_text, words
+from pytest_dura.evidence.bundle.schema_page import BEGIN, END, PAGE, page_of, tables
 
 DOCS = Path(__file__).parents[3] / "docs"
 lawful = settings(derandomize=True, deadline=None, max_examples=40)
@@ -212,7 +212,9 @@ def test_the_words_of_a_record():
 
 def test_the_committed_page_is_up_to_date():
     committed = (DOCS / PAGE).read_text("utf-8")
-    assert committed == page_of(committed), "run `python -m pytest_dura.evidence.schema_page`"
+    assert committed == page_of(committed), (
+        "run `python -m pytest_dura.evidence.bundle.schema_page`"
+    )
     assert committed.count(BEGIN) == committed.count(END) == 1
 
 

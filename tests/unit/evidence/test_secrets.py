@@ -5,7 +5,7 @@ import time
 import pytest
 from session_records import session_record
 
-from pytest_dura.evidence.secrets import Redactor, holds_redaction, redactions_in
+from pytest_dura.evidence.redaction.redactor import Redactor, holds_redaction, redactions_in
 
 SECRET = "tok-AbCdEf0123456789"
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from pytest_dura import ConfigurationError
-from pytest_dura.evidence.faults import UNFOLLOWED
-from pytest_dura.evidence.spool import EpisodeSpool
+from pytest_dura.evidence.record.faults import UNFOLLOWED
+from pytest_dura.evidence.record.spool import EpisodeSpool
 
 
 def episode(run=0, case="a/b", component="C", seed=None, faults=(), **changes):

@@ -8,8 +8,8 @@ import pytest
 from session_records import session_record
 
 from pytest_dura import ConfigurationError
-from pytest_dura.evidence import files, writing
-from pytest_dura.evidence.bundle import RENDERED, read_session_record, write_record
+from pytest_dura.evidence.bundle import files, writing
+from pytest_dura.evidence.bundle.directory import RENDERED, read_session_record, write_record
 
 
 def passing(folder, **changes):
@@ -33,7 +33,7 @@ def disk_full_from(monkeypatch, number):
         return really(file, chunks)
 
     monkeypatch.setattr(writing, "write_file", write)
-    monkeypatch.setattr("pytest_dura.evidence.bundle.write_file", write)
+    monkeypatch.setattr("pytest_dura.evidence.bundle.directory.write_file", write)
 
 
 @pytest.mark.parametrize("number", [0, 1, 4])

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 from urllib.parse import quote
 
-from pytest_dura.evidence.bundle import RECORD
+from pytest_dura.evidence.bundle.directory import RECORD
 from pytest_dura.evidence.formats.cyclonedx.parts import (
     NAME_LIMIT,
     PREFIX,
@@ -18,7 +18,7 @@ from pytest_dura.evidence.formats.cyclonedx.parts import (
 )
 from pytest_dura.evidence.formats.stated import UNREVIEWED, bound, components, sample
 from pytest_dura.evidence.plain import plain
-from pytest_dura.evidence.session_record import SessionRecord
+from pytest_dura.evidence.record.session_record import SessionRecord
 from pytest_dura.evidence.text import name, one_line, visible
 
 Data = dict[str, Any]

@@ -9,7 +9,6 @@ from collections.abc import Mapping
 from typing import Any
 from urllib.parse import quote
 
-from pytest_dura.evidence.counts import Counts
 from pytest_dura.evidence.formats.cyclonedx.declarations import declarations
 from pytest_dura.evidence.formats.cyclonedx.parts import (
     NAME_LIMIT,
@@ -20,7 +19,8 @@ from pytest_dura.evidence.formats.cyclonedx.parts import (
 )
 from pytest_dura.evidence.formats.stated import UNREVIEWED, components
 from pytest_dura.evidence.plain import plain
-from pytest_dura.evidence.session_record import SessionRecord
+from pytest_dura.evidence.record.counts import Counts
+from pytest_dura.evidence.record.session_record import SessionRecord
 from pytest_dura.evidence.text import name, visible
 
 FILE = "cyclonedx.json"

@@ -8,8 +8,8 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 from urllib.parse import unquote
 
-from pytest_dura.evidence.counts import Counts
-from pytest_dura.evidence.session_record import SessionRecord
+from pytest_dura.evidence.record.counts import Counts
+from pytest_dura.evidence.record.session_record import SessionRecord
 
 Data = Mapping[str, Any]
 _PREFIX = "pytest-dura:"

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
-from pytest_dura.evidence.counts import Counts
 from pytest_dura.evidence.formats.gsn.contexts import contexts, scenarios
 from pytest_dura.evidence.formats.gsn.element import Argument, Element, derived_id
 from pytest_dura.evidence.formats.gsn.facts import Facts
@@ -18,7 +17,8 @@ from pytest_dura.evidence.formats.gsn.monitors import MONITORS, monitor_elements
 from pytest_dura.evidence.formats.gsn.requirement_elements import Supported, requirement_elements
 from pytest_dura.evidence.formats.gsn.verdict_elements import judged
 from pytest_dura.evidence.formats.gsn.wording import TEXT, names_text
-from pytest_dura.evidence.session_record import SessionRecord
+from pytest_dura.evidence.record.counts import Counts
+from pytest_dura.evidence.record.session_record import SessionRecord
 from pytest_dura.evidence.text import name, one_line
 
 TOP, KINDS, INCOMPLETE = "GTop", "SKinds", "GIncomplete"

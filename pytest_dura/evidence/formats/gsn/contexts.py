@@ -6,11 +6,11 @@ from collections.abc import Iterator, Mapping
 from itertools import groupby
 from typing import Any
 
-from pytest_dura.evidence.counts import Counts
 from pytest_dura.evidence.formats.gsn.element import Element, derived_id
 from pytest_dura.evidence.formats.gsn.facts import Facts
 from pytest_dura.evidence.formats.gsn.wording import TEXT, names_text, scenario_text
-from pytest_dura.evidence.session_record import SessionRecord
+from pytest_dura.evidence.record.counts import Counts
+from pytest_dura.evidence.record.session_record import SessionRecord
 from pytest_dura.evidence.text import name, one_line
 
 REVIEW, SESSION = "CReview", "CSession"

@@ -16,7 +16,7 @@ from pytest_dura.evidence.formats.gsn.argument import argument_of, incomplete
 from pytest_dura.evidence.formats.gsn.element import Argument, Element, derived_id
 from pytest_dura.evidence.formats.gsn.rules import problems, reachable, roots
 from pytest_dura.evidence.formats.gsn.user_file import UserArgument, refuse
-from pytest_dura.evidence.session_record import SessionRecord
+from pytest_dura.evidence.record.session_record import SessionRecord
 from pytest_dura.evidence.text import one_line, visible
 
 KEY = "argument"

@@ -10,7 +10,7 @@ from pytest_dura.evidence.formats.gsn.element import Element, derived_id
 from pytest_dura.evidence.formats.gsn.verdict_elements import Judged
 from pytest_dura.evidence.formats.gsn.wording import TEXT, requirement_text
 from pytest_dura.evidence.formats.report.anchors import requirement_anchor
-from pytest_dura.evidence.session_record import SessionRecord
+from pytest_dura.evidence.record.session_record import SessionRecord
 from pytest_dura.evidence.text import name, one_line
 
 Data = Mapping[str, Any]

@@ -6,7 +6,6 @@ from collections import Counter
 from typing import Any, NoReturn
 from xml.etree import ElementTree as ET
 
-from pytest_dura.evidence.counts import Counts
 from pytest_dura.evidence.formats.gsn.argument import incomplete
 from pytest_dura.evidence.formats.gsn.contexts import REVIEW, SESSION
 from pytest_dura.evidence.formats.gsn.folding import View, view_of
@@ -14,7 +13,8 @@ from pytest_dura.evidence.formats.gsn.layout import MARGIN, WIDTH, laid_out
 from pytest_dura.evidence.formats.gsn.merging import argument_with_users
 from pytest_dura.evidence.formats.gsn.shapes import MARKERS, STYLE, Edge, Shape, text_of
 from pytest_dura.evidence.formats.gsn.wrapping import wrapped
-from pytest_dura.evidence.session_record import SessionRecord
+from pytest_dura.evidence.record.counts import Counts
+from pytest_dura.evidence.record.session_record import SessionRecord
 from pytest_dura.evidence.text import name
 
 FILE = "assurance-case.svg"

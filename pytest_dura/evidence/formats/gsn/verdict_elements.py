@@ -18,7 +18,7 @@ from pytest_dura.evidence.formats.gsn.wording import (
     waiver_text,
 )
 from pytest_dura.evidence.formats.report.anchors import verdict_anchor
-from pytest_dura.evidence.session_record import SessionRecord
+from pytest_dura.evidence.record.session_record import SessionRecord
 from pytest_dura.evidence.text import name
 
 Data = Mapping[str, Any]

@@ -6,10 +6,10 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from typing import Any, NoReturn
 
-from pytest_dura.evidence.counts import Counts
 from pytest_dura.evidence.formats.gsn.merging import argument_with_users
 from pytest_dura.evidence.formats.gsn.rules import problems
-from pytest_dura.evidence.session_record import SessionRecord
+from pytest_dura.evidence.record.counts import Counts
+from pytest_dura.evidence.record.session_record import SessionRecord
 
 FILE = "assurance-case.gsn.yaml"
 MODULE = "module"

@@ -8,7 +8,7 @@ from typing import Any
 from pytest_dura.evidence.formats.report.anchors import case_anchor, requirement_anchor
 from pytest_dura.evidence.formats.report.gathering import CaseTally, Gathered, Key, Listed
 from pytest_dura.evidence.formats.report.links import Links
-from pytest_dura.evidence.session_record import SessionRecord
+from pytest_dura.evidence.record.session_record import SessionRecord
 
 Data = Mapping[str, Any]
 

@@ -22,7 +22,7 @@ from pytest_dura.evidence.formats.report import (
 from pytest_dura.evidence.formats.report.figures import FILTERS
 from pytest_dura.evidence.formats.report.gathering import Gathered
 from pytest_dura.evidence.formats.report.links import Links
-from pytest_dura.evidence.session_record import SessionRecord
+from pytest_dura.evidence.record.session_record import SessionRecord
 from pytest_dura.evidence.text import visible
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from pytest_dura.core.errors import describe_error
 from pytest_dura.evidence.formats.report.anchors import player_anchor
 from pytest_dura.evidence.formats.report.gathering import Key, Listed
-from pytest_dura.evidence.session_record import SessionRecord
+from pytest_dura.evidence.record.session_record import SessionRecord
 
 if TYPE_CHECKING:
     from markupsafe import Markup

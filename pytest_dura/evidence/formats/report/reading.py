@@ -6,7 +6,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 from html.parser import HTMLParser
 
-from pytest_dura.evidence.counts import Counts
+from pytest_dura.evidence.record.counts import Counts
 
 GATES = ("passed", "failed", "incomplete")
 VERDICTS = ("supported", "violated", "undecided")

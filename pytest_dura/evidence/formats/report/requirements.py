@@ -8,7 +8,7 @@ from typing import Any
 from pytest_dura.evidence.formats.report.anchors import requirement_anchor, verdict_anchor
 from pytest_dura.evidence.formats.report.gathering import Gathered
 from pytest_dura.evidence.formats.report.links import Links
-from pytest_dura.evidence.session_record import SessionRecord
+from pytest_dura.evidence.record.session_record import SessionRecord
 
 MAX_COUNTEREXAMPLES = 5
 """Counterexamples of a verdict that are named; the list of episodes has more."""

@@ -9,7 +9,7 @@ from pytest_dura.evidence.formats.report.anchors import case_anchor
 from pytest_dura.evidence.formats.report.charts import ClearanceRow, clearance_chart
 from pytest_dura.evidence.formats.report.gathering import CaseTally, Gathered
 from pytest_dura.evidence.formats.report.links import Links
-from pytest_dura.evidence.session_record import SessionRecord
+from pytest_dura.evidence.record.session_record import SessionRecord
 
 Data = Mapping[str, Any]
 

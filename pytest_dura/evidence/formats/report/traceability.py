@@ -13,7 +13,7 @@ from pytest_dura.evidence.formats.report.anchors import (
 from pytest_dura.evidence.formats.report.gathering import CaseTally, Gathered
 from pytest_dura.evidence.formats.report.links import Links
 from pytest_dura.evidence.formats.report.requirements import MAX_COUNTEREXAMPLES
-from pytest_dura.evidence.session_record import SessionRecord
+from pytest_dura.evidence.record.session_record import SessionRecord
 
 Data = Mapping[str, Any]
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.evidence.faults import with_chains
+from pytest_dura.evidence.record.faults import with_chains
 
 SPOOL = ".session-"
 """How the file's name begins. Only a system that removes no open files shows it to anybody."""

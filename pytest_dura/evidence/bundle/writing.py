@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from pytest_dura.core.errors import ConfigurationError, describe_error
-from pytest_dura.evidence.bundle import RECORD, RENDERED, clear_traces, write_record
-from pytest_dura.evidence.files import write_file
+from pytest_dura.evidence.bundle.directory import RECORD, RENDERED, clear_traces, write_record
+from pytest_dura.evidence.bundle.files import write_file
+from pytest_dura.evidence.bundle.manifest import MANIFEST, file_entry, manifest_text
+from pytest_dura.evidence.bundle.schema import SCHEMA_FILE, schema_text
 from pytest_dura.evidence.formats import Format, all_formats
-from pytest_dura.evidence.manifest import MANIFEST, file_entry, manifest_text
-from pytest_dura.evidence.schema import SCHEMA_FILE, schema_text
-from pytest_dura.evidence.session_record import SessionRecord
+from pytest_dura.evidence.record.session_record import SessionRecord
 
 
 def write_bundle(record: SessionRecord) -> SessionRecord:

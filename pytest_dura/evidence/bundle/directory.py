@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import Any
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.evidence.files import temporary_prefix, write_file
+from pytest_dura.evidence.bundle.files import temporary_prefix, write_file
 from pytest_dura.evidence.plain import plain
-from pytest_dura.evidence.record import SCHEMA_VERSION
-from pytest_dura.evidence.session_record import SessionRecord
-from pytest_dura.evidence.spool import SPOOL
+from pytest_dura.evidence.record.evidence_record import SCHEMA_VERSION
+from pytest_dura.evidence.record.session_record import SessionRecord
+from pytest_dura.evidence.record.spool import SPOOL
 
 RECORD = "evidence.json"
 EPISODES = "episodes"

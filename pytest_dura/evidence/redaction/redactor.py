@@ -8,9 +8,9 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
 from typing import Any
 
-from pytest_dura.evidence.secret_forms import around, base64_cores, forms, pieces
-from pytest_dura.evidence.secret_names import PARAMETER, SHORTEST, is_common, secrets_of
-from pytest_dura.evidence.secret_shapes import OPTION, SHAPES, Shape
+from pytest_dura.evidence.redaction.forms import around, base64_cores, forms, pieces
+from pytest_dura.evidence.redaction.names import PARAMETER, SHORTEST, is_common, secrets_of
+from pytest_dura.evidence.redaction.shapes import OPTION, SHAPES, Shape
 
 PIECE = 12
 """Characters of a secret that give it away, where the rest of it was cut off."""
@@ -28,8 +28,8 @@ class Redactor:
     """Replaces secrets in plain data by ``[redacted: NAME]``.
 
     It knows the values that it was told of, in every form of
-    :mod:`pytest_dura.evidence.secret_forms`, the shapes of
-    :mod:`pytest_dura.evidence.secret_shapes`, and texts under keys such as ``api_key``. What is
+    :mod:`pytest_dura.evidence.redaction.forms`, the shapes of
+    :mod:`pytest_dura.evidence.redaction.shapes`, and texts under keys such as ``api_key``. What is
     redacted already stays as it is.
 
     Attributes:
@@ -256,6 +256,6 @@ def _texts(value: Any) -> Iterator[str]:
 
 def _is_own_word(value: str) -> bool:
     """Whether the record itself is written with this word: without it, nobody could read it."""
-    from pytest_dura.evidence.schema import words
+    from pytest_dura.evidence.bundle.schema import words
 
     return any(value in word for word in words())

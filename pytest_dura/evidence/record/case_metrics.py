@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
-from pytest_dura.evidence.faults import FaultMetrics
+from pytest_dura.evidence.record.faults import FaultMetrics
 
 COUNTED = ("flagged", "collided", "gridlock")
 SUMMED = ("decisions", "recovered", "takeovers", "switches", "censored")

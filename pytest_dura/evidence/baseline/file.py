@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.evidence.baseline import compare_claims
-from pytest_dura.evidence.bundle import RECORD, load_record
-from pytest_dura.evidence.claims import Claim, claims_of
-from pytest_dura.evidence.session_record import SessionRecord
+from pytest_dura.evidence.baseline.claims import Claim, claims_of
+from pytest_dura.evidence.baseline.comparisons import compare_claims
+from pytest_dura.evidence.bundle.directory import RECORD, load_record
+from pytest_dura.evidence.record.session_record import SessionRecord
 
 OPTION = "--dura-baseline"
 

@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
-from pytest_dura.evidence.claims import Claim
-from pytest_dura.evidence.conditions import changed_conditions
+from pytest_dura.evidence.baseline.claims import Claim
+from pytest_dura.evidence.baseline.conditions import changed_conditions
 from pytest_dura.requirements.statistics import (
     ComparisonWord,
     compare_counts,

@@ -8,12 +8,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from pytest_dura.evidence.attempts import final_outcomes, judged_looks, test_of
-from pytest_dura.evidence.case_metrics import CaseMetrics
-from pytest_dura.evidence.item_report import unpacked
-from pytest_dura.evidence.missing_runs import missing_runs
-from pytest_dura.evidence.session_record import SessionRecord
-from pytest_dura.evidence.spool import EpisodeSpool
+from pytest_dura.evidence.record.attempts import final_outcomes, judged_looks, test_of
+from pytest_dura.evidence.record.case_metrics import CaseMetrics
+from pytest_dura.evidence.record.item_report import unpacked
+from pytest_dura.evidence.record.missing_runs import missing_runs
+from pytest_dura.evidence.record.session_record import SessionRecord
+from pytest_dura.evidence.record.spool import EpisodeSpool
 from pytest_dura.requirements.model import Requirement
 from pytest_dura.requirements.verdicts.judging import judge_campaign
 

@@ -1,4 +1,4 @@
-"""The tables of the record's keys; ``python -m pytest_dura.evidence.schema_page`` writes them."""
+"""The tables of the record's keys; this module, run with ``python -m``, writes them."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from pytest_dura.evidence.schema import schema
+from pytest_dura.evidence.bundle.schema import schema
 
 PAGE = "evidence.md"
-BEGIN = "<!-- Written by `python -m pytest_dura.evidence.schema_page`; do not edit. -->"
+BEGIN = "<!-- Written by `python -m pytest_dura.evidence.bundle.schema_page`; do not edit. -->"
 END = "<!-- Here the written part ends. -->"
 HIDDEN = ("attempt",)
 """Definitions whose keys stand in the page already, under another name."""
@@ -92,4 +92,4 @@ def write_page(path: Path) -> None:
 
 
 if __name__ == "__main__":
-    write_page(Path(__file__).resolve().parents[2] / "docs" / PAGE)
+    write_page(Path(__file__).resolve().parents[3] / "docs" / PAGE)

@@ -7,11 +7,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from pytest_dura.evidence.counts import Counts
-from pytest_dura.evidence.coverage import coverage
-from pytest_dura.evidence.secrets import redactions_in
-from pytest_dura.evidence.session_record import SessionRecord
-from pytest_dura.evidence.timings import timings
+from pytest_dura.evidence.record.counts import Counts
+from pytest_dura.evidence.record.coverage import coverage
+from pytest_dura.evidence.record.session_record import SessionRecord
+from pytest_dura.evidence.record.timings import timings
+from pytest_dura.evidence.redaction.redactor import redactions_in
 
 
 def concluded(

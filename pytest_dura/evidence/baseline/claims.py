@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from pytest_dura.evidence.conditions import Conditions
-from pytest_dura.evidence.session_record import SessionRecord
+from pytest_dura.evidence.baseline.conditions import Conditions
+from pytest_dura.evidence.record.session_record import SessionRecord
 
 Data = Mapping[str, Any]
 TOO_MANY = 10**9

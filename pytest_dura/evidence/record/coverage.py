@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, TypeAlias
 
-from pytest_dura.evidence.parameter_coverage import ParameterCoverage
+from pytest_dura.evidence.record.parameter_coverage import ParameterCoverage
 
 Data = Mapping[str, Any]
 Place: TypeAlias = "tuple[str, str, str, str]"

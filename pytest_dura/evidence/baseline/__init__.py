@@ -1,0 +1,1 @@
+"""The baseline: an earlier record, and what the rates of violations did since."""

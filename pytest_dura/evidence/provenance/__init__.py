@@ -1,0 +1,1 @@
+"""Provenance: where a session ran, on what machine, and from which files."""

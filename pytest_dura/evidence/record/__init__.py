@@ -1,0 +1,1 @@
+"""The evidence record: what items tell, gathered and summed up as plain data."""

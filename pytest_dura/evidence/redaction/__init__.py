@@ -1,0 +1,1 @@
+"""Redaction: no secret enters what a session leaves behind."""

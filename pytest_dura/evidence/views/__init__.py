@@ -1,0 +1,1 @@
+"""Views of one episode as text, table and picture, for reports of others."""
