@@ -138,8 +138,6 @@ class SessionEvidence:
             return
         requirements = self.session.library().requirements if self.session.plan else {}
         chosen = set(items)
-        for item in items:  # as near as can be to when their files were read
-            self._sources().item(item)
         for planned in self.session.plan:
             case = planned.case
             runs = self.session.options.runs or case.scenario.planned
@@ -150,6 +148,12 @@ class SessionEvidence:
                     told = (item, requirements[name].to_json(), record)
                     # As the items themselves will tell it.
                     self.record.expect(*self.session.redact(told))
+
+    def read_from(self, items: list[str]) -> None:
+        """Note the files of tests that will run, as near as can be to when they were read."""
+        if self.record is not None:
+            for item in items:
+                self._sources().item(item)
 
     def gather(self, report: pytest.TestReport) -> None:
         """Take in what an item told."""

@@ -91,8 +91,10 @@ class SessionHooks:
 
     def pytest_collection_finish(self, session: pytest.Session) -> None:
         """Note what will run, in a record that takes the place of an earlier session's."""
-        if any(uses_bench(item) for item in session.items):
+        own = [item.nodeid for item in session.items if uses_bench(item)]
+        if own:
             self.session.begin_evidence()
+        self.session.evidence.read_from(own)
         self.session.check_argument()
         self.session.evidence.expect([item.nodeid for item in session.items])
 

@@ -15,18 +15,25 @@ for module in (
     "hypothesis.strategies",
     "jinja2",
     "jsonschema",
+    "mcap.reader",
     "mcap.writer",
     "pytest_dura.campaign.runner",
+    "pytest_dura.driving.faults.attacks",
     "pytest_dura.driving.highway",
     "pytest_dura.driving.roles.performance",
     "pytest_dura.driving.roles.planners",
     "pytest_dura.driving.roles.recovery",
     "pytest_dura.driving.roles.safety",
     "pytest_dura.driving.roles.security",
-    "pytest_dura.evidence.record.conclusion",
-    "pytest_dura.evidence.provenance.environment",
-    "pytest_dura.evidence.verifying",
+    "pytest_dura.evidence.bundle.lock",
     "pytest_dura.evidence.bundle.writing",
+    "pytest_dura.evidence.formats.report.players",
+    "pytest_dura.evidence.provenance.environment",
+    "pytest_dura.evidence.provenance.inputs",
+    "pytest_dura.evidence.record.conclusion",
+    "pytest_dura.evidence.record.episodes",
+    "pytest_dura.evidence.verifying",
+    "pytest_dura.evidence.views.plots",
     "pytest_dura.faults.injector",
     "scipy.special",
 ):
@@ -89,7 +96,3 @@ def project(pytester, monkeypatch):
 @pytest.fixture(params=list(MODES))
 def mode(request):
     return MODES[request.param]
-
-
-def output(result):
-    return result.stdout.str() + result.stderr.str()

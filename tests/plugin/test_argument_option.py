@@ -6,7 +6,7 @@ import hashlib
 
 import pytest
 import yaml
-from conftest import output
+from outputs import output
 
 ARGUMENT = """
 G1:

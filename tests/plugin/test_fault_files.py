@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from conftest import output
+from outputs import output
 
 SCENARIO = """\
 name: cross/one

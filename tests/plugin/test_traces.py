@@ -6,8 +6,8 @@ import errno
 import hashlib
 
 import pytest
-from conftest import output
 from corridors import IDLE, scenario
+from outputs import output
 
 from pytest_dura.evidence.traces import mcap_file
 from pytest_dura.evidence.traces.names import trace_path

@@ -112,7 +112,7 @@ def traces(draw):
     )
     return Trace(
         ABOUT | {"id": draw(TEXTS), "seed": draw(st.integers(0, 2**64 - 1))},
-        draw(_floats(ticks)),
+        draw(arrays.arrays(np.float64, ticks, elements=st.floats(0, 1e9))),
         draw(st.dictionaries(NAMES, _floats(ticks), max_size=3)),
         draw(st.dictionaries(NAMES, columns, max_size=3)),
         draw(st.lists(events, max_size=2)),

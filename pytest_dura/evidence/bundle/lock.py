@@ -90,9 +90,10 @@ class DirectoryLock:
             holder = os.read(handle, 200).decode(errors="replace").strip()
             os.close(handle)
             raise ConfigurationError(
-                "another session is writing to this evidence directory",
+                f"another session ({holder or 'of a process that is not known'}) "
+                "is writing to this evidence directory",
                 key="--dura-evidence",
-                found=f"{self._file.parent}, held by {holder or 'a process'}",
+                found=str(self._file.parent),
                 expected="a directory of its own for each session at a time",
                 remedy="wait for the other session, or name another directory",
             ) from None

@@ -23,7 +23,7 @@ sys.stdin.read()
 
 def test_a_second_session_is_refused_and_told_who_holds_it(tmp_path):
     lock = DirectoryLock(tmp_path / "new")
-    with pytest.raises(ConfigurationError, match=f"held by process {os.getpid()} on"):
+    with pytest.raises(ConfigurationError, match=rf"another session \(process {os.getpid()} on"):
         DirectoryLock(tmp_path / "new")
     lock.release()
     lock.release()
@@ -37,7 +37,7 @@ def test_a_killed_session_blocks_nobody(tmp_path):
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
     ) as other:  # fmt: skip
         assert other.stdout.readline() == "held\n"
-        with pytest.raises(ConfigurationError, match="another session is writing"):
+        with pytest.raises(ConfigurationError, match="is writing to this evidence directory"):
             DirectoryLock(tmp_path)
         other.kill()
         other.wait(10)
