@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pytest_dura.plugin.baseline_lines import baseline_header, show_baseline
@@ -14,6 +15,8 @@ from pytest_dura.plugin.verdict_lines import show_verdicts
 if TYPE_CHECKING:
     from pytest_dura.evidence.record.session_record import SessionRecord
     from pytest_dura.plugin.session import DuraSession
+
+_COUNTED = ("supported", "violated", "undecided", "waived")
 
 
 def header(session: DuraSession) -> list[str]:
@@ -73,7 +76,21 @@ def summary(session: DuraSession, terminal: Any) -> None:
         terminal.line(objection, red=True)
     terminal.line("")
     if session.evidence.file is not None:
-        terminal.line(f"evidence: {_relative(session, session.evidence.file)}")
+        terminal.line(_gate_line(record))
+        terminal.line(f"evidence: {_relative(session, _page(session.evidence.file))}")
+
+
+def _gate_line(record: SessionRecord) -> str:
+    """The gate's word, and the verdicts that it rests on."""
+    totals = record["totals"]
+    parts = [f"{totals[word]} {word}" for word in _COUNTED if totals[word]]
+    return f"gate: {totals['gate']}, {', '.join(parts) or 'no verdict'}"
+
+
+def _page(file: Path) -> Path:
+    """What to open: the report, or the record itself where the report could not be made."""
+    report = file.with_name("report.html")
+    return report if report.is_file() else file
 
 
 def _show_cases(session: DuraSession, terminal: Any, record: SessionRecord) -> None:

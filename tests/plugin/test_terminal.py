@@ -49,7 +49,20 @@ def test_the_summary_of_a_campaign(project, mode):
         "  replay: pytest --dura-replay='corridor/tight#0'",
         "  rerun:  pytest corridor/tight::GAP-1 --dura-generator=corridor:Reckless",
     ]
-    assert any(line == "evidence: dura-evidence/evidence.json" for line in lines)
+    assert lines[-2:] == [
+        "gate: failed, 1 supported, 2 violated",
+        "evidence: dura-evidence/report.html",
+    ]
+
+
+def test_without_a_report_the_last_line_names_the_record(project, monkeypatch):
+    def broken(record):
+        raise ValueError("no page today")
+
+    monkeypatch.setattr("pytest_dura.evidence.formats.report.render", broken)
+    lines = [line for line in section(project.scenarios()) if line]
+    assert lines[-2:] == ["gate: failed, 3 supported", "evidence: dura-evidence/evidence.json"]
+    assert any("report.html could not be made" in line for line in lines)
 
 
 def test_the_printed_commands_work(project):
