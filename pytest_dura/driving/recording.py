@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cache
+from itertools import groupby
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,22 +41,20 @@ def junction_scene(ticks: Sequence[Tick], percepts: Sequence[Percept], route: Ro
 def _tracks(egos: Sequence[Row], bodies: Sequence[BodyList]) -> Tracks:
     """Bodies by id. Of several with one id in one tick, as faults may bring them, each is shown."""
     columns = {EGO: 0}
-    rows: dict[tuple[str, ...], list[int]] = {}
-    for one in bodies:
-        if one.ids not in rows:
-            names = _distinct(one.ids)
-            rows[one.ids] = [columns.setdefault(name, len(columns)) for name in names]
+    # Who is there seldom changes: many ticks at once are a fraction of the work.
+    runs = [(ids, list(run)) for ids, run in groupby(bodies, key=lambda one: one.ids)]
+    chosen = [[columns.setdefault(one, len(columns)) for one in _distinct(ids)] for ids, _ in runs]
     poses = np.full((len(bodies), len(columns), len(POSE)), np.nan, np.float32)
     poses[:, 0, :4] = egos
     poses[:, 0, 4:] = CAR_LENGTH, CAR_WIDTH
-    for tick, one in enumerate(bodies):
-        if one.ids:
-            data = one.data
-            here = poses[tick]
-            chosen = rows[one.ids]
-            here[chosen, :3] = data[:, :3]
-            here[chosen, 3] = np.hypot(data[:, VX], data[:, VY])
-            here[chosen, 4:] = data[:, VY + 1 :]
+    first = 0
+    for (ids, run), own in zip(runs, chosen, strict=True):
+        if ids:
+            data = np.array([one.data for one in run])
+            speed = np.hypot(data[:, :, VX], data[:, :, VY])
+            rows = [data[:, :, :VX], speed[:, :, None], data[:, :, VY + 1 :]]
+            poses[first : first + len(run), own] = np.concatenate(rows, axis=2)
+        first += len(run)
     return Tracks(tuple(columns), poses)
 
 
