@@ -77,6 +77,7 @@ def run_loop(
     seconds: float = 1.0,
     policy: str = "recover",
     spec: Mapping[str, Any] | None = None,
+    recorded: bool = False,
     **roles: Any,
 ) -> Episode:
     """One episode of role instances; ``spec`` holds further fields of the EpisodeSpec."""
@@ -84,5 +85,5 @@ def run_loop(
         generator = Says(generator)
     parts = {"generator": generator, **roles}
     episode_spec = spec_of(parts, seconds=seconds, policy=policy, **(spec or {}))
-    loop = Orchestrator(simulator or Thermostat(), parts, judge, metrics or {})
+    loop = Orchestrator(simulator or Thermostat(), parts, judge, metrics or {}, recorded=recorded)
     return loop.run(episode_spec)
