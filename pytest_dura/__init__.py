@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     )
     from pytest_dura.core.metrics import DependabilityMetrics, FaultRecord
     from pytest_dura.core.orchestrator import Orchestrator
+    from pytest_dura.core.recording import Line, Recording, Scene, Tracks
     from pytest_dura.core.roles import (
         Alert,
         Assessed,
@@ -92,6 +93,7 @@ __all__ = [
     "Injection",
     "JudgedEpisode",
     "Lazy",
+    "Line",
     "Moment",
     "Orchestrator",
     "Paired",
@@ -101,6 +103,7 @@ __all__ = [
     "PerformanceOracle",
     "Policy",
     "Proposal",
+    "Recording",
     "Recovery",
     "RecoveryPlanner",
     "Requirement",
@@ -110,6 +113,7 @@ __all__ = [
     "RoleSpec",
     "RoleView",
     "SafetyMonitor",
+    "Scene",
     "SecurityAssessment",
     "SecurityAssessor",
     "Simulator",
@@ -117,6 +121,7 @@ __all__ = [
     "StlSafetyMonitor",
     "Termination",
     "Tick",
+    "Tracks",
     "__version__",
     "check_role",
     "check_simulator",
@@ -136,6 +141,7 @@ _HOMES = {
     ),
     "pytest_dura.core.metrics": "DependabilityMetrics FaultRecord",
     "pytest_dura.core.orchestrator": "Orchestrator",
+    "pytest_dura.core.recording": "Line Recording Scene Tracks",
     "pytest_dura.core.roles": (
         "Alert Assessed Assessment FaultInjector Generator Injection PerformanceAssessment "
         "PerformanceOracle Proposal Recovery RecoveryPlanner Role RoleContext RoleSpec "

@@ -12,7 +12,16 @@ import pytest
 from thermostat import Thermostat
 
 import pytest_dura
-from pytest_dura import DuraError, RoleSpec, Simulator, Tick, check_simulator
+from pytest_dura import (
+    DuraError,
+    Line,
+    RoleSpec,
+    Scene,
+    Simulator,
+    Tick,
+    Tracks,
+    check_simulator,
+)
 from pytest_dura.core.conformance import ConformanceError
 from pytest_dura.core.state import Lazy
 
@@ -33,7 +42,8 @@ def breaches(kind: Any, scenario: Any = SCENARIO, actions: Any = ACTIONS) -> str
 def test_a_good_adapter_passes_and_the_report_says_what_was_checked(factory: Any) -> None:
     report = check_simulator(factory, SCENARIO, ACTIONS)
     assert "Thermostat" in report.subject
-    assert report.not_supported == ()
+    assert len(report.not_supported) == 1  # the base class shows nothing
+    assert report.not_supported[0].startswith("scene")
     text = "; ".join(report.checked)
     for word in ("ticks", "signals", "determinism", "None", "fallback", "snapshot", "render",
                  "time step", "close", "lazy"):  # fmt: skip
@@ -67,8 +77,128 @@ class Bare(Thermostat):
 
 
 def test_optional_parts_may_be_missing_and_are_reported() -> None:
-    report = check_simulator(Bare, SCENARIO, ACTIONS)
-    assert report.not_supported == ("a time step of 0.05 s", "snapshot and restore", "render")
+    *parts, scene = check_simulator(Bare, SCENARIO, ACTIONS).not_supported
+    assert parts == ["a time step of 0.05 s", "snapshot and restore", "render"]
+    assert scene.startswith("scene")
+
+
+class Shown(Thermostat):
+    """A room and the heater that is perceived in it."""
+
+    def scene(self, ticks: Any, percepts: Any) -> Any:
+        poses = np.zeros((len(ticks), 1, 6), np.float32)
+        poses[:, 0, 0] = [tick.truth["temperature"] for tick in ticks]
+        seen = poses.copy()
+        seen[::2] = np.nan
+        lines = (Line("edge", np.zeros((3, 2), np.float32)),)
+        return Scene(lines, Tracks(("room",), poses), Tracks(("heater",), seen), "room")
+
+
+def test_a_scene_that_is_sound_passes() -> None:
+    report = check_simulator(Shown, SCENARIO, ACTIONS)
+    assert report.not_supported == ()
+    assert any(one.startswith("scene") for one in report.checked)
+
+
+def shows(**changes: Any) -> type[Thermostat]:
+    """A room whose scene has other parts."""
+
+    class Changed(Shown):
+        def scene(self, ticks: Any, percepts: Any) -> Any:
+            return replace(super().scene(ticks, percepts), **changes)
+
+    return Changed
+
+
+def poses(*shape: int, dtype: Any = np.float32, value: float = 0.0) -> Any:
+    return np.full(shape, value, dtype)
+
+
+@pytest.mark.parametrize(
+    "changes, breach",
+    [
+        ({"lines": [Line("edge", poses(3, 2))]}, "lines is no tuple of Line"),
+        ({"lines": (Line("edge", poses(2, 3)),)}, "lines[0].points is float32 of shape (2, 3)"),
+        ({"lines": (Line("edge", poses(3, 2, value=np.nan)),)}, "lines[0].points is not finite"),
+        ({"lines": (Line(3, poses(3, 2)),)}, "lines[0].kind is a int"),  # type: ignore[arg-type]
+        ({"truth": Tracks(("room",), poses(9, 1, 6, dtype=float))}, "truth.poses is float64"),
+        ({"truth": Tracks(("room",), poses(8, 1, 6))}, "(8, 1, 6), expected float32 of shape (9,"),
+        ({"percept": Tracks((), poses(9, 1, 6))}, "percept.poses is float32 of shape (9, 1, 6)"),
+        ({"percept": Tracks(("a", "a"), poses(9, 2, 6))}, "percept.ids has 'a' more than once"),
+        ({"percept": Tracks(["a"], poses(9, 1, 6))}, "percept.ids is no tuple of texts"),  # type: ignore[arg-type]
+        ({"percept": Tracks(("a",), poses(9, 1, 6, value=np.inf))}, "percept.poses is not finite"),
+        ({"percept": None}, "percept is a NoneType"),
+        ({"ego": None}, "ego is a NoneType"),
+        ({"ego": "car"}, "ego is 'car', which is not in truth.ids"),
+    ],
+)
+def test_a_scene_that_nobody_could_show_is_a_breach(changes: Any, breach: str) -> None:
+    assert breach in breaches(shows(**changes))
+
+
+class HalfAbsent(Shown):
+    def scene(self, ticks: Any, percepts: Any) -> Any:
+        shown = super().scene(ticks, percepts)
+        shown.truth.poses[1, 0, 2] = np.nan
+        return shown
+
+
+class OtherScenes(Shown):
+    """Shows another scene each time."""
+
+    calls = 0
+
+    def scene(self, ticks: Any, percepts: Any) -> Any:
+        OtherScenes.calls += 1
+        shown = super().scene(ticks, percepts)
+        shown.truth.poses[:, 0, 1] = OtherScenes.calls
+        return shown
+
+
+class SceneHeats(Shown):
+    """Warms up all rooms to come."""
+
+    heat = 0.0
+
+    def reset(self, scenario: Any, seed: int) -> Tick:
+        super().reset(scenario, seed)
+        self._temperature += self.heat
+        return self._tick(())
+
+    def scene(self, ticks: Any, percepts: Any) -> Any:
+        self.heat = 1.0
+        return super().scene(ticks, percepts)
+
+
+class SceneEdits(Shown):
+    def scene(self, ticks: Any, percepts: Any) -> Any:
+        ticks[3].truth["temperature"] = 0.0
+        return super().scene(ticks, percepts)
+
+
+class NeedsTwoTicks(Shown):
+    def scene(self, ticks: Any, percepts: Any) -> Any:
+        return super().scene(ticks, percepts) if ticks[1] else None
+
+
+class NotAScene(Shown):
+    def scene(self, ticks: Any, percepts: Any) -> Any:
+        return {}
+
+
+@pytest.mark.parametrize(
+    "kind, breach",
+    [
+        (HalfAbsent, "truth.poses is not finite where something is present"),
+        (OtherScenes, "another instance has another scene, in .truth.poses"),
+        (SceneHeats, "an instance, after scene differs at tick 0"),
+        (SceneEdits, "scene changed ticks[3].truth['temperature']"),
+        (NeedsTwoTicks, "nothing left behind: raised IndexError"),
+        (NotAScene, "scene is a dict"),
+    ],
+)
+def test_a_scene_is_shown_and_nothing_else_comes_of_it(kind: Any, breach: str) -> None:
+    assert breach in breaches(kind)
 
 
 class CountsFromOne(Thermostat):
