@@ -51,7 +51,8 @@ def _verify(directory: Path, junit: Path | None) -> int:
             f"{found.rejudged.judged} of their judgements made again on traces; "
             f"gate {counts.gate}"
         )
-    print("intact" if found.intact else f"NOT INTACT: {len(found.problems)} differences")
+    several = "" if len(found.problems) == 1 else "s"
+    print("intact" if found.intact else f"NOT INTACT: {len(found.problems)} difference{several}")
     return 0 if found.intact else 1
 
 

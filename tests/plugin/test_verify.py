@@ -101,7 +101,13 @@ def test_the_command_lists_differences(bundle, capsys):
     assert main(["verify", str(bundle)]) == 1
     told = capsys.readouterr().out
     assert "summary.md: changed since it was written" in told
-    assert "NOT INTACT" in told
+    assert told.endswith("\nNOT INTACT: 2 differences\n")
+
+
+def test_the_command_counts_a_single_difference(bundle, capsys):
+    (bundle / "evidence.schema.json").write_text("{}\n")
+    assert main(["verify", str(bundle)]) == 1
+    assert capsys.readouterr().out.endswith("\nNOT INTACT: 1 difference\n")
 
 
 def test_a_directory_that_is_not_there_is_a_wrong_call(tmp_path, capsys):
