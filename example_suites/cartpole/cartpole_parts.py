@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from math import radians
 from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from pytest_dura import (
     Assessed,
@@ -13,6 +16,8 @@ from pytest_dura import (
     Generator,
     GeneratorView,
     Injection,
+    Line,
+    Percept,
     Proposal,
     Recovery,
     RecoveryPlanner,
@@ -20,6 +25,9 @@ from pytest_dura import (
     RoleContext,
     RoleView,
     SafetyMonitor,
+    Scene,
+    Tick,
+    Tracks,
 )
 
 LEFT, RIGHT = 0, 1
@@ -29,6 +37,8 @@ STEEP = radians(3.0)
 """Beyond this the monitor refuses a push that makes it steeper."""
 TRACK = 2.4
 """m from the middle to the end of the track."""
+POLE = 1.0
+"""m from the cart to the tip."""
 
 
 class Pole(NamedTuple):
@@ -53,6 +63,28 @@ def sensors(observation: Any, info: Mapping[str, Any]) -> dict[str, Any]:
     """Channels: the pole and the cart's position (m) and speed (m/s)."""
     position, speed, angle, rate = map(float, observation)
     return {"pole": Pole(angle, rate), "position": position, "speed": speed}
+
+
+def scene(ticks: Sequence[Tick], percepts: Sequence[Percept]) -> Scene:
+    """What the report's player shows, seen from the side: the track, the cart and the pole."""
+    true = [(tick.truth["position"], tick.truth["angle"]) for tick in ticks]
+    believed = [(percept["position"], percept["pole"].angle) for percept in percepts]
+    track = Line("edge", np.array([(-TRACK, 0.0), (TRACK, 0.0)], np.float32))
+    return Scene((track,), _tracks(true), _tracks(believed), ego="cart")
+
+
+def _tracks(states: Sequence[tuple[float, float]]) -> Tracks:
+    """Cart and pole, from the cart's position in m and the pole's angle in rad."""
+    x, angle = np.array(states).T
+    poses: NDArray[np.float32] = np.zeros((len(states), 2, 6), np.float32)
+    poses[:, 0, 0] = x
+    poses[:, 0, 4:] = 0.5, 0.3
+    # In a scene y points downwards and angles turn clockwise: upright is -pi / 2.
+    poses[:, 1, 0] = x + POLE / 2 * np.sin(angle)
+    poses[:, 1, 1] = -POLE / 2 * np.cos(angle)
+    poses[:, 1, 2] = angle - np.pi / 2
+    poses[:, 1, 4:] = POLE, 0.06
+    return Tracks(("cart", "pole"), poses)
 
 
 class Balancer(Generator):

@@ -20,6 +20,7 @@ SIMULATOR = RoleSpec(
         "time_step_attribute": "tau",
         "signals": f"{PARTS}:signals",
         "sensors": f"{PARTS}:sensors",
+        "scene": f"{PARTS}:scene",
     },
 )
 

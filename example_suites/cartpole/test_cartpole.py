@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cartpole_parts as parts
+import numpy as np
 import pytest
 
 from pytest_dura import (
@@ -85,6 +88,14 @@ def test_another_time_step_is_simulated_as_such(run):
     fine, coarse = run(time_step=0.01), run()
     assert (fine.ticks, coarse.ticks) == (501, 251)
     assert fine.time[-1] == pytest.approx(coarse.time[-1])
+
+
+def test_the_player_shows_the_pole_as_it_is_and_as_it_is_perceived(spec):
+    spec = replace(spec, faults=(GLITCH,))
+    episode = Orchestrator.build(spec, recorded=True).run(spec)
+    shown = episode.recording.scene
+    differ = (shown.truth.poses[:, 1] != shown.percept.poses[:, 1]).any(axis=1)
+    assert np.flatnonzero(differ).tolist() == [50, 51, 52]
 
 
 def test_the_adapter_keeps_the_contract_of_a_simulator(spec):

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from pytest_dura.adapters.spaces import default_action, describe, to_action
 from pytest_dura.core.errors import ActionError, ConfigurationError
+from pytest_dura.core.recording import Scene
 from pytest_dura.core.roles import RoleSpec
 from pytest_dura.core.simulator import Simulator
 from pytest_dura.core.state import NOTHING, Percept, Tick
@@ -24,6 +25,7 @@ Signals = Callable[[Any, Mapping[str, Any], float], Mapping[str, float]]
 Sensors = Callable[[Any, Mapping[str, Any]], Mapping[str, Any]]
 Goal = Callable[[Any, Mapping[str, Any], float], bool]
 Critical = Callable[[Any, Mapping[str, Any], float], "str | None"]
+Scenes = Callable[[Sequence[Tick], Sequence[Percept]], "Scene | None"]
 
 TERMINATED = "the environment has terminated"
 
@@ -46,6 +48,8 @@ class GymnasiumSimulator(Simulator):
         goal: ``(observation, info, reward)`` to whether the task is done; never by default.
         critical: ``(observation, info, reward)`` to why the episode cannot go on, or ``None``. An
             environment that terminates without having reached the goal is critical anyway.
+        scene: ``(ticks, percepts)`` to the scene that the report's player shows; none by default.
+            ``tick.truth`` has the signals, a percept the sensor channels.
         fallback: The action when nobody commands; by default the first of a discrete space, the
             zero of a box.
         time_step_attribute: Attribute of the unwrapped environment that holds its time step
@@ -65,6 +69,7 @@ class GymnasiumSimulator(Simulator):
         sensors: Sensors | str,
         goal: Goal | str | None = None,
         critical: Critical | str | None = None,
+        scene: Scenes | str | None = None,
         fallback: Any = None,
         time_step_attribute: str | None = None,
     ) -> None:
@@ -77,6 +82,7 @@ class GymnasiumSimulator(Simulator):
         self._sensors: Sensors = _callable(sensors)
         self._goal: Goal | None = None if goal is None else _callable(goal)
         self._critical: Critical | None = None if critical is None else _callable(critical)
+        self._scene: Scenes | None = None if scene is None else _callable(scene)
         self._fallback = fallback
         self._env: gymnasium.Env[Any, Any] | None = None
         self._index = 0
@@ -139,6 +145,10 @@ class GymnasiumSimulator(Simulator):
         return {
             name: np.array([_number(percept.get(name)) for percept in percepts]) for name in names
         }
+
+    def scene(self, ticks: Sequence[Tick], percepts: Sequence[Percept]) -> Scene | None:
+        """What the ``scene`` callable makes of them."""
+        return None if self._scene is None else self._scene(ticks, percepts)
 
     def check_action(self, action: Any) -> Any:
         """An element of the action space; arrays come back as read-only copies.

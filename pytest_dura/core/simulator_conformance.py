@@ -96,7 +96,7 @@ class _Kit:
             check_snapshot(self.runs, reference)
         with check("render"):
             check_render(self.runs, reference)
-        with check("scene: types, values, determinism, nothing left behind"):
+        with check("scene"):
             check_scene(self.runs, reference)
         with check("close leaves other instances alone"):
             self._check_close(reference)

@@ -93,7 +93,7 @@ def message_of(call: Any, kind: Any = ConfigurationError) -> str:
 def test_it_keeps_the_contract_of_a_simulator(space: str) -> None:
     action = {"box": [0.5, 0.5], "same": [1.0], "choice": 2}[space]
     report = check_simulator(lambda: tank(params={"space": space}), {}, [action] * 12)
-    assert report.not_supported == ("lazy channels", "a time step of 0.25 s", "render")
+    assert report.not_supported == ("lazy channels", "a time step of 0.25 s", "render", "scene")
 
 
 def test_registered_environments_with_renderer_conform_too() -> None:
@@ -109,7 +109,7 @@ def test_registered_environments_with_renderer_conform_too() -> None:
         {},
         [[0.5], [2.0]] * 4,
     )
-    assert report.not_supported == ("lazy channels",)
+    assert report.not_supported == ("lazy channels", "scene")
 
 
 def test_a_tick_holds_truth_and_sensors_of_its_own_instant() -> None:
