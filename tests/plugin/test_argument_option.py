@@ -56,3 +56,13 @@ def test_an_argument_that_is_not_there(project):
     result = project.run("corridor/tight", "--dura-argument=nowhere.yaml")
     assert result.ret == 4
     assert "this is not a file" in output(result)
+
+
+def test_an_argument_that_turns_out_not_to_fit_fails_the_gate_in_one_line(project):
+    project.write("argument.yaml", ARGUMENT.replace("requirement:GAP-1", "verdict:GAP-1@nowhere"))
+    result = project.run("corridor/tight", "--dura-argument=argument.yaml")
+    assert result.ret == 1
+    (told,) = [one for one in project.evidence()["gate"]["reasons"] if "gsn.yaml could" in one]
+    assert "argument.yaml:7: this element does not exist; key: S1.supportedBy; found:" in told
+    assert "\n" not in told
+    assert ".py" not in told

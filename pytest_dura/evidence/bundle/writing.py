@@ -97,10 +97,17 @@ def _write_format(one: Format, record: SessionRecord, broken: dict[str, str]) ->
     try:
         text = one.render(record)
     except Exception as error:  # told in the record, and the gate fails
-        broken[one.FILE] = describe_error(error)
+        broken[one.FILE] = _why(error)
         (record.directory / one.FILE).unlink(missing_ok=True)
         return
     write_file(record.directory / one.FILE, [text])
+
+
+def _why(error: Exception) -> str:
+    """On one line; what the user can mend tells of the user's file and not of ours."""
+    if isinstance(error, ConfigurationError):
+        return "; ".join(" ".join(line.split()) for line in str(error).splitlines())
+    return describe_error(error)
 
 
 def _with_problems(record: SessionRecord, broken: Mapping[str, str]) -> SessionRecord:
