@@ -8,16 +8,15 @@ HTML or the end of a cell.
 from __future__ import annotations
 
 import re
-import shlex
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from functools import lru_cache
 from typing import Any
 
 from pytest_dura.evidence.formats.stated import UNREVIEWED, bound, components, sample
 from pytest_dura.evidence.record.counts import Counts
 from pytest_dura.evidence.record.session_record import SessionRecord
 from pytest_dura.evidence.text import code, markdown, name
+from pytest_dura.evidence.views.replay_command import evidence_option, replay_command
 
 FILE = "summary.md"
 LIMIT = 1024 * 1024
@@ -30,7 +29,6 @@ _SHARES = {"failures": 300 * _KIB, "verdicts": 350 * _KIB, "requirements": 100 *
 """Bytes of the tables; the rest is for what has a small bound: the head, reasons, provenance."""
 _REASONS = 20
 _CELLS = 10
-_COMMAND = 2000
 _WORDS = ("violated", "undecided", "supported")
 _LEFT_OUT = re.compile(r"^_(\d+) of (\d+) are left out here", re.MULTILINE)
 
@@ -169,24 +167,9 @@ def _counterexample(record: SessionRecord, found: list[Data]) -> str:
 
 def _replay(session: str, episode: str) -> str:
     """The command, where it can be shown as it has to be typed."""
-    options = [f"--dura-replay={episode}", *_places(session)]
-    quoted = [
-        f"{key}={shlex.quote(value)}" for key, _, value in (one.partition("=") for one in options)
-    ]
-    command = " ".join(["pytest", *quoted])
+    command = replay_command(episode, evidence_option(session))
     unchanged = name(command, 400) == command and "\\|" not in command and "  " not in command
     return code(command) if unchanged else ""
-
-
-@lru_cache(maxsize=1)
-def _places(session: str) -> tuple[str, ...]:
-    """Where the session's command says that its evidence is."""
-    if len(session) > _COMMAND:
-        return ()
-    try:
-        return tuple(one for one in shlex.split(session) if one.startswith("--dura-evidence="))
-    except ValueError:  # no shell reads such a command
-        return ()
 
 
 _VERDICTS = ["verdict", "waiver", "requirement", "case", "component", "valid n", "violations",

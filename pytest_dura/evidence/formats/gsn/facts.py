@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 from pytest_dura.evidence.record.session_record import SessionRecord
-from pytest_dura.evidence.text import name
 
 Data = Mapping[str, Any]
 
@@ -63,15 +61,3 @@ class Facts:
 def shown(verdict: Data) -> list[Data]:
     """The counterexamples of a verdict that become elements."""
     return list(verdict["counterexamples"][:SHOWN_COUNTEREXAMPLES])
-
-
-def replay_command(record: SessionRecord, episode: str) -> str:
-    """The command that runs one episode of this evidence again, from where the session ran."""
-    try:
-        given = shlex.split(record["command"])
-    except ValueError:  # a quote without its end
-        given = []
-    evidence = [one for one in given if one.startswith("--dura-evidence=")]
-    told = [f"--dura-replay={name(episode)}", *map(name, evidence)]
-    options = [one.partition("=") for one in told]
-    return " ".join(["pytest", *(f"{key}={shlex.quote(value)}" for key, _, value in options)])

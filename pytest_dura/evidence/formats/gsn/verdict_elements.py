@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from pytest_dura.evidence.formats.gsn.element import Element, derived_id
-from pytest_dura.evidence.formats.gsn.facts import Facts, replay_command, shown
+from pytest_dura.evidence.formats.gsn.facts import Facts, shown
 from pytest_dura.evidence.formats.gsn.wording import (
     evidence_text,
     place,
@@ -20,6 +20,7 @@ from pytest_dura.evidence.formats.gsn.wording import (
 from pytest_dura.evidence.formats.report.anchors import verdict_anchor
 from pytest_dura.evidence.record.session_record import SessionRecord
 from pytest_dura.evidence.text import name
+from pytest_dura.evidence.views.replay_command import evidence_option, replay_command
 
 Data = Mapping[str, Any]
 
@@ -189,7 +190,9 @@ class _Maker:
         known = self.facts.counterexamples.get((episode, self.verdict["component"]), {})
         seed = f", seed {known['seed']}" if known else ""
         trace = known.get("trace")
-        layers = {"replay": replay_command(self.record, episode)}
+        given = evidence_option(self.record["command"])
+        command = replay_command(name(episode), None if given is None else name(given))
+        layers = {"replay": command}
         if trace is not None:
             layers["trace"] = name(str(trace["file"]))
         return Element(

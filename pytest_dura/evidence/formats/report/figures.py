@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import re
-import shlex
 from collections.abc import Mapping
 from typing import Any
 
 from pytest_dura.evidence.text import LINE, name, one_line, visible
+from pytest_dura.evidence.views.replay_command import replay_command
 
 NONE = "\N{EN DASH}"
 
@@ -56,9 +56,9 @@ def line(text: str, limit: int = LINE) -> str:
     return one_line(text, limit) if len(text) < 50_000 else visible(text, limit)
 
 
-def replay_command(episode: str) -> str:
+def _replay(episode: str) -> str:
     """What runs one episode again, with ``DIR`` for the folder that holds the evidence."""
-    return f"pytest --dura-replay={shlex.quote(episode)} --dura-evidence=DIR"
+    return replay_command(episode, "DIR")
 
 
 FILTERS: Mapping[str, Any] = {
@@ -70,6 +70,6 @@ FILTERS: Mapping[str, Any] = {
     "seconds": seconds,
     "moment": moment,
     "size": size,
-    "replay": replay_command,
+    "replay": _replay,
 }
 """What templates may call."""
