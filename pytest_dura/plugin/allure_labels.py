@@ -38,7 +38,7 @@ def wanted(config: pytest.Config) -> bool:
 
 def mark_item(session: DuraSession, item: pytest.Item) -> None:
     """Give an item that uses the bench its labels and links; the test's own ones come first."""
-    from pytest_dura.plugin.parametrize import marked_requirements
+    from pytest_dura.plugin.requirement_markers import marked_requirements
 
     own = {one.kwargs.get("label_type") for one in item.iter_markers("allure_label")}
     requirements = list({one.id: one for one in marked_requirements(session, item)}.values())

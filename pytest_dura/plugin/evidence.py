@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shlex
-from dataclasses import replace
 from datetime import datetime, timezone
 from pathlib import Path
 from time import perf_counter
@@ -15,12 +14,13 @@ import pytest
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.plugin.case_records import case_record
 from pytest_dura.plugin.gate import REGULAR, Gate, unsupported_verdicts
+from pytest_dura.plugin.given_files import GivenFiles
 from pytest_dura.plugin.overrides import root_conftest_with
 from pytest_dura.plugin.reporter import ATTRIBUTE
+from pytest_dura.plugin.waivers import waiver_of
 
 if TYPE_CHECKING:
     from pytest_dura.campaign.cases import Case
-    from pytest_dura.evidence.baseline.file import Baseline
     from pytest_dura.evidence.bundle.lock import DirectoryLock
     from pytest_dura.evidence.record.evidence_record import EvidenceRecord, Status
     from pytest_dura.evidence.record.session_record import SessionRecord
@@ -40,7 +40,7 @@ class SessionEvidence:
         self.record: EvidenceRecord | None = None
         self.file: Path | None = None
         self.final: SessionRecord | None = None
-        self.baseline: Baseline | None = None
+        self.given = GivenFiles(session)
         self.objections: list[str] = []
         """What the terminal says against the session beside its verdicts."""
         self._lock: DirectoryLock | None = None
@@ -48,50 +48,6 @@ class SessionEvidence:
         self._spent = 0.0
         self._failed: set[str] = set()
         self._inputs: SessionInputs | None = None
-        self._argument: dict[str, Any] | None = None
-
-    def read_argument(self) -> None:
-        """Read the user's own argument, over which the assurance case is built.
-
-        Raises:
-            ConfigurationError: If it cannot be used.
-        """
-        given = self.session.options.argument
-        if given is not None and not self.session.is_worker:
-            from pytest_dura.evidence.formats.gsn.user_file import read_user_argument
-
-            root = self.session.config.rootpath
-            name = given.relative_to(root).as_posix() if given.is_relative_to(root) else given.name
-            self._argument = {**read_user_argument(given), "path": name}
-
-    def check_argument(self) -> None:
-        """Check that the requirements to which the user's argument refers are in the session.
-
-        Raises:
-            ConfigurationError: If one is not.
-        """
-        if self._argument is None:
-            return
-        from pytest_dura.evidence.formats.gsn.user_file import check_requirements
-
-        known = set(self.session.named_requirements)
-        known.update(name for planned in self.session.plan for name in planned.requirements)
-        if self.session.config.getoption("numprocesses", None):
-            # Which of them the tests claim is known to the workers.
-            known.update(self.session.library().requirements)
-        check_requirements(self._argument, known - {""})
-
-    def read_baseline(self) -> None:
-        """Read what this session is compared with, which its own record may replace.
-
-        Raises:
-            ConfigurationError: If it cannot be used.
-        """
-        given = self.session.options.baseline
-        if given is not None and not self.session.is_worker:
-            from pytest_dura.evidence.baseline.file import Baseline
-
-            self.baseline = Baseline.read(given, self.session.config.invocation_params.dir)
 
     def start(self, *, late: bool = False) -> None:
         """Begin the record. What a killed session leaves behind says that it was running.
@@ -122,7 +78,7 @@ class SessionEvidence:
                     "base_seed": options.seed,
                     "evidence_level": options.evidence_level,
                     "environment": describe_environment(config.rootpath, options.evidence),
-                    "argument": self._argument,
+                    "argument": self.given.argument,
                 },
                 options.evidence,
             )
@@ -218,8 +174,8 @@ class SessionEvidence:
         interrupted = stopped or session.exitstatus not in REGULAR
         status: Status = "interrupted" if interrupted else "complete"
         warn_undecided = self.session.options.warn_undecided
-        record = self._compared(self.record.record(status), status)
-        self.objections = [*self.record.problems, *self._worse(record)]
+        record = self.given.compared(self.record.record(status))
+        self.objections = [*self.record.problems, *self.given.worse(record)]
         gate = Gate.of(
             record["verdicts"],
             self.objections,
@@ -240,12 +196,6 @@ class SessionEvidence:
         self._spent += perf_counter() - begun
         return gate, concluded
 
-    def _compared(self, record: SessionRecord, status: Status) -> SessionRecord:
-        """The record beside the baseline."""
-        finished = None if status == "running" else record
-        baseline = None if self.baseline is None else self.baseline.to_json(finished)
-        return replace(record, head={**record.head, "baseline": baseline})
-
     def _concluded(
         self, status: Status, gate: Gate, record: SessionRecord | None = None
     ) -> SessionRecord:
@@ -254,7 +204,7 @@ class SessionEvidence:
         from pytest_dura.evidence.record.conclusion import concluded
 
         if record is None:
-            record = self._compared(self.record.record(status), status)
+            record = self.given.compared(self.record.record(status))
         return concluded(
             record,
             finished=None if status == "running" else _now(),
@@ -279,45 +229,19 @@ class SessionEvidence:
             self._inputs.begin()
         return self._inputs
 
-    def _worse(self, record: SessionRecord) -> list[str]:
-        """What ``--dura-baseline-worse=fail`` does not let pass."""
-        if not self.session.options.fail_worse:
-            return []
-        found = record["baseline"]["comparisons"]
-        if all(one["test"] is None for one in found):
-            return ["the gate fails: nothing in this session can be compared with the baseline"]
-        return [
-            f"the gate fails: {one['requirement']} on {one['case']} is worse than in the baseline"
-            for one in found
-            if one["word"] == "worse"
-        ]
-
     def _component(self, case: Case) -> str:
         """The component's name, if it is known before anything runs."""
         if root_conftest_with(self.session.config, "generator") is not None:
             from pytest_dura.evidence.record.evidence_record import UNKNOWN
 
             return UNKNOWN
-        return case.roles(self.session.chosen_roles())["generator"].label
+        return case.roles(self.session.roles.chosen())["generator"].label
 
     def _waive(self, report: pytest.TestReport) -> None:
         assert self.record is not None
-        waiver = _waiver(report)
+        waiver = waiver_of(report)
         if waiver is not None:
             self.record.waive(*self.session.redact([report.nodeid, *waiver]))
-
-
-def _waiver(report: pytest.TestReport) -> tuple[str, str] | None:
-    """What excuses an item, and why."""
-    reason = getattr(report, "wasxfail", None)
-    if reason is not None:
-        return "xfail", reason
-    if str(report.outcome) == "rerun":  # of pytest-rerunfailures
-        return "rerun", "the item was run again"
-    if report.skipped and report.when == "setup":
-        longrepr = report.longrepr
-        return "skip", longrepr[2] if isinstance(longrepr, tuple) else str(longrepr)
-    return None
 
 
 def _now() -> str:

@@ -23,43 +23,43 @@ if TYPE_CHECKING:
 @pytest.fixture(scope="session")
 def simulator(request: pytest.FixtureRequest) -> RoleSpec:
     """The simulator. Override it to run the scenarios in another one."""
-    return session_of(request.config).default_role("simulator")
+    return session_of(request.config).roles.default("simulator")
 
 
 @pytest.fixture(scope="session")
 def generator(request: pytest.FixtureRequest) -> RoleSpec:
     """The component under test. Override it: return your class, a factory or a RoleSpec."""
-    return session_of(request.config).default_role("generator")
+    return session_of(request.config).roles.default("generator")
 
 
 @pytest.fixture(scope="session")
 def safety_monitor(request: pytest.FixtureRequest) -> RoleSpec:
     """The role that judges proposals. Override it; ``None`` switches it off."""
-    return session_of(request.config).default_role("safety_monitor")
+    return session_of(request.config).roles.default("safety_monitor")
 
 
 @pytest.fixture(scope="session")
 def security_assessor(request: pytest.FixtureRequest) -> RoleSpec:
     """The role that watches for attacks. Override it; ``None`` switches it off."""
-    return session_of(request.config).default_role("security_assessor")
+    return session_of(request.config).roles.default("security_assessor")
 
 
 @pytest.fixture(scope="session")
 def performance_oracle(request: pytest.FixtureRequest) -> RoleSpec:
     """The role that measures performance. Override it; ``None`` switches it off."""
-    return session_of(request.config).default_role("performance_oracle")
+    return session_of(request.config).roles.default("performance_oracle")
 
 
 @pytest.fixture(scope="session")
 def fault_injector(request: pytest.FixtureRequest) -> RoleSpec:
     """The role that injects faults. Override it; ``None`` switches it off."""
-    return session_of(request.config).default_role("fault_injector")
+    return session_of(request.config).roles.default("fault_injector")
 
 
 @pytest.fixture(scope="session")
 def recovery_planner(request: pytest.FixtureRequest) -> RoleSpec:
     """The role that replaces refused proposals. Override it; ``None`` switches it off."""
-    return session_of(request.config).default_role("recovery_planner")
+    return session_of(request.config).roles.default("recovery_planner")
 
 
 @pytest.fixture(scope="session")
@@ -94,7 +94,7 @@ def _dura_roles(  # noqa: PLR0917 - pytest passes them by name
         "recovery_planner": recovery_planner,
     }
     try:
-        session_of(request.config).use_roles(given)
+        session_of(request.config).roles.use(given)
     except ConfigurationError as error:
         raise pytest.fail.Exception(str(error), pytrace=False) from None
 

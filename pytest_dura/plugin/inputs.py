@@ -81,7 +81,7 @@ class SessionInputs:
         return self.inputs.to_json()
 
     def _baseline(self, here: Path) -> None:
-        baseline = self.session.evidence.baseline
+        baseline = self.session.evidence.given.baseline
         if baseline is not None:
             from pytest_dura.evidence.bundle.directory import RECORD
 

@@ -75,7 +75,7 @@ def item_results(
         decided on a campaign and was not is undecided. Of several attempts a violation counts
         before anything else, as in the record.
     """
-    from pytest_dura.plugin.parametrize import marked_requirements
+    from pytest_dura.plugin.requirement_markers import marked_requirements
 
     claimed = {one.id: one for one in marked_requirements(session, item)}
     found = _told(session, item, told, claimed)

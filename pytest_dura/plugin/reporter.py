@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
 from pytest_dura.core.errors import DuraError
 from pytest_dura.plugin.case_records import case_record
 from pytest_dura.plugin.commands import replay_command
-from pytest_dura.plugin.episode_outcomes import (
-    judged_by_own_check,
-    outcome_of_test,
-    word_of_test,
-)
+from pytest_dura.plugin.episode_outcomes import outcome_of_test, word_of_test
+from pytest_dura.plugin.passed_tests import check_passed
+from pytest_dura.plugin.requirement_markers import marked_requirements
 from pytest_dura.plugin.traces import TraceKeeper
 from pytest_dura.plugin.used_episodes import UsedEpisodes
 
 if TYPE_CHECKING:
-    from pytest_dura.campaign.campaigns import Campaign
     from pytest_dura.campaign.cases import Case
     from pytest_dura.campaign.chains import CausalChain
     from pytest_dura.campaign.store import Key
@@ -115,60 +112,7 @@ class Reporter:
 
     def body_passed(self, item: pytest.Function) -> None:
         """A test passed; fail it if the episodes that it looked at do not carry that."""
-        from pytest_dura.campaign.campaigns import Campaign
-        from pytest_dura.requirements.verdicts import JudgedEpisode
-
-        for used in self._used.values():
-            if used.failure:
-                pytest.fail(used.failure, pytrace=False)
-        looked_at = item.funcargs.get("episode")
-        if isinstance(looked_at, JudgedEpisode):
-            if looked_at.validity == "invalid":
-                self._undecided(f"invalid: {looked_at.id}: {looked_at.invalid_reason}")
-            self._check_own_checks(item, looked_at)
-        campaign = item.funcargs.get("campaign")
-        if isinstance(campaign, Campaign):
-            used_here = self._used.get(campaign.case.id)
-            if used_here is not None and used_here.doubt is not None:
-                self._undecided(used_here.doubt)
-            self._check_decided(item, campaign)
-
-    def _check_own_checks(self, item: pytest.Function, episode: JudgedEpisode) -> None:
-        """A test on an episode passes by what its requirements say in their files, or not at all.
-
-        One that accepts a rate of violations is decided on all episodes, once they have run.
-        """
-        from pytest_dura.plugin.parametrize import marked_requirements
-
-        for requirement in marked_requirements(self.session, item):
-            judged = judged_by_own_check(requirement, episode)
-            if judged is None or judged.verdict == "satisfied":
-                continue
-            detail = "" if judged.detail == requirement.check else f": {judged.detail}"
-            told = f"{requirement.id} on {episode.id}: {requirement.check}{detail}"
-            if judged.verdict != "violated":
-                self._undecided(f"{judged.verdict}: {told}")
-            if requirement.at_most is None:
-                pytest.fail(f"violated: {told}", pytrace=False)
-
-    def _check_decided(self, item: pytest.Function, campaign: Campaign) -> None:
-        """A test on a campaign that claims to decide a requirement must ask for its verdict."""
-        from pytest_dura.plugin.parametrize import marked_requirements
-
-        if "episode" in item.funcargs:
-            return  # it decides them
-        claimed = [one.id for one in marked_requirements(self.session, item)]
-        left = [name for name in claimed if (name, campaign.case.id) not in self._decided]
-        if left:
-            self._undecided(
-                f"undecided: the test never asked for a verdict on {', '.join(left)}; "
-                "call campaign.require(check)"
-            )
-
-    def _undecided(self, message: str) -> NoReturn:
-        if self.session.options.warn_undecided:
-            pytest.skip(message)
-        pytest.fail(message, pytrace=False)
+        check_passed(self.session, item, self._used, self._decided)
 
     def attach(
         self, item: pytest.Item, call: pytest.CallInfo[None], report: pytest.TestReport
@@ -251,8 +195,6 @@ class Reporter:
         target = run or self._target(item, "campaign")
         if target is None:
             return
-        from pytest_dura.plugin.parametrize import marked_requirements
-
         campaign = getattr(item, "funcargs", {}).get("campaign")
         from pytest_dura.evidence.record.evidence_record import UNKNOWN
 
@@ -277,8 +219,6 @@ class Reporter:
         target, episode = self._target(item), getattr(item, "funcargs", {}).get("episode")
         if target is None or episode is None:
             return
-        from pytest_dura.plugin.parametrize import marked_requirements
-
         self._planned(target.case.id, episode.spec.component, target.planned)
         error = None if call.excinfo is None else call.excinfo.value
         if error is not None:

@@ -12,10 +12,10 @@ import pytest
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.plugin.evidence import SessionEvidence
 from pytest_dura.plugin.options import Options
-from pytest_dura.plugin.overrides import conftest_defining, root_conftest_with
 from pytest_dura.plugin.planning import make_plan
 from pytest_dura.plugin.reporter import Reporter
 from pytest_dura.plugin.scenario_arguments import scenario_arguments
+from pytest_dura.plugin.session_roles import SessionRoles
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from pytest_dura.campaign.cases import Case
     from pytest_dura.campaign.loading import Library
     from pytest_dura.campaign.runner import Bench
-    from pytest_dura.core.roles import RoleSpec
     from pytest_dura.evidence.redaction.redactor import Redactor
     from pytest_dura.plugin.planning import Planned
     from pytest_dura.requirements.model import Requirement
@@ -42,6 +41,7 @@ class DuraSession:
         self.plan: list[Planned] = []
         self.reporter = Reporter(self)
         self.evidence = SessionEvidence(self)
+        self.roles = SessionRoles(self)
         self.named_requirements: set[str] = set()
         """Ids that the markers of collected tests name."""
         self.marked: dict[str, Requirement] = {}
@@ -49,7 +49,6 @@ class DuraSession:
         self._faults_of: dict[str, tuple[dict[str, Any], ...]] = {}
         self._own_arguments: set[str] = set()
         self._library: Library | ConfigurationError | None = None
-        self._defaults: dict[str, RoleSpec] = {}
         self._redactor: Redactor | None = None
 
     @cached_property
@@ -109,10 +108,9 @@ class DuraSession:
             pytest.UsageError: For options and files that cannot be used.
         """
         with usage_errors():
-            self._check_generator()
+            self.roles.check()
             self._make_plan()
-            self.evidence.read_baseline()
-            self.evidence.read_argument()
+            self.evidence.given.read()
             if self.active:
                 self.evidence.start()
 
@@ -132,7 +130,7 @@ class DuraSession:
             pytest.UsageError: If it refers to what is not there.
         """
         with usage_errors():
-            self.evidence.check_argument()
+            self.evidence.given.check_argument()
 
     def take_arguments(self) -> None:
         """Leave to pytest the arguments that name files, and none if scenarios run alone."""
@@ -188,7 +186,7 @@ class DuraSession:
         return Bench(
             self.library,
             self.options.seed,
-            roles=self.chosen_roles(),
+            roles=self.roles.chosen(),
             runs=self.options.runs,
             faults=self.options.faults,
             on_episode=self.reporter.episode_used,
@@ -199,56 +197,6 @@ class DuraSession:
             twins=self.options.twins,
             recorded=self.options.evidence_level != "summary",
         )
-
-    def default_role(self, role: str) -> RoleSpec:
-        """What a role's fixture returns unless it is overridden; the same object at every call."""
-        if role not in self._defaults:
-            from pytest_dura.campaign.components import generator_option
-            from pytest_dura.campaign.domains import DOMAINS
-            from pytest_dura.core.roles import RoleSpec
-
-            driving, option = DOMAINS["driving"], self.options.generator
-            if role == "simulator":
-                spec = RoleSpec(driving.simulator)
-            elif role == "generator" and option is not None:
-                spec = generator_option(option)
-            else:
-                spec = RoleSpec(driving.roles[role])
-            self._defaults[role] = spec
-        return self._defaults[role]
-
-    def chosen_roles(self) -> dict[str, RoleSpec | None]:
-        """The roles that options put in place of the scenarios' and domains' own."""
-        if self.options.generator is None:
-            return {}
-        return {"generator": self.default_role("generator")}
-
-    def use_roles(self, given: dict[str, Any]) -> None:
-        """Let the bench run what the role fixtures of an item returned.
-
-        Raises:
-            ConfigurationError: For something that is no such role, and for a generator that is
-                given twice.
-        """
-        from pytest_dura.campaign.components import given_role
-
-        overridden = {
-            role: given_role(role, value, conftest_defining(self.config, value))
-            for role, value in given.items()
-            if value is not self.default_role(role)
-        }
-        if "generator" in overridden and self.options.generator is not None:
-            raise given_twice("a fixture")
-        self.bench.simulator = overridden.pop("simulator", None)
-        self.bench.roles = self.chosen_roles() | overridden
-
-    def _check_generator(self) -> None:
-        if self.options.generator is None:
-            return
-        self.default_role("generator")
-        conftest = root_conftest_with(self.config, "generator")
-        if conftest is not None:
-            raise given_twice(f"the fixture `generator` in {conftest}")
 
     def _make_plan(self) -> None:
         chosen = scenario_arguments(self)
@@ -284,17 +232,6 @@ class DuraSession:
                 expected="--dura-scenarios, or a case among the arguments",
                 remedy="add --dura-scenarios; a test function names its faults in the marker dura",
             )
-
-
-def given_twice(where: str) -> ConfigurationError:
-    """The component under test is named twice."""
-    return ConfigurationError(
-        "the component under test is given twice",
-        key="--dura-generator",
-        found=f"--dura-generator and {where}",
-        expected="one of them",
-        remedy="drop the option, or the fixture",
-    )
 
 
 class usage_errors:  # noqa: N801 - reads like a statement

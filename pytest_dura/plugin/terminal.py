@@ -32,7 +32,7 @@ def header(session: DuraSession) -> list[str]:
     lines = ["dura: " + ", ".join(parts)]
     if options.runs is not None:
         lines.append(f"dura: --dura-runs={options.runs} replaces the planned number of runs")
-    lines += baseline_header(session.evidence.baseline)
+    lines += baseline_header(session.evidence.given.baseline)
     if plan:
         lines += [f"dura: warning: {one}" for one in session.library().warnings]
         lines += [
@@ -54,7 +54,7 @@ def unused(session: DuraSession) -> list[str]:
 def _component(session: DuraSession) -> str:
     """Its name, or where it comes from, as far as that is known before anything runs."""
     if session.options.generator is not None:
-        return session.default_role("generator").label
+        return session.roles.default("generator").label
     conftest = root_conftest_with(session.config, "generator")
     if conftest is not None:
         return f"from the fixture `generator` in {conftest}"

@@ -1,0 +1,92 @@
+"""Whether a test that passed may pass: a pass rests on episodes, and on verdicts it asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from typing import TYPE_CHECKING, NoReturn
+
+import pytest
+
+from pytest_dura.plugin.episode_outcomes import judged_by_own_check
+from pytest_dura.plugin.requirement_markers import marked_requirements
+
+if TYPE_CHECKING:
+    from pytest_dura.campaign.campaigns import Campaign
+    from pytest_dura.plugin.session import DuraSession
+    from pytest_dura.plugin.used_episodes import UsedEpisodes
+    from pytest_dura.requirements.verdicts import JudgedEpisode
+
+
+def check_passed(
+    session: DuraSession,
+    item: pytest.Function,
+    used: Mapping[str, UsedEpisodes],
+    decided: Collection[tuple[str, str]],
+) -> None:
+    """Fail a test that passed if the episodes that it looked at do not carry that.
+
+    Args:
+        session: The session of this process.
+        item: The test.
+        used: The episodes that it looked at, by case.
+        decided: Requirement and case of the verdicts that it asked for.
+    """
+    from pytest_dura.campaign.campaigns import Campaign
+    from pytest_dura.requirements.verdicts import JudgedEpisode
+
+    for one in used.values():
+        if one.failure:
+            pytest.fail(one.failure, pytrace=False)
+    looked_at = item.funcargs.get("episode")
+    if isinstance(looked_at, JudgedEpisode):
+        if looked_at.validity == "invalid":
+            _undecided(session, f"invalid: {looked_at.id}: {looked_at.invalid_reason}")
+        _check_own_checks(session, item, looked_at)
+    campaign = item.funcargs.get("campaign")
+    if isinstance(campaign, Campaign):
+        used_here = used.get(campaign.case.id)
+        if used_here is not None and used_here.doubt is not None:
+            _undecided(session, used_here.doubt)
+        _check_decided(session, item, campaign, decided)
+
+
+def _check_own_checks(session: DuraSession, item: pytest.Function, episode: JudgedEpisode) -> None:
+    """A test on an episode passes by what its requirements say in their files, or not at all.
+
+    One that accepts a rate of violations is decided on all episodes, once they have run.
+    """
+    for requirement in marked_requirements(session, item):
+        judged = judged_by_own_check(requirement, episode)
+        if judged is None or judged.verdict == "satisfied":
+            continue
+        detail = "" if judged.detail == requirement.check else f": {judged.detail}"
+        told = f"{requirement.id} on {episode.id}: {requirement.check}{detail}"
+        if judged.verdict != "violated":
+            _undecided(session, f"{judged.verdict}: {told}")
+        if requirement.at_most is None:
+            pytest.fail(f"violated: {told}", pytrace=False)
+
+
+def _check_decided(
+    session: DuraSession,
+    item: pytest.Function,
+    campaign: Campaign,
+    decided: Collection[tuple[str, str]],
+) -> None:
+    """A test on a campaign that claims to decide a requirement must ask for its verdict."""
+    if "episode" in item.funcargs:
+        return  # it decides them
+    claimed = [one.id for one in marked_requirements(session, item)]
+    left = [name for name in claimed if (name, campaign.case.id) not in decided]
+    if left:
+        _undecided(
+            session,
+            f"undecided: the test never asked for a verdict on {', '.join(left)}; "
+            "call campaign.require(check)",
+        )
+
+
+def _undecided(session: DuraSession, message: str) -> NoReturn:
+    if session.options.warn_undecided:
+        pytest.skip(message)
+    pytest.fail(message, pytrace=False)
