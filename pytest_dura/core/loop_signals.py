@@ -5,6 +5,9 @@ A decision is made at every tick but the last, so the last sample repeats the on
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,14 +24,26 @@ _DECIMALS = 9
 
 def loop_signals(episode: Episode) -> dict[str, NDArray[np.float64]]:
     """The columns by name, each of shape ``(ticks,)``."""
-    source = _to_the_end(episode.decisions["source"], episode.ticks, "")
-    verdict = _to_the_end(episode.decisions["verdict"], episode.ticks, 0)
+    return loop_columns(episode.time, episode.decisions)
+
+
+def loop_columns(
+    time: NDArray[np.float64], decisions: Mapping[str, NDArray[Any]]
+) -> dict[str, NDArray[np.float64]]:
+    """The same of an episode's columns.
+
+    Args:
+        time: Simulated seconds, shape ``(ticks,)``.
+        decisions: ``source`` and ``verdict``, as those of an episode.
+    """
+    source = _to_the_end(decisions["source"], len(time), "")
+    verdict = _to_the_end(decisions["verdict"], len(time), 0)
     recovering = source == "recovery"
-    started = np.where(recovering & ~np.roll(recovering, 1), episode.time, -np.inf)
+    started = np.where(recovering & ~np.roll(recovering, 1), time, -np.inf)
     if len(recovering) and recovering[0]:
-        started[0] = episode.time[0]
+        started[0] = time[0]
     with np.errstate(invalid="ignore"):
-        lasting = episode.time - np.maximum.accumulate(started)
+        lasting = time - np.maximum.accumulate(started)
     return {
         "loop.recovering": recovering.astype(float),
         # 12.3 s after 2.3 s is 10 s, whatever the float rounds to: a bound of 10 s holds there.

@@ -359,13 +359,30 @@ def test_a_press_on_a_plot_goes_there(page):
 
 def test_signals_are_chosen(page):
     assert row(page, "gap").is_visible()  # the violated requirement speaks of it
-    page.get_by_text("Choose signals").click()
+    page.get_by_text("Choose plots").click()
     assert row(page, "collided").count() == 0
     page.get_by_role("checkbox", name="collided").check()
     seek(page, 36)
     assert row(page, "collided").locator(".dura-readout").inner_text() == "1"
     page.get_by_role("checkbox", name="gap").uncheck()
     assert row(page, "gap").count() == 0
+
+
+def test_the_margin_of_what_was_violated_is_the_first_plot(page):
+    first = page.locator(".dura-plots .dura-row").first
+    assert first.locator(".dura-name").inner_text() == "margin of SAF-1"
+    assert first.locator("code").inner_text() == "gap > 0"
+    picture = first.get_by_role("img").get_attribute("aria-label")
+    assert "least \N{MINUS SIGN}2 at 4.00 s" in picture
+    assert "below zero this does not hold: gap > 0" in picture
+    # What is below zero is told by more than its colour: there is a line at zero.
+    assert first.locator(".dura-below").count() == first.locator(".dura-zero").count() == 1
+    seek(page, TICKS - 1)
+    assert first.locator(".dura-readout").inner_text() == "\N{MINUS SIGN}2"
+    assert row(page, "margin of PERF-1").count() == 0
+    page.get_by_text("Choose plots").click()
+    page.get_by_role("checkbox", name="margin of PERF-1").check()
+    assert row(page, "margin of PERF-1").locator(".dura-readout").inner_text() == "5"
 
 
 def test_without_a_scene_there_are_plots_and_panels(opened):
@@ -474,7 +491,7 @@ CONTRAST = """
 def test_contrast(page, scheme):
     page.emulate_media(color_scheme=scheme)
     seek(page, BRAKING[0])
-    page.get_by_text("Choose signals").click()
+    page.get_by_text("Choose plots").click()
     found = page.evaluate(CONTRAST)
     assert len(found) > 80
     assert found[0][0] >= 4.5, found[0]
@@ -513,7 +530,7 @@ def hostile_page():
 
 def test_hostile_texts_stay_texts_and_within_the_page(opened):
     page = ready(opened(hostile_page()))
-    page.get_by_text("Choose signals").click()
+    page.get_by_text("Choose plots").click()
     page.get_by_text("Faults, control and monitors as a table").click()
     assert said(page, "explanation") == HOSTILE
     assert page.evaluate("window.pwned") is None

@@ -10,10 +10,13 @@ from typing import Any
 from pytest_dura.evidence.player.scene import scene_data
 from pytest_dura.evidence.text import name, visible
 from pytest_dura.evidence.traces.trace import Trace
+from pytest_dura.evidence.views.margin import margin_over_time
 
 _WHOLE = 1e15
 _NEAR = 1e-6
 """Seconds within which a time of violation is that of a tick."""
+MAX_MARGINS = 24
+"""Curves of margins, those of violated requirements first."""
 
 
 def player_data(trace: Trace, verdicts: Sequence[Mapping[str, Any]] = ()) -> dict[str, Any]:
@@ -22,12 +25,14 @@ def player_data(trace: Trace, verdicts: Sequence[Mapping[str, Any]] = ()) -> dic
     Args:
         trace: The episode.
         verdicts: What was found of it, each with ``requirement``, ``verdict``, and if known
-            ``time`` of the violation in s, ``margin`` and ``check``.
+            ``time`` of the violation in s, ``margin`` and ``check``; with a ``note`` where there is
+            more to say.
 
     Returns:
         JSON data. Columns of texts are ``{words, at}``, where ``at`` holds an index into
         ``words`` for each decision. Signals have six significant digits; ``None`` is NaN, and
-        infinities are texts. For the scene see
+        infinities are texts. ``margins`` are the checks' robustness over time, each with the
+        ``formula`` that it is of and the ``requirements`` that it decides. For the scene see
         :func:`~pytest_dura.evidence.player.scene.scene_data`.
     """
     recording, decisions = trace.recording, trace.decisions
@@ -39,6 +44,7 @@ def player_data(trace: Trace, verdicts: Sequence[Mapping[str, Any]] = ()) -> dic
             for signal, column in trace.signals.items()
         },
         "verdicts": [_verdict(one, trace.time.tolist()) for one in verdicts],
+        "margins": _margins(trace, verdicts),
         "decisions": {
             one: _words(decisions[one].tolist() if one in decisions else ())
             for one in ("proposed", "executed", "source")
@@ -98,8 +104,28 @@ def _verdict(one: Mapping[str, Any], time: Sequence[float]) -> dict[str, Any]:
         "time": None if at is None else _number(float(at)),
         "margin": None if margin is None else _number(float(margin)),
         "check": "" if check is None else _text(check),
+        "note": _text(one.get("note") or ""),
         "tick": tick,
     }
+
+
+def _margins(trace: Trace, verdicts: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """The margin over time of each check that is a formula, once for those of the same one."""
+    found: dict[str, dict[str, Any]] = {}
+    for one in sorted(verdicts, key=lambda one: one["verdict"] != "violated"):
+        check = one.get("check") or ""
+        if check not in found:
+            if len(found) == MAX_MARGINS:
+                continue
+            margin = margin_over_time(check, trace)
+            if margin is None:
+                continue
+            formula, column = margin
+            values = [_number(value) for value in column.tolist()]
+            found[check] = {"formula": _text(formula), "requirements": [], "values": values}
+            found[check]["violated"] = one["verdict"] == "violated"
+        found[check]["requirements"].append(_name(one["requirement"]))
+    return list(found.values())
 
 
 def _events(trace: Trace) -> list[list[Any]]:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from handmade import decided, handmade
 
+from pytest_dura.evidence.traces.trace import Trace
 from pytest_dura.evidence.views.margin import formula_of, margin_over_time
 
 GAP = [4.0, 2.0, -1.0, 3.0]
@@ -41,6 +42,16 @@ def test_it_ends_where_a_signal_does():
 def test_signals_of_the_loop():
     found = margin_over_time("always (loop.recovering < 0.5)", decided("pr", [0, 2]))
     assert found[1].tolist() == [0.5, -0.5, -0.5]
+
+
+@pytest.mark.parametrize(
+    "check", ["always (loop.recovering < 0.5)", "eventually[0:2] (loop.recovering_for > 0.1)"]
+)
+def test_a_trace_tells_what_its_episode_does(check):
+    episode = decided("pprrp", [0, 0, 2, 2, 0])
+    of_episode, of_trace = (margin_over_time(check, one) for one in (episode, Trace.of(episode)))
+    assert of_trace[0] == of_episode[0]
+    np.testing.assert_array_equal(of_trace[1], of_episode[1])
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,7 @@ from traces import traces
 
 from pytest_dura.core.recording import Recording, Scene, Tracks
 from pytest_dura.evidence.player import assets, content_hash, packed, player_data, player_page
+from pytest_dura.evidence.player.data import MAX_MARGINS
 from pytest_dura.evidence.text import LIMIT
 
 
@@ -91,6 +92,28 @@ def test_a_violation_is_at_the_first_tick_that_is_not_before_it():
     # 3 * 0.1 is a hair above 0.3, and what was computed otherwise may be a hair above that.
     found = [tick(time) for time in (0.0, 0.3, 0.3 + 1e-9, 3.61, 99.0, None)]
     assert found == [0, 3, 3, 37, TICKS - 1, None]
+
+
+def test_margins_are_those_of_formulas_once_each_and_of_what_was_violated_first():
+    verdicts = [
+        VERDICTS[1],
+        {"requirement": "REC-1", "verdict": "not violated", "check": "always (gap > 0)"},
+        {"requirement": "FUN-1", "verdict": "satisfied", "check": "checks:in_words"},
+        VERDICTS[0],
+    ]
+    first, second = player_data(crossing(), verdicts)["margins"]
+    assert (first["formula"], first["requirements"]) == ("gap > 0", ["SAF-1", "REC-1"])
+    assert (first["violated"], second["violated"]) == (True, False)
+    np.testing.assert_allclose(first["values"], crossing().signals["gap"], atol=1e-4)
+    assert second["values"] == [5] * TICKS
+
+
+def test_margins_are_bounded():
+    verdicts = [
+        {"requirement": f"R-{one}", "verdict": "satisfied", "check": f"always (gap > -{one})"}
+        for one in range(100)
+    ]
+    assert len(player_data(crossing(), verdicts)["margins"]) == MAX_MARGINS
 
 
 def test_faults_have_intervals():

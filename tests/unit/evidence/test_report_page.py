@@ -421,3 +421,26 @@ def test_a_matrix_has_the_fewer_headings_in_its_columns():
     assert wide["rows"][2]["cells"] == [(0, 2)]
     high = matrix(three, one, lambda i, j: (i, j), "Fault")
     assert (high["corner"], high["rows"][2]["cells"]) == ("Requirement", [(2, 0)])
+
+
+SURE = {"check": "gap > 0", "run": 2, "pairs": None, "invalid": 0, "missing": 0, "saved": 0}
+RUN = {"planned": True, "run": 1, "validity": "valid"}
+
+
+@pytest.mark.parametrize(
+    "verdict_, episode_, word",
+    [
+        ({}, {}, "satisfied"),
+        # Of the third run this verdict, which looked at two, knows nothing.
+        ({}, {"run": 2}, "not judged"),
+        ({"check": ""}, {"run": 2}, "satisfied"),
+        ({}, {"planned": False}, "not judged"),
+        ({}, {"validity": "invalid"}, "invalid"),
+        ({}, {"validity": "missing"}, "missing"),
+        ({"pairs": {}}, {}, "not violated"),
+        ({"invalid": 1}, {}, "not violated"),
+        ({"saved": 1}, {}, "not violated"),
+    ],
+)
+def test_a_player_says_satisfied_only_where_the_record_does(verdict_, episode_, word):
+    assert players._unviolated(SURE | verdict_, RUN | episode_)[0] == word

@@ -160,7 +160,8 @@ _KEPT = (
 def _brief(episode: Data) -> Data:
     """What is shown of an episode: a thousand whole records would take much memory."""
     critical = [one["detail"] for one in episode["events"] if one["kind"] == "critical"]
-    return {**{key: episode[key] for key in _KEPT}, "critical": critical[0] if critical else ""}
+    kept = {key: episode[key] for key in _KEPT}
+    return {**kept, "run": episode["spec"]["run"], "critical": critical[0] if critical else ""}
 
 
 def _keep(heap: list[tuple[int, int, Listed]], rank: int, shown: Listed, most: int) -> None:

@@ -107,10 +107,27 @@ def _judged(record: SessionRecord, one: Listed) -> list[Data]:
             told |= {"time": against[0]["time"], "margin": against[0]["margin"]}
             violated.append({**told, "verdict": "violated"})
         else:
-            sure = verdict["pairs"] is None and not (verdict["invalid"] or verdict["missing"])
-            sure = sure and one.episode["planned"] and verdict["saved"] == 0
-            others.append({**told, "verdict": "satisfied" if sure else "not violated"})
+            word, note = _unviolated(verdict, one.episode)
+            others.append({**told, "verdict": word, "note": note})
     return violated + others
+
+
+def _unviolated(verdict: Data, episode: Data) -> tuple[str, str]:
+    """What a verdict says of an episode that is none of its counterexamples, and a note on it.
+
+    The record names single episodes where they violate; of others it tells the sum.
+    """
+    # Another requirement on the case may have needed more runs than this one looked at.
+    beyond = verdict["check"] and episode["run"] >= verdict["run"]
+    if not episode["planned"] or beyond:
+        return "not judged", "the verdict rests on other runs"
+    if episode["validity"] != "valid":
+        return episode["validity"], ""
+    if verdict["pairs"] is not None:
+        return "not violated", "judged on pairs of runs"
+    if verdict["invalid"] or verdict["missing"] or verdict["saved"]:
+        return "not violated", "or not decided: of some of its runs the verdict knows no more"
+    return "satisfied", ""
 
 
 def _plain_base64(text: str) -> Markup:

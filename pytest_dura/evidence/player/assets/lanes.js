@@ -178,10 +178,12 @@ function axis(episode) {
 
 /** Explains what occurs in this episode, and nothing else. */
 function rowLegend({episode, plots}) {
-  const {faults, flags, decisions, signals} = episode;
+  const {faults, flags, decisions, signals, margins} = episode;
   const said = new Set(Object.values(flags).flat());
   const sources = decisions.source.words;
-  const entries = [["line", "signal", signals.size],
+  const entries = [["margin", "margin of a check", margins.length],
+    ["below", "margin below zero: it does not hold", margins.length],
+    ["line", "signal", signals.size],
     ["dashed", "as perceived", [...signals.keys()].some((name) => plots.base(name))],
     ["fault", "F fault active", faults.length],
     ["manifested", "fault manifested", faults.some((one) => one.manifested.length)],

@@ -89,11 +89,11 @@ const SIGNS = new Map([["satisfied", "✓"], ["violated", "✕"], ["invalid", "?
 
 function verdictPanel(player) {
   const {episode} = player;
-  const items = episode.verdicts.map(({requirement, verdict, time, margin, check, tick}) => {
+  const items = episode.verdicts.map(({requirement, verdict, time, margin, check, note, tick}) => {
     const violated = verdict === "violated";
     const known = SIGNS.has(verdict) ? verdict : "other";
     const facts = [margin === null ? null : `margin ${number(Number(margin))}`,
-      violated && time === null ? "time unknown" : null].filter(Boolean).join(", ");
+      violated && time === null ? "time unknown" : null, note].filter(Boolean).join(", ");
     return make("li", {class: `dura-verdict dura-is-${known}`},
       make("span", {class: "dura-word"},
         make("span", {"aria-hidden": "true"}, `${SIGNS.get(verdict) ?? "?"} `), verdict),

@@ -7,20 +7,35 @@ class Plots {
   constructor(player) {
     this.player = player;
     this.episode = player.episode;
-    const {signals} = this.episode;
-    this.names = [...signals.keys()].filter((name) => !this.base(name));
+    this.curves = new Map([...this.margins(), ...this.columns()]);
     this.shown = new Map();
     this.area = make("div", {class: "dura-plots"});
     const chosen = new Set(this.proposed());
-    const boxes = this.names.map((name) => make("label", {class: "dura-check"},
-      make("input", {type: "checkbox", checked: chosen.has(name),
-        change: (event) => this.choose(name, event.target.checked)}), make("span", {}, name)));
+    const boxes = [...this.curves].map(([key, {label}]) => make("label", {class: "dura-check"},
+      make("input", {type: "checkbox", checked: chosen.has(key),
+        change: (event) => this.choose(key, event.target.checked)}), make("span", {}, label)));
     this.chooser = make("details", {class: "dura-details"},
-      make("summary", {}, `Choose signals (${this.names.length})`),
-      make("fieldset", {class: "dura-choices"}, make("legend", {}, "Signals to plot"), boxes));
+      make("summary", {}, `Choose plots (${this.curves.size})`),
+      make("fieldset", {class: "dura-choices"}, make("legend", {}, "Margins and signals to plot"),
+        boxes));
     this.chosen = chosen;
     this.refresh();
     this.node = make("div", {}, this.area);
+  }
+
+  /** The margins of checks over time: below zero the check does not hold. */
+  margins() {
+    return (this.episode.margins ?? []).map(({formula, requirements, violated, values}, index) =>
+      [`margin ${index}`, {
+        label: `margin of ${requirements.join(", ")}`, formula, violated, values: column(values),
+      }]);
+  }
+
+  /** The signals, each with its percept. */
+  columns() {
+    const {signals} = this.episode;
+    return [...signals].filter(([name]) => !this.base(name)).map(([name, values]) =>
+      [`signal ${name}`, {label: name, values, percept: signals.get(`percept.${name}`)}]);
   }
 
   /** The signal that this one is a percept of, if it is drawn there. */
@@ -29,60 +44,71 @@ class Plots {
     return this.episode.signals.has(truth) ? truth : "";
   }
 
-  /** What a violated requirement speaks of comes first, then what others do, then what differs. */
+  /** Margins of what was violated, or else the first one; then the signals that they speak of. */
   proposed() {
-    const {verdicts, signals} = this.episode;
+    const {verdicts} = this.episode;
+    const margins = [...this.curves].filter(([, one]) => one.formula !== undefined);
+    const violated = margins.filter(([, one]) => one.violated);
+    const first = (violated.length ? violated : margins.slice(0, 1)).slice(0, FIRST);
     const ordered = [...verdicts].sort((one, other) =>
       (other.verdict === "violated") - (one.verdict === "violated"));
     const spoken = ordered.flatMap(({check}) => check.match(/[A-Za-z_][\w.]*/g) ?? [])
-      .map((one) => this.base(one) || one);
-    const twofold = this.names.filter((name) => signals.has(`percept.${name}`));
-    return [...new Set([...spoken, ...twofold, ...this.names])]
-      .filter((name) => this.names.includes(name)).slice(0, FIRST);
+      .map((one) => `signal ${this.base(one) || one}`);
+    const signals = [...this.curves].filter(([, one]) => one.formula === undefined);
+    const twofold = signals.filter(([, one]) => one.percept).map(([key]) => key);
+    const rest = [...new Set([...spoken, ...twofold, ...signals.map(([key]) => key)])]
+      .filter((key) => this.curves.has(key)).slice(0, FIRST);
+    return [...first.map(([key]) => key), ...rest];
   }
 
-  choose(name, wanted) {
-    if (wanted) this.chosen.add(name);
-    else this.chosen.delete(name);
+  choose(key, wanted) {
+    if (wanted) this.chosen.add(key);
+    else this.chosen.delete(key);
     this.refresh();
     this.update(this.player.tick);
   }
 
   refresh() {
     const wanted = [...this.chosen]; // in the order of their choice
-    this.area.replaceChildren(...wanted.map((name) => {
-      if (!this.shown.has(name)) this.shown.set(name, this.plot(name));
-      return this.shown.get(name).node;
+    this.area.replaceChildren(...wanted.map((key) => {
+      if (!this.shown.has(key)) this.shown.set(key, this.plot(this.curves.get(key)));
+      return this.shown.get(key).node;
     }));
-    if (!wanted.length) this.area.append(make("p", {class: "dura-note"}, "No signal is chosen."));
+    if (!wanted.length) this.area.append(make("p", {class: "dura-note"}, "No plot is chosen."));
   }
 
-  plot(name) {
+  plot({label, values, percept, formula}) {
     const {episode} = this;
-    const truth = episode.signals.get(name);
-    const percept = episode.signals.get(`percept.${name}`);
-    const finite = [...truth, ...(percept ?? [])].filter(Number.isFinite);
+    const margin = formula !== undefined;
+    const finite = [...values, ...(percept ?? []), ...(margin ? [0] : [])].filter(Number.isFinite);
     const [least, most] = [reduced(finite, Math.min), reduced(finite, Math.max)];
     const room = most > least ? (most - least) * 0.06 : Math.max(Math.abs(most), 1) * 0.5;
     const [low, high] = [least - room, most + room];
     const y = (value) => HEIGHT - ((value - low) / (high - low)) * HEIGHT;
+    const said = this.inWords(label, values, percept);
     const picture = svg("svg", {viewBox: `0 0 1000 ${HEIGHT}`, preserveAspectRatio: "none",
-      role: "img", "aria-label": this.inWords(name, truth, percept)});
+      role: "img", "aria-label": margin ? `${said}; below zero this does not hold: ${formula}` : said});
     if (low < 0 && high > 0) {
+      if (margin) {
+        picture.append(svg("rect",
+          {x: 0, y: y(0), width: 1000, height: HEIGHT - y(0), class: "dura-below"}));
+      }
       picture.append(svg("line", {x1: 0, x2: 1000, y1: y(0), y2: y(0), class: "dura-zero"}));
     }
     const steps = finite.every((value) => value === 0 || value === 1);
-    const line = (values) => this.line(values, y, steps);
-    picture.append(svg("path", {d: line(truth), class: "dura-truthline"}));
+    const line = (one) => this.line(one, y, steps);
+    picture.append(svg("path",
+      {d: line(values), class: margin ? "dura-marginline" : "dura-truthline"}));
     if (percept) picture.append(svg("path", {d: line(percept), class: "dura-perceptline"}));
     const readout = make("span", {class: "dura-readout"});
     const scale = make("div", {class: `dura-yscale${most > least ? "" : " dura-level"}`, "aria-hidden": "true"},
       make("span", {}, finite.length ? number(most) : ""),
       make("span", {}, finite.length && most > least ? number(least) : ""));
-    const node = row(name, readout,
+    const node = row(label, readout,
       strip(this.player, "dura-plot", ...faultBlocks(episode), picture, scale,
         ...violations(episode).map((tick) => mark(episode, tick, "violated"))));
-    const told = (tick) => say(readout, number(truth[tick])
+    if (margin) readout.before(make("code", {class: "dura-formula"}, shorter(formula, 80)));
+    const told = (tick) => say(readout, number(values[tick])
       + (percept ? `, perceived ${number(percept[tick])}` : ""));
     return {node, told};
   }
@@ -120,7 +146,7 @@ class Plots {
   }
 
   update(tick) {
-    for (const [name, {told}] of this.shown) if (this.chosen.has(name)) told(tick);
+    for (const [key, {told}] of this.shown) if (this.chosen.has(key)) told(tick);
   }
 }
 
