@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pytest_dura.core.episode import Episode, EpisodeSpec
 from pytest_dura.core.errors import InfrastructureError, describe_error
 from pytest_dura.core.metrics import DependabilityMetrics, FaultRecord
-from pytest_dura.core.outputs import check_texts
+from pytest_dura.core.outputs import bounded, check_texts
 from pytest_dura.core.recording import Recording, Scene
 from pytest_dura.core.roles import (
     Alert,
@@ -205,7 +205,8 @@ class EpisodeLog:
         else:
             proposed = executed if proposal.action is action else describe(proposal.action)
         check_texts("description of an action", (proposed, executed))
-        row = (int(decision.verdict), decision.source, proposed, executed, decision.attempts)
+        told = bounded(proposed), bounded(executed)
+        row = (int(decision.verdict), decision.source, *told, decision.attempts)
         for column, value in zip(self._columns.values(), row, strict=True):
             column.append(value)
         self._said["explanations"].append("" if proposal is None else proposal.explanation)

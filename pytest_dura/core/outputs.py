@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Mapping
 from typing import Any
@@ -21,6 +22,9 @@ from pytest_dura.core.roles import (
     SecurityAssessment,
     SecurityAssessor,
 )
+
+LONGEST = 1000
+"""Characters of the description of an action."""
 
 _OWED: tuple[tuple[type[Role], type[Any]], ...] = (
     (SafetyMonitor, Assessment),
@@ -103,6 +107,18 @@ def check_texts(name: str, texts: Any) -> None:
     for text in texts:
         if not isinstance(text, str):
             raise TypeError(f"its {name} holds {_a(type(text).__name__)}, not only str")
+
+
+def bounded(text: str) -> str:
+    """The text, or how it begins, how long it is and a hash of it: two that differ still do.
+
+    A column of texts needs room for its longest one at every tick.
+    """
+    if len(text) <= LONGEST:
+        return text
+    digest = hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()[:16]
+    note = f"... ({len(text)} characters, #{digest})"
+    return text[: LONGEST - len(note)] + note
 
 
 def _a(noun: str) -> str:

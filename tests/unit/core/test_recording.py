@@ -118,3 +118,20 @@ def test_an_episode_that_fails_keeps_what_was_said_before(at):
     assert said.explanations == tuple(f"cold at {i}" for i in range(at))
     assert len(episode.decisions["verdict"]) == at
     assert all(len(column) == at for column in said.flags.values())
+
+
+class Verbose(Thermostat):
+    """Describes one action with a megabyte, whose last letter tells it from another."""
+
+    def describe_action(self, action):
+        return "x" * 2**20 + ("a" if action > 0.5 else "b")
+
+
+def test_what_describes_an_action_is_bounded_since_its_column_has_room_for_it_at_every_tick():
+    def both(view):
+        return Proposal(float(view.index % 2))
+
+    found = run_loop(both, simulator=Verbose(), seconds=0.6).decisions["executed"]
+    assert found.dtype.itemsize <= 4 * 1000
+    assert len(set(found.tolist())) == 2
+    assert "(1048577 characters, #" in found[0]
