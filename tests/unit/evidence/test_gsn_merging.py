@@ -147,6 +147,8 @@ def test_the_digest_and_the_path_are_told_for_provenance(user):
         ("G1: !!python/object:os.system {text: x}", 1, "anchors"),
         ("G1: " + "[" * 50 + "]" * 50, 1, "nested too deeply"),
         ("X1: {text: a}", 1, "no known prefix"),
+        ('"G\\e[31m": {text: a}', 1, "odd or too many characters"),
+        (f"G{'x' * 120}: {{text: a}}", 1, "odd or too many characters"),
         ("G1: text", 1, "a mapping"),
         ("G1: {undeveloped: true}", 1, "has a text"),
         ("G1: {text: [a]}", 1, "no text"),
@@ -192,6 +194,20 @@ def test_an_argument_that_does_not_fit_is_one_clear_error(user, text, line, foun
     assert caught.value.line == line
     assert found in f"{caught.value.found}"
     assert caught.value.expected
+
+
+NONE = {"cells": [], "parameters": [], "left_out": 0}
+
+
+@pytest.mark.parametrize("odd", ["a\x1bb", "x" * 2000])
+def test_a_requirement_is_referred_to_by_its_id_as_it_is(user, odd):
+    """Its alias is what can be shown of that."""
+    told = user(json.dumps({"G1": {"text": "a", "supportedBy": [f"requirement:{odd}"]}}))
+    check_requirements(told, [odd])
+    asked = {**session_record()["requirements"][0], "id": odd}
+    found = rendered(told, requirements=[asked], verdicts=[], coverage=NONE)
+    (goal,) = found["G1"]["supportedBy"]
+    assert found[goal]["alias"].startswith("requirement:")
 
 
 def test_unknown_requirements_are_found_before_anything_runs(user):

@@ -40,7 +40,8 @@ def derived_id(prefix: str, *parts: str, apart: tuple[str, ...] = ()) -> str:
         apart: Further parts, that go into the hash alone.
     """
     told = ".".join(parts)
-    readable = re.sub(r"[^A-Za-z0-9_]+", "-", told).strip("-")[:_READABLE].strip("-")
+    head = told[: 4 * _READABLE]  # a megabyte of prose costs no more than a name
+    readable = re.sub(r"[^A-Za-z0-9_]+", "-", head).strip("-")[:_READABLE].strip("-")
     if len(parts) == 1 and not apart and readable == told:
         return f"{prefix}-{readable}"
     digest = hashlib.sha256(repr((parts, apart)).encode()).hexdigest()[:10]

@@ -17,7 +17,7 @@ from pytest_dura.evidence.formats.gsn.element import Argument, Element, derived_
 from pytest_dura.evidence.formats.gsn.rules import problems, reachable, roots
 from pytest_dura.evidence.formats.gsn.user_file import UserArgument, refuse
 from pytest_dura.evidence.record.session_record import SessionRecord
-from pytest_dura.evidence.text import one_line, visible
+from pytest_dura.evidence.text import name, one_line, visible
 
 KEY = "argument"
 """Key of the record with the user's argument; it may be missing or null."""
@@ -133,21 +133,24 @@ def _element(
     )
 
 
-def _resolved(name: str, key: str, known: Mapping[str, str | None], user: UserArgument) -> str:
-    if name in user["elements"]:
-        return name
-    if name not in known:
+def _resolved(given: str, key: str, known: Mapping[str, str | None], user: UserArgument) -> str:
+    if given in user["elements"]:
+        return given
+    # An alias has a requirement's id as it is shown, and the user writes it as it is.
+    what, mark, named = given.partition(":")
+    found = given if given in known else f"{what}{mark}{name(named)}"
+    if found not in known:
         aliases = sorted(one for one, id_ in known.items() if id_ and one.startswith("requirement"))
         refuse(
             user,
             "this element does not exist",
             key,
-            found=name,
+            found=given,
             expected="an id of this file, or of the generated argument, or an alias such as "
             f"{', '.join(aliases[:8]) or 'top'}",
             remedy="the ids and aliases stand in assurance-case.gsn.yaml",
         )
-    return known[name] or name
+    return known[found] or found
 
 
 def _clean(value: Any) -> Any:
@@ -164,7 +167,7 @@ def _unused(argument: Argument, taken: set[str]) -> Iterator[Element]:
     """One context for each requirement of which something is not taken up, with its counts."""
     plain = {id_: one.to_yaml() for id_, one in argument.items()}
     for requirement in argument.values():
-        what, _, name = requirement.alias.partition(":")
+        what, _, named = requirement.alias.partition(":")
         if what != "requirement":
             continue
         below = reachable(plain, [requirement.id])
@@ -176,11 +179,11 @@ def _unused(argument: Argument, taken: set[str]) -> Iterator[Element]:
         untested = sum(one.alias.startswith("untested:") for one in left)
         what = "verdicts" if requirement.id in taken else "requirement, verdicts"
         yield Element(
-            derived_id("C", "unused", name),
-            f"Not used by the argument: {name}, {what}: {words}; {counts['waived']} waived; "
+            derived_id("C", "unused", named),
+            f"Not used by the argument: {named}, {what}: {words}; {counts['waived']} waived; "
             f"untested cells: {untested}.",
             url=requirement.url,
-            alias=f"unused:{name}",
+            alias=f"unused:{named}",
             layers=counts,
         )
     if "GMonitors" in argument and "GMonitors" not in taken:

@@ -9,6 +9,7 @@ from typing import Any, NoReturn
 
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.evidence.formats.gsn.element import PREFIXES, kind_of
+from pytest_dura.evidence.text import name
 
 MAX_BYTES = 1024 * 1024
 MAX_DEPTH = 8
@@ -215,6 +216,8 @@ class _Reader:
     def _element(self, id_: str, node: Any) -> dict[str, Any]:
         if kind_of(id_) is None:
             self._wrong(id_, "the id begins with no known prefix", id_, ", ".join(PREFIXES))
+        if name(id_) != id_:
+            self._wrong(id_, "the id has odd or too many characters", id_, "at most 120 plain ones")
         if not isinstance(node, dict):
             self._wrong(id_, "an element is a mapping", str(node)[:80], "`text:` and other keys")
         for key, value in node.items():
