@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import io
-import json
 import os
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
@@ -68,8 +67,8 @@ def write_trace(
 def trace_bytes(trace: Trace, verdicts: Sequence[Mapping[str, Any]] = ()) -> bytes:
     """The content of the file; equal for equal traces.
 
-    Times are nanoseconds of simulated time. Texts in messages are shortened and made visible,
-    poses rounded to millimetres; the columns have everything as it was.
+    Times are nanoseconds of simulated time. Texts in messages and metadata are shortened and made
+    visible, poses rounded to millimetres; the columns have everything as it was.
 
     Raises:
         ValueError: For a trace whose columns are not what they should be.
@@ -93,11 +92,11 @@ def trace_bytes(trace: Trace, verdicts: Sequence[Mapping[str, Any]] = ()) -> byt
     found.sort(key=lambda one: one[0])
     for time, channel_id, data in found:
         writer.add_message(channel_id, time, data.encode("ascii"), time)
-    about = {key: json.dumps(value) for key, value in trace.about.items()}
+    about = {texts.shown(key): texts.any(value) for key, value in trace.about.items()}
     writer.add_metadata("trace", {"schema_version": VERSION})
     writer.add_metadata("about", about)
     if verdicts:
-        told = {str(n): json.dumps(dict(one), sort_keys=True) for n, one in enumerate(verdicts)}
+        told = {str(n): texts.any(dict(one)) for n, one in enumerate(verdicts)}
         writer.add_metadata("verdicts", told)
     writer.add_attachment(0, 0, COLUMNS, "application/x-npz", columns)
     writer.finish()  # type: ignore[no-untyped-call]

@@ -45,10 +45,25 @@ class Texts:
         """The text as a JSON string."""
         made = self._made.get(text)
         if made is None:
-            plain = len(text) <= LONGEST and text.isascii() and text.isprintable()
-            made = json.dumps(text if plain else visible(text, LONGEST, hashed=True))
-            self._made[text] = made
+            made = self._made[text] = json.dumps(self.shown(text))
         return made
+
+    def any(self, value: Any) -> str:
+        """Plain data as JSON, all of its texts so."""
+        return json.dumps(self._plain(value), sort_keys=True)
+
+    @staticmethod
+    def shown(text: str) -> str:
+        """The text itself, harmless and bounded."""
+        plain = len(text) <= LONGEST and text.isascii() and text.isprintable()
+        return text if plain else visible(text, LONGEST, hashed=True)
+
+    def _plain(self, value: Any) -> Any:
+        if isinstance(value, str):
+            return self.shown(value)
+        if isinstance(value, Mapping):
+            return {self.shown(str(key)): self._plain(one) for key, one in value.items()}
+        return [*map(self._plain, value)] if isinstance(value, (list, tuple)) else value
 
 
 def signal_messages(trace: Trace, texts: Texts) -> Iterator[Message]:
