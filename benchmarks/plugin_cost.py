@@ -20,7 +20,10 @@ import tempfile
 
 from machine import machine, table
 
-HEAVY = ("numpy", "highway_env", "rtamt", "pydantic", "gymnasium", "scipy", "yaml", "pandas")
+HEAVY = (
+    "numpy", "highway_env", "rtamt", "pydantic", "gymnasium", "scipy", "yaml", "pandas",
+    "jinja2", "jsonschema", "mcap", "sqlite3",
+)  # fmt: skip
 NO_TESTS = 5
 """pytest's exit code where nothing was collected."""
 _LINE = re.compile(r"import time:\s+(\d+) \|\s+(\d+) \| (\s*)(\S+)")

@@ -83,10 +83,13 @@ class SessionHooks:
 
     def _label(self, items: list[pytest.Item]) -> None:
         """Label what Allure reports or selects, before it selects."""
+        own = list(filter(uses_bench, items))
+        if not own:
+            return
         from pytest_dura.plugin.allure_labels import mark_item, wanted
 
         if wanted(self.session.config):
-            for item in filter(uses_bench, items):
+            for item in own:
                 mark_item(self.session, item)
 
     def pytest_collection_finish(self, session: pytest.Session) -> None:
@@ -100,6 +103,8 @@ class SessionHooks:
 
     def pytest_report_collectionfinish(self) -> list[str]:
         """Name the requirements that nothing uses."""
+        if not self.session.unused:
+            return []
         from pytest_dura.plugin.terminal import unused
 
         return unused(self.session)

@@ -3,7 +3,10 @@ from __future__ import annotations
 import subprocess
 import sys
 
-HEAVY = ["numpy", "highway_env", "rtamt", "pydantic", "yaml", "scipy", "gymnasium", "hypothesis"]
+HEAVY = [
+    "numpy", "highway_env", "rtamt", "pydantic", "yaml", "scipy", "gymnasium", "hypothesis",
+    "jinja2", "jsonschema", "mcap", "sqlite3",
+]  # fmt: skip
 
 
 def loaded(code):
