@@ -23,6 +23,7 @@ from pytest_dura.core.roles import (
     Recovery,
     SecurityAssessment,
 )
+from pytest_dura.core.scene_checks import scene_problems
 from pytest_dura.core.simulator import Simulator
 from pytest_dura.core.state import NOTHING, Event, StateManager, Tick
 
@@ -320,9 +321,13 @@ def _scene(simulator: Simulator, state: StateManager) -> tuple[Scene | None, str
     if len(state.percepts) < len(state.ticks) or not state.ticks:
         return None, None  # the episode failed before it was perceived
     try:
-        return simulator.scene(state.ticks, state.percepts), None
+        scene = simulator.scene(state.ticks, state.percepts)
+        wrong = None if scene is None else next(scene_problems(scene, len(state.ticks)), None)
     except Exception as error:
         return None, f"the simulator could not show its scene: {describe_error(error)}"
+    if wrong is not None:
+        return None, f"the simulator's scene cannot be shown: {'; '.join(wrong)}"
+    return scene, None
 
 
 def _in_time(fault: FaultRecord, time: float) -> bool:

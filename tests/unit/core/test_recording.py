@@ -105,6 +105,21 @@ def test_a_scene_that_fails_is_told_and_costs_no_episode():
     assert (episode.validity, episode.failure) == ("valid", None)
 
 
+class Double(Thermostat):
+    """Shows float64, NumPy's own default."""
+
+    def scene(self, ticks, percepts):
+        poses = np.zeros((len(ticks), 1, 6))
+        return Scene((), Tracks(("room",), poses), Tracks(("room",), poses), "room")
+
+
+def test_a_scene_that_no_trace_could_hold_is_told_and_not_kept():
+    episode = run(simulator=Double())
+    assert episode.recording.scene is None
+    assert "truth.poses is float64 of shape" in episode.recording.problem
+    assert (episode.validity, episode.failure) == ("valid", None)
+
+
 @pytest.mark.parametrize("at", [0, 3])
 def test_an_episode_that_fails_keeps_what_was_said_before(at):
     def breaks(view):
