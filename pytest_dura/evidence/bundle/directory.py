@@ -169,7 +169,7 @@ def load_record(file: Path, key: str = "--dura-evidence") -> tuple[dict[str, Any
     """
     try:
         data = file.read_bytes()
-        found = json.loads(data)
+        found = json.loads(data, object_pairs_hook=_once, parse_constant=_no_number)
         version = found["schema_version"]
     except FileNotFoundError:
         raise _unreadable("there is no evidence here", file, key) from None
@@ -186,6 +186,18 @@ def load_record(file: Path, key: str = "--dura-evidence") -> tuple[dict[str, Any
             remedy="use the version that the record names under `tool`",
         )
     return found, hashlib.sha256(data).hexdigest()
+
+
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """An object whose keys are there once; of two, readers would take one or the other."""
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        raise ValueError("a key is there twice")
+    return found
+
+
+def _no_number(name: str) -> float:
+    raise ValueError(f"{name} is no number of JSON")
 
 
 def _unreadable(problem: str, file: Path, key: str) -> ConfigurationError:

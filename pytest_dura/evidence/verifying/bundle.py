@@ -11,12 +11,22 @@ from pytest_dura.evidence.bundle.directory import RECORD, read_session_record
 from pytest_dura.evidence.bundle.manifest import files_of, manifest_problems
 from pytest_dura.evidence.record.counts import Counts
 from pytest_dura.evidence.record.session_record import SessionRecord
+from pytest_dura.evidence.verifying.campaigns import verdict_problems
 from pytest_dura.evidence.verifying.junit import junit_problems
+from pytest_dura.evidence.verifying.recomputed import recomputed_problems
 from pytest_dura.evidence.verifying.references import format_problems
 from pytest_dura.evidence.verifying.sums import record_problems
 from pytest_dura.evidence.verifying.traces import Rejudged, trace_problems
 
-DAMAGED = (AttributeError, LookupError, TypeError, ValueError, ArithmeticError, OSError)
+DAMAGED = (
+    AttributeError,
+    LookupError,
+    TypeError,
+    ValueError,
+    ArithmeticError,
+    OSError,
+    RecursionError,
+)
 """What reading a file meets that is not as it was written."""
 
 
@@ -79,9 +89,21 @@ def verify_bundle(directory: Path, junit: Path | None = None) -> Verification:
         return found
     found.problems += format_problems(record, found.counts)
     found.problems += trace_problems(record, found.rejudged)
+    try:
+        found.problems += claim_problems(record, found.rejudged)
+    except DAMAGED as error:
+        found.problems.append(f"{RECORD}: damaged ({type(error).__name__}: {error})")
     if junit is not None:
         found.problems += junit_problems(record, junit)
     return found
+
+
+def claim_problems(record: SessionRecord, rejudged: Rejudged) -> Iterator[str]:
+    """What follows from the episodes, computed again."""
+    for problem in recomputed_problems(record):
+        yield f"{RECORD}: {problem}"
+    for problem in verdict_problems(record, rejudged.found):
+        yield f"{RECORD}: {problem}"
 
 
 def _schema_problems(record: SessionRecord) -> Iterator[str]:

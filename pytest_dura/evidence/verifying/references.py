@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from importlib import import_module
 
 from pytest_dura.core.errors import DuraError
 from pytest_dura.evidence.formats import Format, all_formats
@@ -21,22 +22,39 @@ def format_problems(record: SessionRecord, counts: Counts) -> Iterator[str]:
 def _told(one: Format, record: SessionRecord, counts: Counts) -> Iterator[str]:
     try:
         yield from _format(one, record, counts)
-    except (DuraError, OSError, LookupError, TypeError, ValueError, AttributeError) as error:
+    except (
+        DuraError,
+        OSError,
+        LookupError,
+        TypeError,
+        ValueError,
+        AttributeError,
+        RecursionError,
+    ) as error:
         yield f"cannot be read back ({type(error).__name__}: {error})"
 
 
 def _format(one: Format, record: SessionRecord, counts: Counts) -> Iterator[str]:
-    text = (record.directory / one.FILE).read_text(encoding="utf-8")
+    text = (record.directory / one.FILE).read_bytes().decode()
     told, held = one.read_counts(text).to_json(), counts.to_json()
     for name in held:
         if told[name] != held[name]:
             yield f"states {name} = {told[name]}, and the record holds {held[name]}"
+    # The package's own name is loaded in any case; importing it here would reach for all of it.
+    version = import_module("pytest_dura").__version__
+    if record["tool"]["version"] == version and text != _written(one.render(record)):
+        yield "not as it is rendered from the record"
     broken = getattr(one, "broken_references", None)
     if broken is not None:
         yield from broken(text, record)
     for fragment in re.findall(r"report\.html#([\w.:~+%/-]+)", text):
         if f'id="{fragment}"' not in _report(record):
             yield f"refers to report.html#{fragment}, which is not there"
+
+
+def _written(text: str) -> str:
+    """A text as it is read back from its file."""
+    return text.encode(errors="backslashreplace").decode()
 
 
 def _report(record: SessionRecord) -> str:

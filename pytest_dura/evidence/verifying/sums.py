@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping
+from hashlib import sha256
 from math import isclose
 from typing import Any
 
+from pytest_dura.core.episode import canonical
 from pytest_dura.evidence.bundle.directory import RECORD
 from pytest_dura.evidence.record.counts import Counts
+from pytest_dura.evidence.record.evidence_record import UNKNOWN
 from pytest_dura.evidence.record.session_record import SessionRecord
+from pytest_dura.evidence.verifying.episodes import episode_problems
 from pytest_dura.requirements.statistics import METHOD
 from pytest_dura.requirements.statistics.exact import upper_bound
 
@@ -25,6 +29,35 @@ def record_problems(record: SessionRecord, counts: Counts) -> Iterator[str]:
 
 
 def _problems(record: SessionRecord, counts: Counts) -> Iterator[str]:
+    yield from _session(record, counts)
+    cases = {(one["id"], one["component"]): one for one in record["cases"]}
+    requirements = {one["id"] for one in record["requirements"]}
+    ids: set[Key] = set()
+    sums: dict[Key, Counter[str]] = defaultdict(Counter)
+    known: set[bytes] = set()
+    for episode in record.episodes():
+        ids.add((episode["id"], episode["component"]))
+        if (episode["case"], episode["component"]) not in cases:
+            yield f"episode {episode['id']}: its case is not listed"
+        else:
+            case = cases[episode["case"], episode["component"]]
+            yield from episode_problems(episode, case, record["base_seed"])
+        inputs = canonical([episode["component"], {**episode["spec"], "timeouts": None}])
+        if (digest := sha256(inputs).digest()) in known:
+            yield f"episode {episode['id']}: it is listed twice"
+        known.add(digest)
+        if episode["planned"]:
+            _add(sums[episode["case"], episode["component"]], episode)
+    for key, case in cases.items():
+        yield from _case(case, sums[key])
+    for one in record["verdicts"]:
+        yield from _verdict(one, cases, requirements, ids)
+    yield from _questions(record)
+    yield from _coverage(record)
+    yield from _gate(record)
+
+
+def _session(record: SessionRecord, counts: Counts) -> Iterator[str]:
     if record["status"] != "complete":
         yield f"the session is {record['status']}: its evidence is incomplete"
     if record["totals"] != counts.to_json():
@@ -35,38 +68,50 @@ def _problems(record: SessionRecord, counts: Counts) -> Iterator[str]:
         yield "cases: one of them is listed twice"
     if len(requirements) < len(record["requirements"]):
         yield "requirements: one of them is listed twice"
-    ids: set[tuple[str, str]] = set()
-    sums: dict[Key, Counter[str]] = defaultdict(Counter)
-    for episode in record.episodes():
-        ids.add((episode["id"], episode["component"]))
-        yield from _episode(episode, cases)
-        if episode["planned"]:
-            _add(sums[episode["case"], episode["component"]], episode)
-    for key, case in cases.items():
-        yield from _case(case, sums[key])
+    components = {one["name"] for one in _components(record)}
+    for name in sorted({component for _, component in cases} - components - {"none", UNKNOWN}):
+        yield f"component_under_test: {name} is not described"
+    hashed = {(one["path"], one["sha256"]) for one in record["inputs"]}
+    for file in (file for one in _components(record) for file in one.get("files") or ()):
+        if (file["path"], file["sha256"]) not in hashed:
+            yield f"inputs: {file['path']} of the component is not among them"
+    if record["timings"]["evidence_seconds"] > record["timings"]["wall_seconds"]:
+        yield "timings: the evidence took longer than the session"
+
+
+def _questions(record: SessionRecord) -> Iterator[str]:
+    """Whether each question is answered once, and is the one that its requirement asks."""
+    asked: Counter[str] = Counter()
+    listed = {one["id"]: one for one in record["requirements"]}
     for one in record["verdicts"]:
-        yield from _verdict(one, cases, requirements, ids)
-    yield from _coverage(record)
-    yield from _gate(record)
+        yield from _question(one, listed.get(one["requirement"]))
+        parts = [one[name] for name in ("requirement", "case", "component", "item", "check")]
+        asked[canonical([*parts, one["paired"], one["method"], _limits(one)]).decode()] += 1
+    for question, count in asked.items():
+        if count > 1:
+            yield f"verdicts: {question} is answered twice"
 
 
-def _episode(episode: Data, cases: Mapping[Key, Data]) -> Iterator[str]:
-    name, spec = episode["id"], episode["spec"]
-    if (episode["case"], episode["component"]) not in cases:
-        yield f"episode {name}: its case is not listed"
-    if name != f"{spec['case']}#{spec['run']}" or episode["case"] != spec["case"]:
-        yield f"episode {name}: its spec is that of {spec['case']}#{spec['run']}"
-    if episode["seed"] != spec["seed"]:
-        yield f"episode {name}: seed {episode['seed']}, and {spec['seed']} in its spec"
-    if (episode["validity"] == "missing") != (episode["failure"] is not None):
-        yield f"episode {name}: {episode['validity']}, and its failure is {episode['failure']!r}"
-    if (episode["validity"] == "invalid") != (
-        episode["failure"] is None and episode["invalid_reason"] is not None
-    ):
-        yield f"episode {name}: {episode['validity']}, because {episode['invalid_reason']!r}"
-    missing = {one["id"] for one in spec["faults"]} - {one["id"] for one in episode["faults"]}
-    if missing:
-        yield f"episode {name}: nothing is said of its faults {', '.join(sorted(missing))}"
+def _question(one: Data, requirement: Data | None) -> Iterator[str]:
+    """Whether what was asked is what the requirement says, as far as it says it."""
+    if requirement is None:
+        return
+    name = f"verdict {one['requirement']} on {one['case']}"
+    if requirement["check"] and one["check"] not in ("", requirement["check"]):
+        yield f"{name}: judged by {one['check']!r}, and its check is {requirement['check']!r}"
+    if requirement["at_most"] is not None and _limits(one) != [
+        requirement["at_most"], requirement["confidence"],
+    ]:  # fmt: skip
+        yield f"{name}: judged by {_limits(one)}, and its rate and confidence are others"
+
+
+def _limits(verdict: Data) -> list[Any]:
+    return [verdict["bound"]["at_most"], verdict["bound"]["confidence"]]
+
+
+def _components(record: SessionRecord) -> list[Data]:
+    first = record["component_under_test"]
+    return [first, *first.get("others", ())]
 
 
 def _add(sums: Counter[str], episode: Data) -> None:
@@ -113,7 +158,7 @@ def _word(name: str, one: Data) -> Iterator[str]:
     """Whether the counts allow the word; the statistics are computed again where n is fixed."""
     bound, word = one["bound"], one["verdict"]
     exact = bound["method"] == METHOD
-    if exact and one["episodes"] and one["pairs"] is None:
+    if exact and one["episodes"]:
         upper = upper_bound(one["violations"], one["episodes"], bound["confidence"])
         if bound["upper"] is None or not isclose(bound["upper"], upper, rel_tol=1e-9):
             yield f"{name}: the bound is {bound['upper']}, and its counts give {upper}"
@@ -127,7 +172,7 @@ def _word(name: str, one: Data) -> Iterator[str]:
         yield f"{name}: supported with {one['run']} of {one['planned']} planned runs"
     if bound["at_most"] is None and one["violations"]:
         yield f"{name}: supported with {one['violations']} violations"
-    too_high = exact and bound["at_most"] is not None and one["pairs"] is None
+    too_high = exact and bound["at_most"] is not None
     if too_high and (bound["upper"] is None or bound["upper"] > bound["at_most"]):
         yield f"{name}: supported with a bound of {bound['upper']} above {bound['at_most']}"
 
@@ -162,3 +207,11 @@ def _gate(record: SessionRecord) -> Iterator[str]:
             yield f"gate: passed, although {why} (exit code {gate['exit_code']})"
     elif not gate["reasons"]:
         yield f"gate: {gate['result']}, and no reason is given"
+    if gate["result"] != "passed" and gate["exit_code"] == 0:
+        yield f"gate: {gate['result']}, and the exit code is 0"
+    if gate["result"] == "passed" and gate["reasons"]:
+        yield f"gate: passed, although {gate['reasons'][0]}"
+    if (gate["result"] == "incomplete") != (record["status"] != "complete"):
+        yield f"gate: {gate['result']}, and the session is {record['status']}"
+    if gate["result"] != "passed" and (untold := sorted({*against} - {*gate["reasons"]})):
+        yield f"gate: {untold[0]}, which is no reason of it"

@@ -1,0 +1,266 @@
+"""Whether verdicts are what the recorded episodes of their campaigns come to.
+
+A verdict names the episodes that violated it. What it makes of each of the others follows from
+their validity, or from their traces where there are any; then it is decided again.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from pytest_dura.evidence.plain import plain
+from pytest_dura.evidence.record.session_record import SessionRecord
+from pytest_dura.evidence.verifying.margins import JUDGED, distribution, margin_problems
+from pytest_dura.evidence.verifying.pairs import pair_problems
+from pytest_dura.requirements.model import Requirement
+from pytest_dura.requirements.verdicts.campaigns import EVERY_EPISODE, CampaignVerdict
+from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict, EpisodeWord
+from pytest_dura.requirements.verdicts.judging import CampaignJudge
+
+Data = Mapping[str, Any]
+Judged = Mapping[tuple[int, str], EpisodeVerdict]
+"""What traces say, by the number of the verdict and the id of the episode."""
+EXTRA_SHARE = 0.2
+"""Further runs that may follow invalid ones, as a share of the planned ones."""
+
+
+@dataclass(frozen=True)
+class _Run:
+    """What a verdict rests on of one planned run."""
+
+    episode: str
+    validity: str
+    proposals: int
+    valid_proposals: int
+    idle: tuple[str, ...]
+    recovered: bool
+
+
+@dataclass
+class _Case:
+    """The planned runs of a case with one component."""
+
+    runs: dict[int, _Run] = field(default_factory=dict)
+    alike: bool = True
+    """Whether each number stands for one run."""
+
+    def add(self, episode: Data) -> None:
+        number, metrics = episode["spec"]["run"], episode["metrics"]
+        self.alike &= number not in self.runs
+        self.runs[number] = _Run(
+            episode["id"],
+            episode["validity"],
+            metrics["proposals"],
+            metrics["valid_proposals"],
+            tuple(one["id"] for one in episode["faults"] if one["manifested_at"] is None),
+            metrics["recoveries"] > 0,
+        )
+
+
+def verdict_problems(record: SessionRecord, judged: Judged) -> Iterator[str]:
+    """Everything in which verdicts are not what their episodes come to.
+
+    Args:
+        record: The record.
+        judged: What traces say.
+    """
+    cases: dict[tuple[str, str], _Case] = defaultdict(_Case)
+    for episode in record.episodes():
+        if episode["planned"]:
+            cases[episode["case"], episode["component"]].add(episode)
+    plans = {(one["id"], one["component"]): one["planned"] for one in record["cases"]}
+    known = {one["id"]: one for one in record["requirements"]}
+    for number, one in enumerate(record["verdicts"]):
+        name = f"verdict {one['requirement']} on {one['case']}"
+        own, other = cases[one["case"], one["component"]], None
+        if one["planned"] > plans.get((one["case"], one["component"]), math.inf):
+            yield f"{name}: {one['planned']} runs planned, and fewer of its case"
+        if one["pairs"] is not None:
+            other = cases[one["pairs"]["case"], one["component"]]
+        on_traces = {episode: was for (at, episode), was in judged.items() if at == number}
+        check = _Check(one, known.get(one["requirement"], {}), own, other, on_traces)
+        for problem in check.problems():
+            yield f"{name}: {problem}"
+
+
+@dataclass(frozen=True)
+class _Check:
+    """One verdict beside the runs that it rests on."""
+
+    verdict: Data
+    requirement: Data
+    own: _Case
+    twins: _Case | None
+    on_traces: Mapping[str, EpisodeVerdict]
+
+    def problems(self) -> Iterator[str]:
+        yield from margin_problems(self.verdict, self.on_traces.values())
+        one, unheard = self.verdict, self._unheard()
+        if one["spoilt"] is not None:
+            spoilt = one["spoilt"]["episode"]
+            if all(run.episode != spoilt for run in self.own.runs.values()):
+                yield f"{spoilt} says nothing of it, and is none of its runs"
+        if unheard is not None:
+            yield f"it rests on {one['run']} runs, and {unheard} is not among the episodes"
+            return
+        if one["pairs"] is not None:
+            recovered = sum(self.own.runs[number].recovered for number in range(one["run"]))
+            yield from pair_problems(one, recovered if self.own.alike else None)
+            return
+        looked_at = self._looked_at()
+        violated = {counterexample["episode"] for counterexample in one["counterexamples"]}
+        valid = sum(run.validity == "valid" or run.episode in violated for run in looked_at)
+        if one["episodes"] > valid:
+            yield f"{one['episodes']} episodes are valid to it, and {valid} are"
+        if violated - {run.episode for run in looked_at}:
+            yield f"{min(violated)} is its counterexample, and none of its runs"
+        if len(looked_at) == one["run"] and self.own.alike:
+            yield from self._decided_again(looked_at)
+
+    def _unheard(self) -> str | None:
+        """A run that it rests on and that is not recorded."""
+        one = self.verdict
+        if not one["check"]:
+            # A test on single episodes, of which a part may have been chosen.
+            return None if one["run"] <= len(self.own.runs) else "one of them"
+        for case in (self.own, self.twins):
+            for number in range(one["run"]):
+                if case is not None and number not in case.runs:
+                    return f"number {number}"
+        return None
+
+    def _looked_at(self) -> list[_Run]:
+        """The runs that it may have looked at, in their order."""
+        chosen = self.own.runs
+        if self.verdict["check"]:
+            return [chosen[number] for number in range(self.verdict["run"])]
+        return [chosen[number] for number in sorted(chosen)]
+
+    def _decided_again(self, runs: Sequence[_Run]) -> Iterator[str]:
+        found = self._words(runs)
+        if found is None:
+            one = self.verdict
+            counts = ", ".join(f"{one[name]} {name}" for name in ("episodes", "invalid", "missing"))
+            yield f"its runs do not come to {counts}"
+            return
+        told, sure = found
+        if not sure and (self._sequential or any(run.idle for run in told)):
+            return  # which ones they are matters, and is not known
+        again = [self._judged(told, until) for until in (False, True)]
+        known = [verdict for verdict in again if verdict is not None]
+        if not any(self._agrees(verdict) for verdict in known):
+            gives = f"{known[0].verdict}: {known[0].reason}" if known else "another number of runs"
+            yield f"{self.verdict['verdict']}: {self.verdict['reason']}; its runs give {gives}"
+        if sure and all(run.episode in self.on_traces for run in runs):
+            margins = [run.margin for run in told if run.verdict in JUDGED]
+            if self.verdict["margins"] != plain(distribution(margins)):
+                yield "the distribution of its margins is not that of its traces"
+            if self.verdict["vacuous"] != sum(run.vacuous for run in told):
+                yield f"{self.verdict['vacuous']} vacuous, and its traces say otherwise"
+
+    @property
+    def _sequential(self) -> bool:
+        return self.verdict["method"] not in (EVERY_EPISODE, "fixed")
+
+    def _words(self, runs: Sequence[_Run]) -> tuple[list[EpisodeVerdict], bool] | None:
+        """What each run came to, and whether that is known or one way in which it can be."""
+        one = self.verdict
+        violated = {said["episode"]: said for said in one["counterexamples"]}
+        left = Counter(
+            satisfied=one["episodes"] - one["violations"],
+            invalid=one["invalid"],
+            missing=one["missing"],
+            violated=one["violations"],
+        )
+        sure, vacuous, found = True, one["vacuous"], []
+        least = Counter(run.validity for run in runs if run.episode not in violated)
+        exact = least["valid"] == left["satisfied"] and least["invalid"] == left["invalid"]
+        for run in runs:
+            traced, said = self.on_traces.get(run.episode), violated.get(run.episode)
+            word: EpisodeWord = "satisfied"
+            if said is not None:
+                word = "violated"
+            elif traced is not None and traced.verdict != "violated":
+                word = traced.verdict
+            elif run.validity != "valid":
+                # An invalid one may be missing to a function that fails.
+                word = "missing" if run.validity == "missing" or not left["invalid"] else "invalid"
+            elif not left["satisfied"]:
+                word = "invalid" if left["invalid"] else "missing"
+            sure &= exact or said is not None or traced is not None
+            left[word] -= 1
+            empty = vacuous > 0 and word == "satisfied" and (traced is None or traced.vacuous)
+            vacuous -= empty
+            margin, time = (None, None) if said is None else (said["margin"], said["time"])
+            if said is None and traced is not None:
+                margin, empty = traced.margin, traced.vacuous
+            found.append(
+                EpisodeVerdict(
+                    one["requirement"],
+                    run.episode,
+                    one["component"],
+                    word,
+                    margin,
+                    time,
+                    "",
+                    run.proposals,
+                    run.valid_proposals,
+                    empty,
+                    run.idle,
+                )
+            )
+        return None if any(left.values()) else (found, sure)
+
+    def _judged(self, told: Sequence[EpisodeVerdict], until: bool) -> CampaignVerdict | None:
+        """The verdict again; ``None`` if it would have taken another number of runs."""
+        one, bound = self.verdict, self.verdict["bound"]
+        judge = CampaignJudge(
+            Requirement(
+                id=one["requirement"],
+                at_most=bound["at_most"],
+                confidence=bound["confidence"],
+                method=None if one["method"] == EVERY_EPISODE else one["method"],
+                p0=self.requirement.get("p0") if one["method"] == "sprt" else None,
+            ),
+            one["case"],
+            planned=one["planned"],
+            component=one["component"],
+            until_decided=until,
+        )
+        for verdict in told:
+            over = judge.decided or len(judge.verdicts) == one["planned"]
+            if one["check"] and judge.sequential and over:
+                return None
+            judge.add(verdict)
+        if one["check"]:
+            enough = judge.decided or len(told) == one["planned"]
+            if not (enough if judge.sequential else len(told) == self._plan()):
+                return None
+        return judge.verdict()
+
+    def _plan(self) -> int:
+        """How many runs a plan of a fixed number comes to, those after invalid ones included."""
+        planned = end = self.verdict["planned"]
+        budget, number = math.ceil(EXTRA_SHARE * planned), 0
+        while number < end and number in self.own.runs:
+            if self.own.runs[number].validity == "invalid" and end < planned + budget:
+                end += 1
+            number += 1
+        return int(end)
+
+    def _agrees(self, again: CampaignVerdict) -> bool:
+        one = self.verdict
+        if one["run"] == 0 and one["verdict"] == "undecided":
+            return True
+        bound = plain(asdict(again.bound))
+        if (again.method, again.saved, bound) != (one["method"], one["saved"], one["bound"]):
+            return False
+        if one["verdict"] == "undecided" and again.verdict == "supported":
+            return bool(one["reason"].startswith("infrastructure: nondeterministic"))
+        spoilt = None if again.spoilt is None else again.spoilt.verdict
+        told = None if one["spoilt"] is None else one["spoilt"]["verdict"]
+        return (again.verdict, again.reason, spoilt) == (one["verdict"], one["reason"], told)
