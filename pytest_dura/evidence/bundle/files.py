@@ -39,8 +39,7 @@ def write_file(file: Path, chunks: Iterable[str | bytes]) -> Written:
         ConfigurationError: If it cannot be written.
     """
     try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        return _replace(file, chunks)
+        return replace_file(file, chunks, durable=True)
     except OSError as error:
         raise ConfigurationError(
             f"the evidence cannot be written: {error.strerror or error}",
@@ -56,7 +55,18 @@ def temporary_prefix(name: str) -> str:
     return f".{name}-"
 
 
-def _replace(file: Path, chunks: Iterable[str | bytes]) -> Written:
+def replace_file(file: Path, chunks: Iterable[str | bytes], *, durable: bool) -> Written:
+    """What :func:`write_file` does, without words for the user.
+
+    Args:
+        file: Where. Missing folders are made.
+        chunks: What it holds.
+        durable: Whether it is to survive a loss of power; that takes milliseconds.
+
+    Raises:
+        OSError: If it cannot be written.
+    """
+    file.parent.mkdir(parents=True, exist_ok=True)
     handle, name = tempfile.mkstemp(dir=file.parent, prefix=temporary_prefix(file.name))
     digest, size = hashlib.sha256(), 0
     try:
@@ -69,15 +79,17 @@ def _replace(file: Path, chunks: Iterable[str | bytes]) -> Written:
                 stream.write(data)
                 digest.update(data)
                 size += len(data)
-            stream.flush()
-            os.fsync(stream.fileno())
+            if durable:
+                stream.flush()
+                os.fsync(stream.fileno())
         # mkstemp makes files for the owner alone; evidence is for whoever may read the folder.
         Path(name).chmod(0o644)
         Path(name).replace(file)
     except BaseException:  # also on ctrl-C no half-written file stays behind; it is raised again
         Path(name).unlink(missing_ok=True)
         raise
-    _keep_name(file.parent)
+    if durable:
+        _keep_name(file.parent)
     return Written(digest.hexdigest(), size)
 
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, Literal, get_args
 
+from pytest_dura.evidence.bundle.manifest import file_entry
 from pytest_dura.evidence.provenance.places import told_path
 
 Kind = Literal[
@@ -82,23 +82,9 @@ class Inputs:
         told.setdefault((path, kind, sha256), one)["changed"] |= changed
 
 
-def describe_inputs(
-    files: Iterable[tuple[Kind, Path]], root: Path, known: Mapping[Path, str] | None = None
-) -> list[dict[str, Any]]:
-    """The record's key ``inputs`` for these files, as they are now; see :class:`Inputs`."""
-    inputs = Inputs(root, known)
-    for kind, file in files:
-        inputs.add(kind, file)
-    return inputs.to_json()
-
-
 def sha256_of(file: Path) -> str | None:
     """SHA-256 of a file; ``None`` for one that cannot be read."""
-    state = hashlib.sha256()
     try:
-        with file.open("rb") as stream:
-            while block := stream.read(1 << 20):
-                state.update(block)
+        return str(file_entry(file)["sha256"])
     except (OSError, ValueError):  # ValueError: a name with a NUL in it
         return None
-    return state.hexdigest()

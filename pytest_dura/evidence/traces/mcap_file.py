@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import hashlib
 import io
-import os
-import tempfile
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.evidence.bundle.files import temporary_prefix
+from pytest_dura.evidence.bundle.files import replace_file
 from pytest_dura.evidence.traces.columns import LIMIT, pack_columns, unpack_columns
 from pytest_dura.evidence.traces.messages import (
     Texts,
@@ -49,19 +47,8 @@ def write_trace(
         OSError: If it cannot be written.
         ValueError: For a trace whose columns are not what they should be.
     """
-    data = trace_bytes(trace, verdicts)
-    file.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(dir=file.parent, prefix=temporary_prefix(file.name))
-    try:
-        with os.fdopen(handle, "wb") as stream:
-            stream.write(data)
-        # mkstemp makes files for the owner alone; the bundle is for whoever may read the folder.
-        Path(name).chmod(0o644)
-        Path(name).replace(file)
-    except BaseException:  # also on ctrl-C no half-written file stays behind; it is raised again
-        Path(name).unlink(missing_ok=True)
-        raise
-    return {"sha256": hashlib.sha256(data).hexdigest(), "bytes": len(data)}
+    # A bundle has many traces, and its manifest tells whether each has survived.
+    return asdict(replace_file(file, [trace_bytes(trace, verdicts)], durable=False))
 
 
 def trace_bytes(trace: Trace, verdicts: Sequence[Mapping[str, Any]] = ()) -> bytes:

@@ -6,7 +6,7 @@ import time
 import pytest
 
 from pytest_dura.evidence.provenance.environment import describe_component, describe_environment
-from pytest_dura.evidence.provenance.inputs import Inputs, describe_inputs
+from pytest_dura.evidence.provenance.inputs import Inputs
 from pytest_dura.evidence.provenance.places import installed, told_path
 from pytest_dura.evidence.provenance.sources import sources_of
 
@@ -38,6 +38,13 @@ def package(tmp_path, monkeypatch):
 def described(root, path="ownpkg.planners:Planner"):
     module, _, name = path.partition(":")
     return describe_component(path, getattr(importlib.import_module(module), name), {}, root=root)
+
+
+def told(files, root, known=None):
+    inputs = Inputs(root, known)
+    for kind, file in files:
+        inputs.add(kind, file)
+    return inputs.to_json()
 
 
 def test_the_digest_covers_all_files_of_the_package(package, tmp_path):
@@ -141,7 +148,7 @@ def test_inputs_are_named_from_the_root_and_never_by_the_machine(tmp_path):
     builtin = tmp_path / "builtin"
     (builtin / "deep").mkdir(parents=True)
     (builtin / "deep/c.yaml").write_text("c")
-    found = describe_inputs(
+    found = told(
         [
             ("scenario", root / "scenarios/../scenarios/a.yaml"),
             ("argument", outer),
@@ -212,5 +219,5 @@ def test_files_that_another_process_read(tmp_path):
 
 
 def test_a_file_that_cannot_be_read(tmp_path):
-    (one,) = describe_inputs([("check", tmp_path / "gone.py")], tmp_path)
+    (one,) = told([("check", tmp_path / "gone.py")], tmp_path)
     assert (one["sha256"], one["changed"]) == (None, False)

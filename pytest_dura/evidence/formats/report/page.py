@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import base64
-import hashlib
 from collections.abc import Callable, Mapping
 from functools import cache
 from pathlib import Path
@@ -22,6 +20,7 @@ from pytest_dura.evidence.formats.report import (
 from pytest_dura.evidence.formats.report.figures import FILTERS
 from pytest_dura.evidence.formats.report.gathering import Gathered
 from pytest_dura.evidence.formats.report.links import Links
+from pytest_dura.evidence.player.page import content_hash
 from pytest_dura.evidence.record.session_record import SessionRecord
 from pytest_dura.evidence.text import visible
 
@@ -119,14 +118,10 @@ def _policy(scripts: list[str], styles: list[str]) -> str:
     return "; ".join(
         [
             "default-src 'none'",
-            f"script-src {' '.join(map(_hash, scripts))}",
-            f"style-src {' '.join(map(_hash, styles))}",
+            f"script-src {' '.join(map(content_hash, scripts))}",
+            f"style-src {' '.join(map(content_hash, styles))}",
             "img-src data:",
             "base-uri 'none'",
             "form-action 'none'",
         ]
     )
-
-
-def _hash(text: str) -> str:
-    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"

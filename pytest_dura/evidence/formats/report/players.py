@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -10,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pytest_dura.core.errors import describe_error
+from pytest_dura.evidence.bundle.manifest import file_entry
 from pytest_dura.evidence.formats.report.anchors import player_anchor
 from pytest_dura.evidence.formats.report.gathering import Key, Listed
 from pytest_dura.evidence.record.session_record import SessionRecord
@@ -85,7 +85,7 @@ def _packed(record: SessionRecord, one: Listed) -> str:
     from pytest_dura.evidence.traces.mcap_file import read_trace
 
     file = _inside(record.directory, one.episode["trace"]["file"])
-    digest = hashlib.sha256(file.read_bytes()).hexdigest()
+    digest = file_entry(file)["sha256"]
     if digest != one.episode["trace"]["sha256"]:
         raise ValueError(f"its SHA-256 is {digest[:12]}..., and the record says another")
     return packed(player_data(read_trace(file), _judged(record, one)))
