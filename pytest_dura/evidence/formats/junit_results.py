@@ -7,12 +7,10 @@ from collections.abc import Iterator, Mapping
 from xml.etree import ElementTree as ET
 
 from pytest_dura.evidence import text
+from pytest_dura.evidence.formats.stated import EPISODE_WORDS, WORDS
 
 Key = tuple[str, str, str]
 """Case, requirement, and node id of the test; see :func:`junit_key`."""
-
-WORDS = ("supported", "violated", "undecided")
-EPISODE_WORDS = ("satisfied", "violated", "invalid", "missing")
 
 
 def junit_key(case: str, requirement: str, item: str) -> Key:

@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, get_args
 
 from pytest_dura.evidence.record.session_record import SessionRecord
+from pytest_dura.requirements.verdicts.campaigns import CampaignWord
+from pytest_dura.requirements.verdicts.episodes import EpisodeWord
 
 Data = Mapping[str, Any]
 UNREVIEWED = "generated, unreviewed"
+WORDS: tuple[str, ...] = get_args(CampaignWord)
+"""Of verdicts on campaigns: supported, violated, undecided."""
+EPISODE_WORDS: tuple[str, ...] = get_args(EpisodeWord)
 _SHA256 = re.compile(r"[0-9a-f]{64}")
 
 

@@ -8,6 +8,7 @@ from typing import Any, NoReturn
 
 from pytest_dura.evidence.formats.gsn.merging import argument_with_users
 from pytest_dura.evidence.formats.gsn.rules import problems
+from pytest_dura.evidence.formats.stated import WORDS
 from pytest_dura.evidence.record.counts import Counts
 from pytest_dura.evidence.record.session_record import SessionRecord
 
@@ -16,7 +17,6 @@ MODULE = "module"
 UNUSED = "unused:"
 """How the alias of an element begins that tells what a user's argument leaves out."""
 
-_WORDS = ("supported", "violated", "undecided")
 _DEEPEST = 16
 _STATED = ("cases", "episodes", "valid", "invalid", "missing")
 
@@ -154,7 +154,7 @@ def _counted(elements: Mapping[str, Any]) -> Counter[str]:
                 _refuse(f"{id_} is drawn as {word}, and its verdict is {one.get('verdict')}")
             counted[word] += 1
         elif what == UNUSED[:-1]:
-            for key in (*_WORDS, "requirements", "waived"):
+            for key in (*WORDS, "requirements", "waived"):
                 counted[key] += int(one.get(key, 0))
     return counted
 

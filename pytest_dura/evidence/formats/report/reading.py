@@ -6,10 +6,10 @@ from collections import Counter
 from dataclasses import dataclass, field
 from html.parser import HTMLParser
 
+from pytest_dura.evidence.formats.stated import WORDS
 from pytest_dura.evidence.record.counts import Counts
 
 GATES = ("passed", "failed", "incomplete")
-VERDICTS = ("supported", "violated", "undecided")
 _MARKS = ("gate-word", "word", "waived")
 COUNTED = ("run", "valid", "invalid", "missing")
 
@@ -39,7 +39,7 @@ def read_counts(text: str) -> Counts:
         valid=episodes["valid"],
         invalid=episodes["invalid"],
         missing=episodes["missing"],
-        **{word: page.words[word] for word in VERDICTS},
+        **{word: page.words[word] for word in WORDS},
         waived=page.waived,
     )
 
@@ -121,7 +121,7 @@ class _Page(HTMLParser):
 
     def _end_row(self, row: _Row) -> None:
         if self._table == "verdicts" and "verdict" in row.kinds:
-            if len(row.words) != 1 or row.words[0] not in VERDICTS:
+            if len(row.words) != 1 or row.words[0] not in WORDS:
                 raise ValueError(f"a verdict reads {row.words}")
             self.words[row.words[0]] += 1
             self.waived += row.waived
