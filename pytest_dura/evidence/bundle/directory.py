@@ -16,6 +16,7 @@ from pytest_dura.evidence.plain import plain
 from pytest_dura.evidence.record.evidence_record import SCHEMA_VERSION
 from pytest_dura.evidence.record.session_record import SessionRecord
 from pytest_dura.evidence.record.spool import SPOOL
+from pytest_dura.evidence.traces.names import FOLDER, is_trace_name
 
 RECORD = "evidence.json"
 EPISODES = "episodes"
@@ -30,7 +31,7 @@ RENDERED = (
     "evidence.schema.json",
 )
 """The other files of a bundle; the manifest comes first where they are removed."""
-TRACES = "episodes"
+TRACES = FOLDER
 """The folder of the traces."""
 BEGUN = tuple(map(temporary_prefix, (RECORD, *RENDERED)))
 
@@ -103,8 +104,7 @@ def clear_traces(directory: Path, kept: Collection[str] = ()) -> None:
         if traces.is_symlink():
             traces.unlink()
         for trace in _entries(traces):
-            is_trace = trace.suffix == ".mcap" or ".mcap-" in trace.name
-            if is_trace and f"{TRACES}/{trace.name}" not in kept:
+            if is_trace_name(trace.name) and f"{TRACES}/{trace.name}" not in kept:
                 trace.unlink()
         if traces.is_dir() and not any(traces.iterdir()):
             traces.rmdir()

@@ -42,8 +42,9 @@ def trace_path(about: Mapping[str, Any]) -> str:
 
 
 def is_trace_name(name: str) -> bool:
-    """Whether a file of this name in ``episodes`` is one of ours."""
-    return _NAME.fullmatch(name) is not None
+    """Whether a file of this name in ``episodes`` is a trace of ours, whole or begun."""
+    begun = name.removeprefix(".").rpartition("-")[0] if name.startswith(".") else ""
+    return _NAME.fullmatch(begun or name) is not None
 
 
 def is_trace_path(path: Any) -> bool:

@@ -133,10 +133,10 @@ def test_every_file_of_a_bundle_is_known_to_whoever_clears_it():
 def test_a_session_that_begins_removes_what_is_left_of_the_last_one(tmp_path):
     folder, outside = tmp_path / "evidence", tmp_path / "outside"
     write(folder, RECORD)
-    own = [*directory.RENDERED, ".evidence.json-x7", ".session-q", "episodes/a.mcap",
-           "episodes/.b.mcap-x7"]  # fmt: skip
+    own = [*directory.RENDERED, ".evidence.json-x7", ".session-q",
+           "episodes/a-0123abcd.mcap", "episodes/.b-0123abcd.mcap-x7_y"]  # fmt: skip
     others = ["notes.txt", "report.html.bak", "episodes/notes.txt", "reduced/evidence.json",
-              ".hidden"]  # fmt: skip
+              ".hidden", "episodes/drive.mcap", "episodes/.drive.mcap-x7"]  # fmt: skip
     for name in (*own, *others):
         (folder / name).parent.mkdir(exist_ok=True)
         (folder / name).write_text("old")
