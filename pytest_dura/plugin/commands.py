@@ -6,6 +6,8 @@ import os
 import shlex
 from typing import TYPE_CHECKING
 
+from pytest_dura.plugin.places import from_here
+
 if TYPE_CHECKING:
     from pathlib import Path
 
@@ -17,7 +19,7 @@ def replay_command(session: DuraSession, episode: str, evidence: Path | None = N
     options = [f"--dura-replay={episode}"]
     if evidence is not None:
         here = session.config.invocation_params.dir
-        options.append(f"--dura-evidence={os.path.relpath(evidence, here)}")
+        options.append(f"--dura-evidence={from_here(evidence, here)}")
     else:
         given = session.options.given
         options += [f"{name}={value}" for name, value in given if name == "--dura-evidence"]

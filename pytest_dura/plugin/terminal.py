@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pytest_dura.plugin.baseline_lines import baseline_header, show_baseline
 from pytest_dura.plugin.fault_lines import fault_table
 from pytest_dura.plugin.overrides import overrides_deeper_down, root_conftest_with
+from pytest_dura.plugin.places import from_here
 from pytest_dura.plugin.tables import case_table, counted, monitor_table, pair_table
 from pytest_dura.plugin.verdict_lines import show_verdicts
 
@@ -77,7 +77,8 @@ def summary(session: DuraSession, terminal: Any) -> None:
     terminal.line("")
     if session.evidence.file is not None:
         terminal.line(_gate_line(record))
-        terminal.line(f"evidence: {_relative(session, _page(session.evidence.file))}")
+        page = from_here(_page(session.evidence.file), session.config.invocation_params.dir)
+        terminal.line(f"evidence: {page}")
 
 
 def _gate_line(record: SessionRecord) -> str:
@@ -121,7 +122,3 @@ def _names(record: SessionRecord) -> str:
     under_test = record["component_under_test"]
     opaque = " (a bare instance, in this process only)" if under_test.get("opaque") else ""
     return ", ".join(names) + opaque
-
-
-def _relative(session: DuraSession, file: Any) -> str:
-    return os.path.relpath(file, session.config.invocation_params.dir)
