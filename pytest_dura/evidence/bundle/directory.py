@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -33,6 +34,7 @@ RENDERED = (
 """The other files of a bundle; the manifest comes first where they are removed."""
 TRACES = FOLDER
 """The folder of the traces."""
+_BEYOND = re.compile("[^\x00-\x7e]+")
 BEGUN = tuple(map(temporary_prefix, (RECORD, *RENDERED)))
 
 
@@ -238,4 +240,16 @@ def _list(values: Iterable[Any]) -> Iterator[str]:
 
 
 def _json(value: Any) -> str:
-    return json.dumps(value, indent=1, ensure_ascii=False, allow_nan=False)
+    """JSON in which letters of any script are themselves, and whatever cannot be seen is escaped.
+
+    JSON asks that of the control characters below the blank alone; a terminal acts on others, too.
+    """
+    text = json.dumps(value, indent=1, ensure_ascii=False, allow_nan=False)
+    return _BEYOND.sub(_visible, text)
+
+
+def _visible(match: re.Match[str]) -> str:
+    run = match[0]
+    if run.isprintable():
+        return run
+    return "".join(one if one.isprintable() else json.dumps(one)[1:-1] for one in run)

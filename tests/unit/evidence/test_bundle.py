@@ -69,7 +69,7 @@ def test_reading_explains_what_is_wrong(tmp_path):
 
 def test_the_text_is_that_of_the_whole_record_at_once(tmp_path):
     record = {
-        "a\n": {"b": [1, {"c": []}], "d": "line\nbreak\u2028"},
+        "a\n": {"b": [1, {"c": []}], "d": "line\nbreak"},
         "cases": [{"id": "x"}],
         "episodes": [{"id": "x#0", "e": {}}, {"id": "x#1", "list": [[], [1]]}],
         "verdicts": [],
@@ -77,6 +77,14 @@ def test_the_text_is_that_of_the_whole_record_at_once(tmp_path):
     for told in (record, {**record, "episodes": []}):
         file = write(tmp_path, told)
         assert file.read_text() == json.dumps(told, indent=1, ensure_ascii=False) + "\n"
+
+
+def test_what_a_terminal_would_act_on_is_escaped_and_letters_are_themselves(tmp_path):
+    record = {**RECORD, "file": "naïve 漢字 😀 \x1b[31m\x7f\x9b2J\u202e\u2028\U000e0041\ufeff"}
+    text = write(tmp_path, record).read_text()
+    assert "naïve 漢字 😀 " in text
+    assert text.replace("\n", "").isprintable()
+    assert directory.read_record(tmp_path) == record
 
 
 def test_a_name_that_is_no_text_can_be_written_and_read(tmp_path):
