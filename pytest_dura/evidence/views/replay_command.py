@@ -31,7 +31,7 @@ def evidence_option(command: str) -> str | None:
     except ValueError:  # no shell reads such a command
         return None
     found = None
-    for word, following in zip(words, [*words[1:], None], strict=True):
+    for word, following in zip(words, [*words[1:], None], strict=False):
         option, equals, value = word.partition("=")
         if option == _EVIDENCE:
             found = value if equals else following

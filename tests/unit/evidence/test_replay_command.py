@@ -25,6 +25,8 @@ from pytest_dura.evidence.views.replay_command import evidence_option, replay_co
         ("pytest --dura-evidence-level=all", None),
         ("pytest --dura-evidence", None),
         ("pytest '--dura-evidence=out", None),
+        ("", None),
+        (" \n", None),
         ("pytest " + "x" * 200_000 + " --dura-evidence=out", None),
     ],
 )
