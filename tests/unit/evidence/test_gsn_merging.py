@@ -149,6 +149,8 @@ def test_the_digest_and_the_path_are_told_for_provenance(user):
         ("X1: {text: a}", 1, "no known prefix"),
         ('"G\\e[31m": {text: a}', 1, "odd or too many characters"),
         (f"G{'x' * 120}: {{text: a}}", 1, "odd or too many characters"),
+        ("G1->G2: {text: a}", 1, "odd or too many characters"),
+        ("'G1 ': {text: a}", 1, "odd or too many characters"),
         ("G1: text", 1, "a mapping"),
         ("G1: {undeveloped: true}", 1, "has a text"),
         ("G1: {text: [a]}", 1, "no text"),
@@ -194,6 +196,13 @@ def test_an_argument_that_does_not_fit_is_one_clear_error(user, text, line, foun
     assert caught.value.line == line
     assert found in f"{caught.value.found}"
     assert caught.value.expected
+
+
+def test_a_users_own_key_is_harmless_and_remains_its_own(user):
+    found = rendered(user('G1: {text: a, "\\uD800\\e": x, " text": y, undeveloped: true}'))["G1"]
+    assert found["text"] == "a"
+    assert [key for key in found if not key.isprintable()] == []
+    assert {"x", "y"} < set(map(str, found.values()))
 
 
 NONE = {"cells": [], "parameters": [], "left_out": 0}

@@ -116,7 +116,7 @@ def _element(
         return tuple(_resolved(one, f"{id_}.{key}", known, user) for one in names)
 
     keys = ("text", "supportedBy", "inContextOf", "challenges", "undeveloped", "defeated", "url")
-    layers = {key: _clean(value) for key, value in node.items() if key not in keys}
+    layers = _clean({key: value for key, value in node.items() if key not in keys})
     if "defeatedRelation" in layers:
         layers["defeatedRelation"] = list(resolved(node["defeatedRelation"], "defeatedRelation"))
     ends = [end.strip() for end in node.get("challenges", "").split("->") if end.strip()]
@@ -159,7 +159,7 @@ def _clean(value: Any) -> Any:
     if isinstance(value, list):
         return [_clean(one) for one in value]
     if isinstance(value, dict):
-        return {one_line(key): _clean(one) for key, one in value.items()}
+        return {name(key): _clean(one) for key, one in value.items()}
     return value
 
 

@@ -216,8 +216,9 @@ class _Reader:
     def _element(self, id_: str, node: Any) -> dict[str, Any]:
         if kind_of(id_) is None:
             self._wrong(id_, "the id begins with no known prefix", id_, ", ".join(PREFIXES))
-        if name(id_) != id_:
-            self._wrong(id_, "the id has odd or too many characters", id_, "at most 120 plain ones")
+        if name(id_) != id_ or id_ != id_.strip() or "->" in id_:
+            expected = "at most 120 that can be seen, without ->"
+            self._wrong(id_, "the id has odd or too many characters", id_, expected)
         if not isinstance(node, dict):
             self._wrong(id_, "an element is a mapping", str(node)[:80], "`text:` and other keys")
         for key, value in node.items():
