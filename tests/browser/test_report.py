@@ -50,7 +50,7 @@ def test_each_table_has_a_caption_and_headings_with_a_scope(opened, html):
     # What scrolls sideways can be reached with the keyboard, and says what it is.
     assert page.locator(".scroll:not([tabindex='0'])").count() == 0
     assert page.locator(".scroll:not([aria-label]):not([aria-labelledby])").count() == 0
-    assert page.get_by_role("region", name="Verdicts, grouped by requirement").count() == 1
+    assert page.get_by_role("region", name="Verdicts by requirement").count() == 1
 
 
 def test_the_filter_leaves_the_verdicts_that_fit(opened, html):

@@ -55,7 +55,7 @@ def records(draw):
     runs = [episode(one, validity=draw(validities)) for one in cases]
     return session_record(
         requirements=requirements, verdicts=verdicts, cases=listed, episodes=runs,
-        coverage={"cells": cells, "parameters": []}, command=draw(TEXTS),
+        coverage={"cells": cells, "left_out": 0, "parameters": []}, command=draw(TEXTS),
         status=draw(st.sampled_from(["complete", "incomplete"])),
         gate={"result": draw(st.sampled_from(["passed", "failed", "incomplete"])), "exit_code": 0,
               "reasons": draw(st.lists(TEXTS, max_size=4))},

@@ -10,8 +10,10 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator
+from itertools import groupby
 from typing import Any
 
+from pytest_dura.evidence.formats.in_words import not_shown, shown
 from pytest_dura.evidence.formats.stated import UNREVIEWED, bound, components, sample
 from pytest_dura.evidence.record.counts import Counts
 from pytest_dura.evidence.record.session_record import SessionRecord
@@ -39,11 +41,12 @@ def render(record: SessionRecord) -> str:
     failures = [one for one in verdicts if one["verdict"] != "supported"]
     lines = [
         *_head(record),
-        *_section("Not supported", [], (_failure(record, one) for one in failures), "failures"),
+        *_in_words(record),
+        *_section("Not supported", [], _failures(record, failures), "failures"),
         *_section("Verdicts", _VERDICTS, map(_verdict, verdicts), "verdicts"),
         *_section("Requirements", _REQUIREMENTS, _requirements(record), "requirements"),
         *_section("Cases", _CASES, map(_case, record["cases"]), "cases"),
-        *_coverage(record["coverage"]["cells"]),
+        *_coverage(record),
         *_provenance(record),
     ]
     return "\n".join(lines) + "\n"
@@ -115,6 +118,11 @@ def _head(record: SessionRecord) -> Iterator[str]:
         yield f"- and {len(gate['reasons']) - _REASONS} more reasons"
 
 
+def _in_words(record: SessionRecord) -> Iterator[str]:
+    for heading, sentences in (("Shown", shown(record)), ("Not shown", not_shown(record))):
+        yield from ["", f"**{heading}**", "", *(f"- {markdown(one, 400)}" for one in sentences)]
+
+
 def _section(heading: str, columns: list[str], rows: Iterable[str], share: str) -> Iterator[str]:
     """A heading with as many of its rows as fit into its share."""
     yield from ["", f"## {heading}", ""]
@@ -137,19 +145,27 @@ def _section(heading: str, columns: list[str], rows: Iterable[str], share: str) 
         )
 
 
-def _failure(record: SessionRecord, one: Data) -> str:
+def _failures(record: SessionRecord, failures: list[Data]) -> Iterator[str]:
+    """One row each; requirements of a case that are undecided for the same reason share one."""
+    for (first, rest), same in groupby(failures, lambda one: _but_requirement(record, one)):
+        names = ", ".join(_name(one["requirement"]) for one in same)
+        yield f"- **{first}: {names}{rest}"
+
+
+def _but_requirement(record: SessionRecord, one: Data) -> tuple[str, str]:
+    """What is said of a verdict before and after the name of its requirement."""
     waiver = ""
     if one["waiver"] is not None:
         kind, why = markdown(one["waiver"]["kind"], 64), markdown(one["waiver"]["reason"], 200)
         waiver = f" (waived, {kind}: {why or 'no reason'})"
     told = (
-        f"- **{one['verdict']}**{waiver}: {_name(one['requirement'])} on {_name(one['case'])}, "
+        f" on {_name(one['case'])}, "
         f"component {_name(one['component'])}: {markdown(one['reason'], 400) or 'no reason'}. "
         f"{sample(one)}; {bound(one)}."
     )
     if one["counterexamples"]:
         told += "\n  - " + _counterexample(record, one["counterexamples"])
-    return told
+    return f"{one['verdict']}**{waiver}", told
 
 
 def _counterexample(record: SessionRecord, found: list[Data]) -> str:
@@ -198,6 +214,7 @@ def _requirements(record: SessionRecord) -> Iterator[str]:
     words = Counter((one["requirement"], one["verdict"]) for one in record["verdicts"])
     cells = record["coverage"]["cells"]
     untested = Counter(one["requirement"] for one in cells if one["verdict"] is None)
+    more = " or more" if record["coverage"]["left_out"] else ""
 
     def failing(one: Data) -> tuple[bool, bool]:
         return not words[one["id"], "violated"], not words[one["id"], "undecided"]
@@ -205,7 +222,7 @@ def _requirements(record: SessionRecord) -> Iterator[str]:
     for one in sorted(record["requirements"], key=failing):
         counts = (words[one["id"], word] for word in ("supported", "violated", "undecided"))
         texts = (markdown(one[key] or "", 200) or "-" for key in ("kind", "text"))
-        yield _row([_name(one["id"]), *texts, *counts, untested[one["id"]]])
+        yield _row([_name(one["id"]), *texts, *counts, f"{untested[one['id']]}{more}"])
 
 
 def _case(one: Data) -> str:
@@ -222,17 +239,18 @@ def _case(one: Data) -> str:
     return _row([_name(one["id"]), _name(one["component"]), *counts, *rates, shown])
 
 
-def _coverage(cells: list[Data]) -> Iterator[str]:
+def _coverage(record: SessionRecord) -> Iterator[str]:
+    cells, left_out = record["coverage"]["cells"], record["coverage"]["left_out"]
     untested = [one for one in cells if one["verdict"] is None]
     yield from ["", "## Coverage", ""]
     yield (
-        f"{len(cells) - len(untested)} of {len(cells)} cells of requirement x scenario x fault "
-        f"have a verdict; {len(untested)} untested."
+        f"{len(cells) - len(untested)} of {len(cells) + left_out} cells of requirement x scenario "
+        f"x fault have a verdict; {len(untested) + left_out} untested."
     )
     for one in untested[:_CELLS]:
         yield f"- untested: {_name(one['requirement'])} on {_name(one['case'])}"
-    if len(untested) > _CELLS:
-        yield f"- and {len(untested) - _CELLS} more"
+    if len(untested) + left_out > _CELLS:
+        yield f"- and {len(untested[_CELLS:]) + left_out} more"
 
 
 def _provenance(record: SessionRecord) -> Iterator[str]:

@@ -15,7 +15,7 @@ Place: TypeAlias = "tuple[str, str, str, str]"
 """Scenario, faults, requirement and component."""
 
 MAX_CELLS = 20_000
-"""Cells beyond those with a verdict that are listed; a grid of faults may cross with anything."""
+"""Untested cells up to which all are listed; a grid of faults may cross with anything."""
 NO_FAULTS = "none"
 WORST_FIRST = ("violated", "undecided", "supported")
 
@@ -30,7 +30,8 @@ def coverage(
     cell where it applies: where the scenario lists it, or a test claims it there. ``verdict`` is
     the worst on that cell and ``None`` where there is none: untested. ``case`` is the id of the
     case that tests it. Cases without a role, the second runs of pairs, are no cells: nothing is
-    claimed of them. ``left_out`` counts untested cells that are too many to be listed.
+    claimed of them. Of untested cells that are too many one is listed for each requirement and
+    scenario, so that none of these reads as tested throughout; ``left_out`` counts the others.
 
     Args:
         cases: The record's cases.
@@ -39,7 +40,7 @@ def coverage(
     """
     grid = _Grid(cases, verdicts)
     untested = sum(1 for _ in grid.untested())
-    shown = grid.untested() if untested <= MAX_CELLS else ()
+    shown = list(grid.untested() if untested <= MAX_CELLS else grid.first_untested())
     parameters = ParameterCoverage(cases)
     for episode in episodes:
         parameters.add(episode)
@@ -48,7 +49,7 @@ def coverage(
         "cells": sorted(
             map(grid.cell, (*grid.words, *shown)), key=lambda cell: [cell[name] for name in names]
         ),
-        "left_out": untested if untested > MAX_CELLS else 0,
+        "left_out": untested - len(shown),
         "parameters": parameters.to_json(),
     }
 
@@ -95,6 +96,15 @@ class _Grid:
                     place = scenario, faults, requirement, component
                     if place not in self.words:
                         yield place
+
+    def first_untested(self) -> Iterator[Place]:
+        """The first of them for each scenario and requirement that has any."""
+        seen: set[tuple[str, str]] = set()
+        for place in self.untested():
+            scenario, _, requirement, _ = place
+            if (scenario, requirement) not in seen:
+                seen.add((scenario, requirement))
+                yield place
 
     def cell(self, place: Place) -> dict[str, Any]:
         """The cell of a place."""

@@ -53,6 +53,8 @@ class EvidenceRecord:
     _waivers: dict[str, Data] = field(default_factory=dict)
     _clashes: dict[tuple[str, str], str] = field(default_factory=dict)
     _problems: set[str] = field(default_factory=set)
+    _ran: set[str] = field(default_factory=set)
+    """Cases with any episode."""
 
     def __post_init__(self) -> None:
         """Make room for the episodes."""
@@ -161,6 +163,7 @@ class EvidenceRecord:
     def _add_episodes(self, report: Mapping[str, Any]) -> None:
         """The episodes of a report, and what it tells of them beside."""
         for episode in report["episodes"]:
+            self._ran.add(episode["case"])
             first = self._spool.add(episode)
             if first != episode["digest"]:
                 self._clashes[episode["case"], episode["component"]] = (
@@ -233,6 +236,8 @@ class EvidenceRecord:
         if item != f"{case['id']}::{requirement}":
             # Its episodes may have run: what was not made is the verdict.
             verdict["reason"] = "the test ended without a verdict on it"
+        elif case["id"] in self._ran:
+            verdict["reason"] = "episodes of the case ran, and no verdict was made on them"
         waived = [one for name, one in self._waivers.items() if test_of(name) == item]
         waiver = waived[0] if waived else None
         return {**verdict, **NO_QUESTION, "item": item, "waiver": waiver, "attempts": []}

@@ -147,7 +147,7 @@ def test_monitors_are_known_only_from_violations_that_they_could_miss():
 def test_a_session_without_anything_has_an_argument_too():
     nothing = session_record(
         requirements=[], cases=[], episodes=[], verdicts=[], monitors=[], component_under_test=None,
-        coverage={"cells": [], "parameters": []},
+        coverage={"cells": [], "left_out": 0, "parameters": []},
     )  # fmt: skip
     text = yaml_file.render(nothing)
     assert yaml_file.elements_of(text)["SKinds"]["undeveloped"]
@@ -208,6 +208,6 @@ def test_reading_notices_what_was_tampered_with():
 def test_what_looks_like_a_number_to_yaml_1_2_is_quoted():
     given = {**REQUIREMENTS["SAF-1"].to_json(), "source": "1e3"}
     record = session_record(
-        requirements=[given], verdicts=[], coverage={"cells": [], "parameters": []}
+        requirements=[given], verdicts=[], coverage={"cells": [], "left_out": 0, "parameters": []}
     )
     assert '\n  source: "1e3"\n' in yaml_file.render(record)

@@ -43,7 +43,9 @@ def large(requirements, cases):
             one = VIOLATED if (i * cases + j) % 10 == 0 else SUPPORTED
             verdicts.append({**one, "case": f"a/{j}", "requirement": f"R-{i}"})
     return session_record(
-        requirements=given, verdicts=verdicts, coverage={"cells": [], "parameters": []}
+        requirements=given,
+        verdicts=verdicts,
+        coverage={"cells": [], "left_out": 0, "parameters": []},
     )
 
 

@@ -83,7 +83,7 @@ def test_an_untested_cell_leaves_conformance_open():
         "case": "c",
         "verdict": None,
     }
-    coverage = {"cells": [cell], "parameters": []}
+    coverage = {"cells": [cell], "left_out": 0, "parameters": []}
     entry = declared(verdicts=[SUPPORTED], coverage=coverage)["declarations"]["attestations"][0]
     assert entry["map"][1]["conformance"]["score"] == 0
     assert "1 untested" in entry["map"][1]["conformance"]["rationale"]
@@ -243,6 +243,25 @@ def test_the_summary_begins_with_the_gate_and_what_failed():
     assert "replay: `pytest --dura-replay='a/clear+ghost#1'`" in text
     assert "- untested: `PERF-1` on `a/clear+ghost`" in text
     assert "generated, unreviewed" in text
+
+
+def test_requirements_that_are_undecided_for_the_same_reason_share_a_row():
+    other = UNDECIDED | {"requirement": "PERF-1"}
+    apart = UNDECIDED | {"requirement": "SEC-1", "reason": "another one"}
+    text = summary.render(session_record(verdicts=[UNDECIDED, other, apart]))
+    assert text.count("- **undecided**") == 2
+    assert "- **undecided**: `SAF-1`, `PERF-1` on `a/clear`" in text
+    assert "- **undecided**: `SEC-1` on `a/clear`" in text
+
+
+def test_untested_cells_that_are_not_listed_are_counted():
+    coverage = session_record()["coverage"]
+    text = summary.render(session_record(coverage={**coverage, "left_out": 100}))
+    assert "4 of 105 cells" in text
+    assert "101 untested" in text
+    assert re.search(r"^\| `PERF-1` \| .* \| 1 or more \|$", text, re.MULTILINE)
+    assert "- and 100 more" not in summary.render(session_record())
+    assert "- and 100 more" in text
 
 
 @pytest.mark.parametrize(

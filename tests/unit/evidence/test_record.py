@@ -244,6 +244,17 @@ def test_what_a_test_was_to_decide_and_did_not_is_undecided():
     assert found[2]["reason"] == "the test ended without a verdict on it"
 
 
+def test_an_item_that_never_ran_does_not_deny_that_episodes_of_its_case_did():
+    made = record()
+    made.expect("a/b::R", REQUIREMENT, case())
+    (before,) = evidence(made)["verdicts"]
+    assert "only 0 of" in before["reason"]
+    made.add(report(cases=[case()], episodes=[episode(0)]))
+    (found,) = evidence(made)["verdicts"]
+    assert found["verdict"] == "undecided"
+    assert found["reason"] == "episodes of the case ran, and no verdict was made on them"
+
+
 def test_waivers_are_recorded_beside_the_verdict():
     made = record()
     made.add(report(cases=[case()], verdicts=[campaign("violated")]))

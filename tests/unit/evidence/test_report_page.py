@@ -116,7 +116,7 @@ def test_cases_are_told_over_valid_and_over_run_episodes():
     metrics["collided"] = {**metrics["collided"], "valid": 1, "run": 2}
     html = render(session_record(cases=[{**record["cases"][0], "metrics": metrics}]))
     assert "1/2 (2/3 run)" in row(html, case_anchor("a/clear"))
-    assert "1.6 s ± 0.07 (2)" in row(html, case_anchor("a/clear"))
+    assert "1.55 s ± 0.07 s (2)" in row(html, case_anchor("a/clear"))
 
 
 def test_the_map_of_faults_marks_what_is_untested_and_what_has_no_valid_episode():
@@ -444,3 +444,71 @@ RUN = {"planned": True, "run": 1, "validity": "valid"}
 )
 def test_a_player_says_satisfied_only_where_the_record_does(verdict_, episode_, word):
     assert players._unviolated(SURE | verdict_, RUN | episode_)[0] == word
+
+
+def test_what_was_violated_comes_first():
+    html = render(session_record())
+    ids = re.findall(r'<tbody class="requirement" id="requirement-([A-Z]+-1)"', html)
+    assert ids == ["PERF-1", "SAF-1", "SEC-1"]
+    rows = section(html, "requirements")
+    assert rows.index("a/clear+ghost ✗ violated") < rows.index("a/clear ✓ supported")
+
+
+def test_a_reason_of_the_gate_leads_to_its_verdict(html):
+    link = f'<a href="#{verdict_anchor("SAF-1", "a/clear+ghost")}">SAF-1 on a/clear+ghost is'
+    assert link in html
+
+
+def test_a_cell_of_the_heat_map_says_how_many_more_were_run_than_counted():
+    one = verdict("SAF-1", "a/clear+ghost", ("violated", "invalid", "invalid"))
+    words = section(render(session_record(verdicts=[one])), "faults")
+    assert "1/1 ✗ of 3 run" in words
+    one = verdict("SAF-1", "a/clear+ghost", ("violated", "satisfied"))
+    assert "1/2 ✗ SEC" in section(render(session_record(verdicts=[one])), "faults")
+
+
+def test_coverage_tells_verdicts_without_any_run():
+    record = session_record()
+    words = section(render(record), "coverage")
+    assert "4 of 5 cells" in words
+    assert "1 supported, 2 violated, 1 undecided. 1 are untested" in words
+    verdicts = [
+        {**one, "run": 0} if one["verdict"] == "undecided" else one for one in record["verdicts"]
+    ]
+    words = section(render(session_record(verdicts=verdicts)), "coverage")
+    assert "1 undecided, 1 of these without any run that was judged" in words
+
+
+def test_provenance_tells_inputs_that_changed_and_over_what_a_digest_is():
+    record = session_record()
+    inputs = [
+        {"path": "a.py", "kind": "test", "sha256": None, "changed": False},
+        {"path": "b.py", "kind": "test", "sha256": "ab" * 32, "changed": True},
+    ]
+    argument = {"path": "top.yaml", "sha256": "cd" * 32, "elements": {}, "lines": {}}
+    under_test = {**record["component_under_test"], "digest": "ef" * 32, "file_count": 12}
+    html = render(session_record(inputs=inputs, argument=argument, component_under_test=under_test))
+    words = section(html, "provenance")
+    assert "a.py test could not be read" in words
+    assert f"{'ab' * 32} changed while the session ran" in words
+    assert f"{'ef' * 32} 12 files" in words
+    assert f"top.yaml, SHA-256 {'cd' * 32}" in words
+    assert record["environment"]["blas"] in words
+
+
+def test_episodes_of_which_there_is_nothing_to_tell_are_folded(html):
+    folded = re.search(r"<details><summary>(\d+) valid episodes.*?</details>", html, re.DOTALL)
+    assert folded[1] == "1"
+    assert "a/clear+ghost#0 ✓ valid" in Page(folded[0]).words
+    listed = re.search(r'<table id="episode-list".*?</table>', html, re.DOTALL)[0]
+    assert "a/clear+ghost#0" not in Page(listed).words
+    assert VIOLATING in Page(listed).words
+
+
+def test_a_mcnemar_test_without_a_pair_has_no_p():
+    pairs = dict.fromkeys(
+        ("only_with", "only_without", "both", "neither", "acted_both", "acted_neither"), 0
+    ) | {"without": "recovery_planner", "pairs": 3, "incomplete": 3, "p_value": 1.0}
+    one = verdict("SAF-1", "a/clear", ("invalid",) * 3, pairs=pairs)
+    words = section(render(session_record(verdicts=[one])), "monitors")
+    assert "SAF-1 a/clear 0 (+3 incomplete) 0 0 0 0 \N{EN DASH}" in words

@@ -94,15 +94,15 @@ def _component(record: SessionRecord, facts: Facts) -> Element:
 
 
 def _domain(record: SessionRecord) -> Element:
-    cells = record["coverage"]["cells"]
-    untested = sum(one["verdict"] is None for one in cells)
+    cells, left_out = record["coverage"]["cells"], record["coverage"]["left_out"]
+    untested = left_out + sum(one["verdict"] is None for one in cells)
     scenarios = sorted({one["scenario"] for one in record["cases"]})
     faults = sorted({fault["id"] for one in record["cases"] for fault in one["faults"]})
     return Element(
         "CDomain",
-        f"Operational domain as tested: {len(cells)} cells of requirement, scenario and faults, "
-        f"{untested} of them untested. Scenarios: {names_text(scenarios) or 'none'}. Faults: "
-        f"{names_text(faults) or 'none'}.",
+        f"Operational domain as tested: {len(cells) + left_out} cells of requirement, scenario and "
+        f"faults, {untested} of them untested. Scenarios: {names_text(scenarios) or 'none'}. "
+        f"Faults: {names_text(faults) or 'none'}.",
         url="evidence.json#/coverage",
         alias="context:domain",
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
@@ -28,6 +29,8 @@ def section(record: SessionRecord, _gathered: Gathered, _links: Links) -> Data:
         if cell["requirement"] not in requirements:
             requirements.append(cell["requirement"])
     columns = sorted(places)
+    words = Counter(one["verdict"] for one in found["cells"])
+    judged = {_place(one) for one in record["verdicts"] if one["run"]}
     return {
         "matrix": matrix(
             [heading(name, anchor=requirement_anchor(name)) for name in requirements],
@@ -40,10 +43,19 @@ def section(record: SessionRecord, _gathered: Gathered, _links: Links) -> Data:
             "Scenario and faults",
         ),
         "tested": sum(one["verdict"] is not None for one in found["cells"]),
+        "words": {word: words[word] for word in ("supported", "violated", "undecided")},
+        "not_run": sum(
+            one["verdict"] is not None and _place(one) not in judged for one in found["cells"]
+        ),
         "cells": len(found["cells"]) + found["left_out"],
         "left_out": found["left_out"],
         "parameters": [_parameter(one) for one in found["parameters"]],
     }
+
+
+def _place(one: Data) -> tuple[str, str, str]:
+    """What a cell and the verdicts on it have in common."""
+    return one["requirement"], one["case"], one["component"]
 
 
 def _parameter(one: Data) -> Data:

@@ -6,7 +6,13 @@ from collections.abc import Mapping
 from typing import Any
 
 from pytest_dura.evidence.formats.report.anchors import case_anchor, requirement_anchor
-from pytest_dura.evidence.formats.report.gathering import CaseTally, Gathered, Key, Listed
+from pytest_dura.evidence.formats.report.gathering import (
+    UNREMARKABLE,
+    CaseTally,
+    Gathered,
+    Key,
+    Listed,
+)
 from pytest_dura.evidence.formats.report.links import Links
 from pytest_dura.evidence.record.session_record import SessionRecord
 
@@ -27,7 +33,11 @@ def section(record: SessionRecord, gathered: Gathered, links: Links) -> Data:
         "counts": counts,
         "several": len({key[1] for key in gathered.cases}) > 1,
         "total": gathered.total,
-        "rows": [_row(one, links, anchors) for one in gathered.listed],
+        "shown": len(gathered.listed),
+        "rows": [_row(one, links, anchors) for one in gathered.listed if one.rank < UNREMARKABLE],
+        "others": [
+            _row(one, links, anchors) for one in gathered.listed if one.rank == UNREMARKABLE
+        ],
         "left_out": gathered.total - len(gathered.listed),
     }
 

@@ -59,8 +59,10 @@ def _cell(verdicts: list[Data] | None) -> Data:
     if not verdicts:
         return {"word": "untested"}
     n = sum(one["episodes"] for one in verdicts)
+    run = sum(one["run"] for one in verdicts)
     violations = sum(one["violations"] for one in verdicts)
     if not n:
         return {"word": "no valid episode", "cases": len(verdicts)}
     step = sum(violations / n > bound for bound in STEPS)
-    return {"word": "", "n": n, "violations": violations, "step": step, "cases": len(verdicts)}
+    counts = {"n": n, "run": run, "violations": violations, "cases": len(verdicts)}
+    return {"word": "", "step": step, **counts}

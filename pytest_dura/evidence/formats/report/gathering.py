@@ -18,6 +18,8 @@ MAX_LISTED = 1000
 """Episodes in the list."""
 MAX_DOTS = 200
 """Runs of a case that are drawn one by one."""
+UNREMARKABLE = 4
+"""Rank of an episode of which there is nothing to tell."""
 MAX_CANDIDATES = 36
 """Episodes among which those with a player are chosen; the traces of some may be damaged."""
 
@@ -148,7 +150,8 @@ def _rank(episode: Data, violates: tuple[str, ...]) -> int:
     if episode["validity"] != "valid":
         return 1 if episode["validity"] == "missing" else 2
     outcome = episode["outcome"]
-    return 3 if outcome["flagged"] or outcome["collided"] or outcome["gridlock"] else 4
+    marked = outcome["flagged"] or outcome["collided"] or outcome["gridlock"]
+    return UNREMARKABLE - 1 if marked else UNREMARKABLE
 
 
 _KEPT = (

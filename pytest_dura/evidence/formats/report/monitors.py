@@ -35,7 +35,13 @@ def section(record: SessionRecord, _gathered: Gathered, _links: Links) -> Data:
         for one in record["verdicts"]
         if one["pairs"] and "only_with" in one["pairs"]
     ]
-    return {"rows": _together(told), "silent": len(record["monitors"]) - len(told), "pairs": pairs}
+    horizons = sorted({one["horizon"] for one in told if one["horizon"] is not None})
+    return {
+        "rows": _together(told),
+        "horizons": horizons,
+        "silent": len(record["monitors"]) - len(told),
+        "pairs": pairs,
+    }
 
 
 def _together(found: list[Data]) -> list[Data]:

@@ -11,6 +11,7 @@ from pytest_dura.evidence.formats.report import (
     coverage,
     episodes,
     faults,
+    gate,
     monitors,
     provenance,
     requirements,
@@ -32,6 +33,7 @@ HERE = Path(__file__).parent
 
 Section = Callable[[SessionRecord, Gathered, Links], Mapping[str, Any]]
 SECTIONS: Mapping[str, Section] = {
+    "gate": gate.section,
     "requirements": requirements.section,
     "scenarios": scenarios.section,
     "faults": faults.section,

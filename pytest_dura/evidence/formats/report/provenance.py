@@ -13,6 +13,7 @@ Data = Mapping[str, Any]
 
 UNKNOWN: dict[str, Any] = {
     "name": None, "path": "", "params": {}, "version": None, "digest": None, "opaque": False,
+    "file_count": 0,
 }  # fmt: skip
 """A component of which nothing was heard."""
 
@@ -25,6 +26,7 @@ def section(record: SessionRecord, _gathered: Gathered, _links: Links) -> Data:
         "packages": sorted(record["environment"]["packages"].items()),
         "redacted": sorted(record["redacted"].items()),
         "inputs": record["inputs"],
+        "argument": record["argument"],
         "timings": record["timings"],
         "processing": sorted(record["timings"]["processing_seconds"].items()),
         "baseline": record["baseline"],

@@ -10,6 +10,7 @@ from pytest_dura.evidence.formats.report.gathering import Gathered
 from pytest_dura.evidence.formats.report.links import Links
 from pytest_dura.evidence.record.session_record import SessionRecord
 
+WORST_FIRST = ("violated", "undecided", "supported")
 MAX_COUNTEREXAMPLES = 5
 """Counterexamples of a verdict that are named; the list of episodes has more."""
 SEQUENTIAL = ("sprt", "e-process")
@@ -19,12 +20,12 @@ Data = Mapping[str, Any]
 
 
 def section(record: SessionRecord, _gathered: Gathered, links: Links) -> Data:
-    """The requirements in the record's order, each with its verdicts."""
+    """The requirements with their verdicts, the worst first, or else in the record's order."""
     several = len({one["component"] for one in record["cases"]}) > 1
     rows: dict[str, list[Data]] = {}
     anchors: set[str] = set()
     methods: dict[tuple[str, str], int] = {}
-    for verdict in record["verdicts"]:
+    for verdict in sorted(record["verdicts"], key=_badness):
         found = verdict_anchor(verdict["requirement"], verdict["case"])
         own = None if found in anchors else found
         anchors.add(found)
@@ -38,7 +39,12 @@ def section(record: SessionRecord, _gathered: Gathered, links: Links) -> Data:
     others = [
         {"declared": False, **_described({"id": name}), "rows": left} for name, left in rows.items()
     ]
+    groups.sort(key=lambda group: min(map(_badness, group["rows"]), default=len(WORST_FIRST)))
     return {"groups": groups + others, "several": several, "methods": list(methods)}
+
+
+def _badness(verdict: Data) -> int:
+    return WORST_FIRST.index(verdict["verdict"])
 
 
 def _described(requirement: Data) -> Data:

@@ -1,0 +1,107 @@
+"""What a session shows and what it does not, in plain sentences, computed from the record."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from pytest_dura.evidence.record.session_record import SessionRecord
+from pytest_dura.evidence.text import name
+
+Data = Mapping[str, Any]
+MOST_NAMES = 8
+"""Requirements that a sentence names."""
+
+
+def shown(record: SessionRecord) -> Iterator[str]:
+    """What the verdicts come to. Names in it are a user's, and have to be escaped."""
+    verdicts = record["verdicts"]
+    if not verdicts:
+        yield "No requirement led to a verdict."
+        return
+    violated = [one for one in verdicts if one["verdict"] == "violated"]
+    if violated:
+        ids = list(dict.fromkeys(one["requirement"] for one in violated))
+        names = ", ".join(map(name, ids[:MOST_NAMES]))
+        more = f" and {len(ids) - MOST_NAMES} more" if len(ids) > MOST_NAMES else ""
+        yield (
+            f"{_share(violated, verdicts)} violated ({names}{more}): episodes that violate them "
+            "are named and can be replayed."
+        )
+    supported = [one for one in verdicts if one["verdict"] == "supported"]
+    if supported:
+        yield f"{_share(supported, verdicts)} supported.{_weakest(supported)}"
+    else:
+        yield f"None of {len(verdicts)} verdicts is supported."
+
+
+def not_shown(record: SessionRecord) -> Iterator[str]:
+    """What nobody may conclude from this session."""
+    if record["status"] != "complete" or record["gate"]["result"] == "incomplete":
+        yield "The session did not come to its end: what it would have shown is not known."
+    verdicts, totals = record["verdicts"], record["totals"]
+    undecided = [one for one in verdicts if one["verdict"] == "undecided"]
+    if undecided:
+        blind = sum(one["episodes"] == 0 for one in undecided)
+        rest = f", {blind} of them without a single valid episode" if blind else ""
+        yield f"{_share(undecided, verdicts)} undecided{rest}: they show neither."
+    waived = [one for one in verdicts if one["waiver"] is not None]
+    if waived:
+        yield f"{_share(waived, verdicts)} waived: let through by name, not by evidence."
+    yield from _untried(record)
+    spoilt = totals["invalid"] + totals["missing"]
+    if spoilt:
+        yield (
+            f"{totals['invalid']} of {totals['episodes']} episodes are invalid and "
+            f"{totals['missing']} missing: they support nothing, and what one of them violates "
+            "counts all the same."
+        )
+    supported = sum(one["verdict"] == "supported" for one in verdicts)
+    if supported:
+        yield (
+            "That no violation was seen does not mean that there can be none: the bound says how "
+            "frequent they may still be."
+        )
+    if supported > 1:
+        yield "Each bound holds by itself with its confidence; that all hold at once is less sure."
+    recoveries = sum(one["metrics"]["recoveries"] for one in record["cases"] if not one["without"])
+    if recoveries:
+        yield (
+            f"Recovery acted {recoveries} times in valid episodes: what is judged is the component "
+            "together with its monitors and its recovery, not the component alone."
+        )
+    yield (
+        "All of it is simulated: nothing is said of conditions that the scenarios and their ranges "
+        "do not contain."
+    )
+
+
+def _untried(record: SessionRecord) -> Iterator[str]:
+    cells, left_out = record["coverage"]["cells"], record["coverage"]["left_out"]
+    untested = left_out + sum(one["verdict"] is None for one in cells)
+    if untested:
+        yield (
+            f"{untested} of {len(cells) + left_out} combinations of requirement, scenario and "
+            "faults were not tried."
+        )
+    unheard = sum(one["missing_runs_total"] for one in record["cases"])
+    if unheard:
+        yield f"{unheard} planned episodes were not run."
+
+
+def _share(part: list[Data], whole: list[Data]) -> str:
+    return f"{len(part)} of {len(whole)} verdicts {'is' if len(part) == 1 else 'are'}"
+
+
+def _weakest(supported: list[Data]) -> str:
+    """The greatest bound of them, with its confidence and its n."""
+    known = [one for one in supported if one["bound"]["upper"] is not None]
+    if not known:
+        return ""
+    worst = max(known, key=lambda one: float(one["bound"]["upper"]))
+    told = worst["bound"]
+    return (
+        f" The weakest bound among them: at most {100 * told['upper']:.3g} % of such episodes "
+        f"violate the requirement, with {100 * told['confidence']:.3g} % confidence "
+        f"(n = {worst['episodes']})."
+    )

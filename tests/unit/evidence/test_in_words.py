@@ -1,0 +1,75 @@
+"""What the report and the summary say in sentences of a session."""
+
+from __future__ import annotations
+
+import pytest
+from session_records import session_record, verdict
+
+from pytest_dura.evidence.formats import summary
+from pytest_dura.evidence.formats.in_words import not_shown, shown
+from pytest_dura.evidence.formats.report import render
+
+SUPPORTED = verdict("SAF-1", "a/clear", ("satisfied",) * 14)
+WIDER = verdict("SAF-1", "a/clear+ghost", ("satisfied",) * 3)
+UNDECIDED = verdict("SEC-1", "a/clear+ghost", ("invalid",) * 2)
+PASSED = {"result": "passed", "exit_code": 0, "reasons": []}
+
+
+def told(sentences, **changes):
+    return " ".join(sentences(session_record(**changes)))
+
+
+def test_what_is_violated_and_supported_comes_with_the_weakest_bound_and_its_n():
+    text = told(shown, verdicts=[SUPPORTED, WIDER, verdict("PERF-1", "a/clear", ("violated",))])
+    assert text.startswith("1 of 3 verdicts is violated (PERF-1)")
+    assert "2 of 3 verdicts are supported." in text
+    # The bound of three runs without a violation is one minus the cube root of 0.05.
+    assert "at most 63.2 % of such episodes" in text
+    assert "with 95 % confidence (n = 3)" in text
+
+
+def test_a_session_that_supports_nothing_says_so():
+    assert told(shown, verdicts=[]) == "No requirement led to a verdict."
+    text = told(shown, verdicts=[UNDECIDED])
+    assert text == "None of 1 verdicts is supported."
+    assert "no violation" not in told(not_shown, verdicts=[UNDECIDED])
+
+
+def test_what_was_not_tried_or_did_not_count_is_told():
+    cases = session_record()["cases"]
+    recovered = {**cases[0]["metrics"], "recoveries": 7}
+    cases = [{**cases[0], "missing_runs_total": 4, "metrics": recovered}, cases[1]]
+    coverage = {**session_record()["coverage"], "left_out": 5}
+    text = told(not_shown, verdicts=[SUPPORTED, UNDECIDED], cases=cases, coverage=coverage)
+    assert "1 of 2 verdicts is undecided, 1 of them without a single valid episode" in text
+    assert "6 of 10 combinations of requirement, scenario and faults were not tried" in text
+    assert "4 planned episodes were not run" in text
+    assert "1 of 6 episodes are invalid and 1 missing" in text
+    assert "Recovery acted 7 times" in text
+    assert "simulated" in text
+    assert "holds by itself" not in text
+    assert "holds by itself" in told(not_shown, verdicts=[SUPPORTED, WIDER])
+
+
+def test_recovery_in_reference_arms_is_not_counted():
+    case = session_record()["cases"][0]
+    arm = {**case, "without": ["x"], "metrics": {**case["metrics"], "recoveries": 7}}
+    assert "Recovery acted" not in told(not_shown, cases=[case, arm])
+
+
+@pytest.mark.parametrize("status, end", [("complete", False), ("interrupted", True)])
+def test_an_incomplete_session_shows_no_more_than_it_ran(status, end):
+    assert ("did not come to its end" in told(not_shown, status=status, gate=PASSED)) is end
+
+
+def test_report_and_summary_say_the_same_and_names_in_it_are_escaped():
+    requirement = session_record()["requirements"][0]
+    named = {**requirement, "id": "<b>|x"}
+    bad = {**verdict("PERF-1", "a/clear", ("violated",)), "requirement": "<b>|x"}
+    record = session_record(requirements=[named], verdicts=[bad])
+    page, text = render(record), summary.render(record)
+    assert "violated (&lt;b&gt;|x): episodes" in page
+    assert "violated (<b>" not in text
+    for sentence in not_shown(record):
+        assert sentence in text
+        assert sentence in page
