@@ -25,7 +25,7 @@ def shown(record: SessionRecord) -> Iterator[str]:
         names = ", ".join(map(name, ids[:MOST_NAMES]))
         more = f" and {len(ids) - MOST_NAMES} more" if len(ids) > MOST_NAMES else ""
         yield (
-            f"{_share(violated, verdicts)} violated ({names}{more}): episodes that violate them "
+            f"{_share(violated, verdicts)} violated ({names}{more}): the episodes "
             "are named and can be replayed."
         )
     supported = [one for one in verdicts if one["verdict"] == "supported"]

@@ -68,7 +68,7 @@ def test_report_and_summary_say_the_same_and_names_in_it_are_escaped():
     bad = {**verdict("PERF-1", "a/clear", ("violated",)), "requirement": "<b>|x"}
     record = session_record(requirements=[named], verdicts=[bad])
     page, text = render(record), summary.render(record)
-    assert "violated (&lt;b&gt;|x): episodes" in page
+    assert "violated (&lt;b&gt;|x): the episodes" in page
     assert "violated (<b>" not in text
     for sentence in not_shown(record):
         assert sentence in text

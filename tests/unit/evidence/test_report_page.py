@@ -150,7 +150,7 @@ def test_the_chain_of_a_fault_has_its_counts_outcomes_and_latencies():
 def test_untested_cells_and_drawn_parts_of_ranges_are_shown(html):
     words = section(html, "coverage")
     assert "4 of 5 cells" in words
-    assert words.count("○ untested") == 1
+    assert words.count("○ untested") == 2  # the cell, and the legend
     assert "world.wall 2 to 6 6 2.5 to 5 0 2 1 2 1 0 0 0 0 0 4/10 (40 %)" in words.replace(
         "\N{NO-BREAK SPACE}", " "
     )
@@ -459,10 +459,14 @@ def test_a_reason_of_the_gate_leads_to_its_verdict(html):
     assert link in html
 
 
-def test_a_cell_of_the_heat_map_says_how_many_more_were_run_than_counted():
+def test_a_cell_of_the_heat_map_says_on_what_it_rests_and_whether_that_is_enough():
     one = verdict("SAF-1", "a/clear+ghost", ("violated", "invalid", "invalid"))
     words = section(render(session_record(verdicts=[one])), "faults")
     assert "1/1 ✗ of 3 run" in words
+    one = verdict("SAF-1", "a/clear+ghost", ("satisfied",), planned=3)
+    html = render(session_record(verdicts=[one]))
+    assert "? undecided 0/1 SEC" in section(html, "faults")
+    assert '<td class="step-0">' not in html
     one = verdict("SAF-1", "a/clear+ghost", ("violated", "satisfied"))
     assert "1/2 ✗ SEC" in section(render(session_record(verdicts=[one])), "faults")
 

@@ -62,7 +62,8 @@ def _cell(verdicts: list[Data] | None) -> Data:
     run = sum(one["run"] for one in verdicts)
     violations = sum(one["violations"] for one in verdicts)
     if not n:
-        return {"word": "no valid episode", "cases": len(verdicts)}
+        return {"word": "no valid episode"}
     step = sum(violations / n > bound for bound in STEPS)
-    counts = {"n": n, "run": run, "violations": violations, "cases": len(verdicts)}
-    return {"word": "", "step": step, **counts}
+    doubt = not violations and any(one["verdict"] == "undecided" for one in verdicts)
+    counts = {"n": n, "run": run, "violations": violations}
+    return {"word": "", "step": step, "doubt": doubt, **counts}
