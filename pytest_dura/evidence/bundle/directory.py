@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import re
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -34,7 +33,6 @@ RENDERED = (
 """The other files of a bundle; the manifest comes first where they are removed."""
 TRACES = FOLDER
 """The folder of the traces."""
-_BEYOND = re.compile("[^\x00-\x7e]+")
 BEGUN = tuple(map(temporary_prefix, (RECORD, *RENDERED)))
 
 
@@ -245,11 +243,18 @@ def _json(value: Any) -> str:
     JSON asks that of the control characters below the blank alone; a terminal acts on others, too.
     """
     text = json.dumps(value, indent=1, ensure_ascii=False, allow_nan=False)
-    return _BEYOND.sub(_visible, text)
+    return text if text.isascii() and "\x7f" not in text else text.translate(_SHOWN)
 
 
-def _visible(match: re.Match[str]) -> str:
-    run = match[0]
-    if run.isprintable():
-        return run
-    return "".join(one if one.isprintable() else json.dumps(one)[1:-1] for one in run)
+class _Shown(dict[int, str]):
+    """What stands for a character in JSON, found once for each."""
+
+    def __missing__(self, point: int) -> str:
+        char = chr(point)
+        seen = point < _DELETE or char.isprintable()
+        self[point] = found = char if seen else json.dumps(char)[1:-1]
+        return found
+
+
+_DELETE = 0x7F
+_SHOWN = _Shown()
