@@ -211,3 +211,14 @@ def test_what_looks_like_a_number_to_yaml_1_2_is_quoted():
         requirements=[given], verdicts=[], coverage={"cells": [], "left_out": 0, "parameters": []}
     )
     assert '\n  source: "1e3"\n' in yaml_file.render(record)
+
+
+def test_a_parameter_with_choices_names_them():
+    found = session_record()["coverage"]
+    choices = [{"value": "left", "count": 2}, {"value": "right", "count": 0}]
+    (spread,) = found["parameters"]
+    chosen = {**spread, "parameter": "world.turn", "low": None, "high": None, "choices": choices}
+    record = session_record(coverage={**found, "parameters": [spread, {**chosen, "covered": 0.5}]})
+    text = by_alias(elements(record), "scenario:a/clear")["text"]
+    assert "world.wall in [2, 6], 6 drawn, 40 % of its tenths reached" in text
+    assert "world.turn one of left, right; 6 drawn, 50 % of the choices reached" in text

@@ -97,12 +97,17 @@ def scenario_text(scenario: str, parameters: list[Data]) -> str:
     """A scenario of the operational domain, with its variation ranges."""
     if not parameters:
         return f"Scenario {name(scenario)}: no parameter varies."
-    told = [
-        f"{name(one['parameter'])} in [{_figure(one['low'])}, {_figure(one['high'])}], "
-        f"{one['drawn']} drawn, {percent(one['covered'])} of its bins reached"
-        for one in parameters
-    ]
+    told = [f"{name(one['parameter'])} {_range_text(one)}" for one in parameters]
     return f"Scenario {name(scenario)}: {'; '.join(told)}."
+
+
+def _range_text(parameter: Data) -> str:
+    drawn, covered = parameter["drawn"], percent(parameter["covered"])
+    if parameter["choices"] is None:
+        low, high = _figure(parameter["low"]), _figure(parameter["high"])
+        return f"in [{low}, {high}], {drawn} drawn, {covered} of its tenths reached"
+    choices = names_text([str(one["value"]) for one in parameter["choices"]])
+    return f"one of {choices}; {drawn} drawn, {covered} of the choices reached"
 
 
 def monitor_text(monitor: str, target: str, rows: list[Data]) -> str:
