@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import shlex
+import sys
+from collections.abc import Iterable
 from datetime import datetime, timezone
 from pathlib import Path
 from time import perf_counter
@@ -46,6 +48,12 @@ class SessionEvidence:
         self._lock: DirectoryLock | None = None
         self._begun = perf_counter()
         self._spent = 0.0
+        self.interrupted = False
+        """Whether a key or ``pytest.exit`` ended it, whatever the exit code."""
+        self._heard = False
+        self._due: set[str] = set()
+        """Items of ours that have not reported yet, where this process runs them."""
+        self._telling: set[str] = set()
         self._failed: set[str] = set()
         self._inputs: SessionInputs | None = None
 
@@ -105,9 +113,16 @@ class SessionEvidence:
                     # As the items themselves will tell it.
                     self.record.expect(*self.session.redact(told))
 
-    def read_from(self, items: list[str]) -> None:
-        """Note the files of tests that will run, as near as can be to when they were read."""
+    def read_from(self, items: list[str], telling: Iterable[str] = ()) -> None:
+        """Note the tests that will run, and their files, as near as can be to when they were read.
+
+        Args:
+            items: Node ids of tests that use the bench.
+            telling: Those of them whose reports carry what they are to decide.
+        """
         if self.record is not None:
+            self._due.update(items)
+            self._telling.update(telling)
             for item in items:
                 self._sources().item(item)
 
@@ -115,9 +130,11 @@ class SessionEvidence:
         """Take in what an item told."""
         if self.session.is_worker:
             return
-        begun = perf_counter()
+        begun, self._heard = perf_counter(), True
         # Terminal and others keep the reports of all items.
         told = vars(report).pop(ATTRIBUTE, None)
+        if told is not None or report.nodeid not in self._telling:
+            self._due.discard(report.nodeid)
         if report.failed:
             self._failed.add(report.nodeid)
         if told is not None:
@@ -166,16 +183,38 @@ class SessionEvidence:
         finally:
             self._unlock()
 
+    def insist(self, session: pytest.Session) -> None:
+        """Let no plugin that comes later turn the exit code of a failed session into a success."""
+        if self.record is None or session.exitstatus != pytest.ExitCode.OK:
+            return
+        code = int(pytest.ExitCode.INTERNAL_ERROR)  # the evidence was never written
+        if self.final is not None and self.file is not None:
+            code = self.final["gate"]["exit_code"]
+        if code:
+            print(  # noqa: T201 - the terminal's own report is over
+                f"dura: the gate did not pass, and another plugin set exit code 0: it is {code}",
+                file=sys.stderr,
+            )
+            session.exitstatus = code
+
+    def _unheard(self, session: pytest.Session) -> list[str]:
+        """What other plugins kept from running, in a session that they let end as a success."""
+        if session.exitstatus == pytest.ExitCode.OK and not self._heard:
+            return ["no test was run"]
+        return [f"{name} never told what it came to" for name in sorted(self._due)]
+
     def _judged(self, session: pytest.Session) -> tuple[Gate, SessionRecord]:
         """What the session comes to, and its record."""
         assert self.record is not None
         begun = perf_counter()
-        stopped = bool(session.shouldstop or session.shouldfail)
+        stopped = self.interrupted or bool(session.shouldstop or session.shouldfail)
         interrupted = stopped or session.exitstatus not in REGULAR
         status: Status = "interrupted" if interrupted else "complete"
         warn_undecided = self.session.options.warn_undecided
         record = self.given.compared(self.record.record(status))
         self.objections = [*self.record.problems, *self.given.worse(record)]
+        if not interrupted:
+            self.objections += self._unheard(session)
         gate = Gate.of(
             record["verdicts"],
             self.objections,

@@ -30,10 +30,12 @@ class SessionHooks:
 
     def __init__(self, session: DuraSession) -> None:
         self.session = session
+        self._pytest_session: pytest.Session | None = None
 
     @pytest.hookimpl(tryfirst=True)
-    def pytest_sessionstart(self) -> None:
+    def pytest_sessionstart(self, session: pytest.Session) -> None:
         """Check the options before anything runs."""
+        self._pytest_session = session
         self.session.start()
 
     def pytest_report_header(self) -> list[str]:
@@ -97,7 +99,8 @@ class SessionHooks:
         own = [item.nodeid for item in session.items if uses_bench(item)]
         if own:
             self.session.begin_evidence()
-        self.session.evidence.read_from(own)
+        marked = [one.nodeid for one in session.items if one.get_closest_marker("dura")]
+        self.session.evidence.read_from(own, set(own).intersection(marked))
         self.session.check_argument()
         self.session.evidence.expect([item.nodeid for item in session.items])
 
@@ -167,6 +170,16 @@ class SessionHooks:
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
         """Write the evidence."""
         self.session.evidence.finish(session)
+
+    def pytest_keyboard_interrupt(self) -> None:
+        """Note that the session did not end by itself; ``pytest.exit`` may call that a success."""
+        self.session.evidence.interrupted = True
+
+    @pytest.hookimpl(trylast=True)
+    def pytest_unconfigure(self) -> None:
+        """Have the last word on the exit code of a session that the evidence does not support."""
+        if self._pytest_session is not None:
+            self.session.evidence.insist(self._pytest_session)
 
     def pytest_terminal_summary(self, terminalreporter: Any) -> None:
         """Show cases, verdicts and failures."""

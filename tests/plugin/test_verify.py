@@ -245,7 +245,9 @@ CHANGES = {
 
 @pytest.mark.parametrize("change", CHANGES.values(), ids=list(CHANGES))
 def test_a_record_that_contradicts_itself_is_found_though_its_hashes_are_true(bundle, change):
-    assert not changed(bundle, change).intact
+    """By the record and its traces alone: the formats, which say what it said before, aside."""
+    found = changed(bundle, change).problems
+    assert any(one.startswith(("evidence.json: ", "episodes/")) for one in found), found
 
 
 def cut(pattern):

@@ -42,7 +42,11 @@ def _written(record: SessionRecord) -> SessionRecord:
         if one["trace"] is not None
     }
     clear_traces(record.directory, traces)
-    broken: dict[str, str] = {}
+    broken = {
+        file: "it is not there as it was written"
+        for file, told in traces.items()
+        if _size(record.directory / file) != told["bytes"]
+    }
     while True:
         found = _with_problems(record, broken)
         write_record(found.directory, found)
@@ -82,6 +86,14 @@ def _withdraw(record: SessionRecord, error: BaseException, before: object) -> No
     except ConfigurationError:  # there is not even room for that
         with suppress(OSError):
             file.unlink(missing_ok=True)
+
+
+def _size(file: Path) -> int | None:
+    """Of a file as it lies there; ``None`` for none."""
+    try:
+        return file.lstat().st_size
+    except OSError:
+        return None
 
 
 def _identity(file: Path) -> tuple[int, int] | None:

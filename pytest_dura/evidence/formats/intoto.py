@@ -6,8 +6,8 @@ What a policy may conclude, and what not:
   statement stands for what that record holds. A component without a digest is named among the
   annotations of the campaign only, because a statement on it could not be tied to anything.
 - ``PASSED``: the gate passed and every verdict is supported, none of them waived. ``WARNED``: the
-  gate passed, with waivers or with undecided verdicts that it was told to let through. ``FAILED``:
-  all else, an incomplete session included.
+  gate passed, without any verdict, with waivers, or with undecided verdicts that it was told to let
+  through. ``FAILED``: all else, an incomplete session included.
 - Each verdict is one test, ``case::requirement``. Supported ones passed, waived ones are warned,
   and violated and undecided ones failed, whatever the gate lets through.
 - The campaign is the first configuration. Its digest is that of the plan: cases, faults, number of
@@ -133,7 +133,7 @@ def _list_of(verdict: Data) -> str:
 def _result(record: SessionRecord) -> str:
     if record["gate"]["result"] != "passed" or record["status"] != "complete":
         return "FAILED"
-    clean = True
+    clean = bool(record["verdicts"])  # without any, nothing was shown
     for verdict in record["verdicts"]:
         if verdict["verdict"] == "violated" and verdict["waiver"] is None:
             return "FAILED"  # no gate lets it through; what says so is damaged

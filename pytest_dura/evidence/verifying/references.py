@@ -6,7 +6,6 @@ import re
 from collections.abc import Iterator
 from importlib import import_module
 
-from pytest_dura.core.errors import DuraError
 from pytest_dura.evidence.formats import Format, all_formats
 from pytest_dura.evidence.record.counts import Counts
 from pytest_dura.evidence.record.session_record import SessionRecord
@@ -22,15 +21,7 @@ def format_problems(record: SessionRecord, counts: Counts) -> Iterator[str]:
 def _told(one: Format, record: SessionRecord, counts: Counts) -> Iterator[str]:
     try:
         yield from _format(one, record, counts)
-    except (
-        DuraError,
-        OSError,
-        LookupError,
-        TypeError,
-        ValueError,
-        AttributeError,
-        RecursionError,
-    ) as error:
+    except Exception as error:  # a damaged record may break what renders it anywhere
         yield f"cannot be read back ({type(error).__name__}: {error})"
 
 

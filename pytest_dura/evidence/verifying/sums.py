@@ -11,7 +11,6 @@ from typing import Any
 from pytest_dura.core.episode import canonical
 from pytest_dura.evidence.bundle.directory import RECORD
 from pytest_dura.evidence.record.counts import Counts
-from pytest_dura.evidence.record.evidence_record import UNKNOWN
 from pytest_dura.evidence.record.session_record import SessionRecord
 from pytest_dura.evidence.verifying.episodes import episode_problems
 from pytest_dura.requirements.statistics import METHOD
@@ -35,8 +34,11 @@ def _problems(record: SessionRecord, counts: Counts) -> Iterator[str]:
     ids: set[Key] = set()
     sums: dict[Key, Counter[str]] = defaultdict(Counter)
     known: set[bytes] = set()
+    described = {one["name"] for one in _components(record)} | {"none"}
     for episode in record.episodes():
         ids.add((episode["id"], episode["component"]))
+        if episode["component"] not in described:
+            yield f"component_under_test: {episode['component']} is not described"
         if (episode["case"], episode["component"]) not in cases:
             yield f"episode {episode['id']}: its case is not listed"
         else:
@@ -68,9 +70,6 @@ def _session(record: SessionRecord, counts: Counts) -> Iterator[str]:
         yield "cases: one of them is listed twice"
     if len(requirements) < len(record["requirements"]):
         yield "requirements: one of them is listed twice"
-    components = {one["name"] for one in _components(record)}
-    for name in sorted({component for _, component in cases} - components - {"none", UNKNOWN}):
-        yield f"component_under_test: {name} is not described"
     hashed = {(one["path"], one["sha256"]) for one in record["inputs"]}
     for file in (file for one in _components(record) for file in one.get("files") or ()):
         if (file["path"], file["sha256"]) not in hashed:
