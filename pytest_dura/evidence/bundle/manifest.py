@@ -50,8 +50,6 @@ def manifest_problems(directory: Path) -> Iterator[str]:
     for name in sorted(there & set(listed)):
         if (directory / name).is_symlink():
             yield f"{name}: a link, where a bundle holds files only"
-        elif not (directory / name).is_file():
-            yield f"{name}: no file, where a bundle holds files only"
         elif file_entry(directory / name) != listed[name]:
             yield f"{name}: changed since it was written (its SHA-256 differs)"
 

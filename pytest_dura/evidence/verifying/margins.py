@@ -30,7 +30,7 @@ def margin_problems(verdict: Data, on_traces: Iterable[EpisodeVerdict]) -> Itera
     """
     margins = verdict["margins"]
     listed = [counterexample["margin"] for counterexample in verdict["counterexamples"]]
-    order = [margin or 0.0 for margin in listed]
+    order = [(one["margin"] or 0.0, one["episode"]) for one in verdict["counterexamples"]]
     if order != sorted(order):
         yield "its counterexamples are not in the order of their margins"
     if (margins is None) != (verdict["margin"] is None):
