@@ -223,7 +223,7 @@ class SessionEvidence:
             failed=len(self._failed),
             warn_undecided=warn_undecided,
         )
-        if session.exitstatus == pytest.ExitCode.OK:
+        if session.exitstatus == pytest.ExitCode.OK and not interrupted:
             # Of runs that `-k` left out, or a violation that a test caught.
             self.objections += [
                 f"the gate fails: {name} on {case} is {word}, though every test passed"
