@@ -51,6 +51,12 @@ def test_a_file_that_is_nested_too_deeply_is_no_record(tmp_path):
         Baseline.read(".", tmp_path)
 
 
+def test_infinity_is_no_number_of_json(tmp_path):
+    written(tmp_path, damaged(lambda told: told.update(base_seed=math.inf)))
+    with pytest.raises(ConfigurationError, match="this is no evidence record"):
+        Baseline.read(".", tmp_path)
+
+
 def damaged(change):
     told = copy.deepcopy(record(verdict(3, {0})))
     change(told)
@@ -70,7 +76,6 @@ def damaged(change):
     (lambda told: told["episodes"].append(None), "TypeError"),
     (lambda told: told.update(component_under_test=None), "TypeError"),
     (lambda told: told.update(base_seed="none"), "TypeError"),
-    (lambda told: told.update(base_seed=math.inf), "TypeError"),
     (lambda told: told["verdicts"][0].update(run=10**400, episodes=10**400), "TypeError"),
     (lambda told: told["episodes"][0]["spec"].update(scenario=nested(900)), "RecursionError"),
 ])  # fmt: skip
