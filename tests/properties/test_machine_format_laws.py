@@ -100,7 +100,7 @@ def test_the_statement_is_valid_and_states_the_records_counts(record, bundle):
     clean = all(one["verdict"] == "supported" and not one["waiver"] for one in record["verdicts"])
     passed = record["gate"]["result"] == "passed" and record["status"] == "complete"
     # Of a session that decided nothing, nothing has passed.
-        assert (result.result == "PASSED") == (passed and clean and bool(tests))
+    assert (result.result == "PASSED") == (passed and clean and bool(tests))
     assert passed or result.result == "FAILED"
     assert intoto.read_counts(text) == Counts.of(record)
     assert intoto.broken_references(text, record) == []
