@@ -9,8 +9,11 @@ from io import TextIOWrapper
 from pathlib import Path
 
 from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.evidence.text import one_line, visible
 
 USAGE_ERROR = 2
+LONGEST = 2000
+"""Characters of what is told; it quotes what a damaged record holds."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -31,7 +34,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         return _verify(given.directory, given.junit_xml)
     except ConfigurationError as error:
-        print(error, file=sys.stderr)
+        print(visible(str(error), LONGEST), file=sys.stderr)
         return USAGE_ERROR
 
 
@@ -42,7 +45,7 @@ def _verify(directory: Path, junit: Path | None) -> int:
     if isinstance(sys.stdout, TextIOWrapper):  # a file's name need not be text
         sys.stdout.reconfigure(errors="backslashreplace")
     for problem in found.problems:
-        print(problem)
+        print(one_line(problem, LONGEST))
     if found.counts is not None:
         counts = found.counts
         print(

@@ -60,7 +60,8 @@ def reasons(
         lines.append(f"invalid:  {spoilt.episode}: {spoilt.detail}")
     if failures.first:
         lines.append(f"component: {failures}")
-    return lines
+    # What a component says must not read as a line of ours.
+    return [line.replace("\n", "\n    ") for line in lines]
 
 
 def describe_counterexample(example: Mapping[str, Any]) -> str:

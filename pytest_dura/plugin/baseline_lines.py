@@ -6,6 +6,7 @@ import textwrap
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from pytest_dura.evidence.text import name, one_line
 from pytest_dura.plugin.tables import WIDTH, Data, counted
 
 if TYPE_CHECKING:
@@ -50,14 +51,15 @@ def show_baseline(terminal: Any, record: SessionRecord) -> None:
         widths = [max(len(row[i]) for row in table) for i in range(len(HEAD))]
         for row, one in zip(table, [None, *rows], strict=True):
             cells = "  ".join(f"{cell:<{width}}" for cell, width in zip(row, widths, strict=True))
-            name = "requirement and case" if one is None else _name(one)
-            fits = len(cells) + 2 + len(name) <= WIDTH
-            line = f"{cells}  {name}" if fits else f"{cells}\n{'':<{widths[0] + 2}}{name}"
-            terminal.line(line, **({} if one is None else COLOURS.get(one["word"], {})))
+            about = "requirement and case" if one is None else _name(one)
+            fits = len(cells) + 2 + len(about) <= WIDTH
+            lines = [f"{cells}  {about}"] if fits else [cells, f"{'':<{widths[0] + 2}}{about}"]
+            for line in lines:
+                terminal.line(line, **({} if one is None else COLOURS.get(one["word"], {})))
         for line in LEGEND:
             terminal.line(line)
     for reason, alike in _the_rest(found).items():
-        text = f"{reason}: {_names(alike)}"
+        text = f"{one_line(reason)}: {_names(alike)}"
         for line in textwrap.wrap(text, WIDTH, subsequent_indent="  ", break_on_hyphens=False):
             terminal.line(line)
 
@@ -81,7 +83,7 @@ def _row(one: Data) -> Sequence[str]:
 
 
 def _name(one: Data) -> str:
-    return f"{one['requirement']} on {one['case']}"
+    return f"{name(one['requirement'])} on {name(one['case'])}"
 
 
 def _summary(baseline: Data) -> str:
@@ -118,4 +120,6 @@ def _names(found: Sequence[Data]) -> str:
     cases: dict[str, list[str]] = {}
     for one in found:
         cases.setdefault(one["case"], []).append(one["requirement"])
-    return "; ".join(f"{', '.join(names)} on {case}" for case, names in cases.items())
+    return "; ".join(
+        f"{', '.join(map(name, names))} on {name(case)}" for case, names in cases.items()
+    )

@@ -17,6 +17,7 @@ from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.plugin.case_records import case_record
 from pytest_dura.plugin.gate import REGULAR, Gate, unsupported_verdicts
 from pytest_dura.plugin.given_files import GivenFiles
+from pytest_dura.plugin.messages import error_text
 from pytest_dura.plugin.overrides import root_conftest_with
 from pytest_dura.plugin.reporter import ATTRIBUTE
 from pytest_dura.plugin.waivers import waiver_of
@@ -160,7 +161,7 @@ class SessionEvidence:
             self._sources().heard(told)
         except ConfigurationError as error:
             # Without its episodes there is nothing that the session could still show.
-            pytest.exit(str(error))
+            pytest.exit(error_text(error))
 
     def finish(self, session: pytest.Session) -> None:
         """Write the bundle; a session that it does not support has failed, whatever tests say."""
@@ -173,7 +174,7 @@ class SessionEvidence:
             self.final = write_bundle(self.final)
             self.file = self.final.directory / "evidence.json"
         except ConfigurationError as error:
-            self.objections += str(error).splitlines()
+            self.objections += error_text(error).splitlines()
             session.exitstatus = session.exitstatus or pytest.ExitCode.TESTS_FAILED
         else:
             # What could not be rendered counts against the session, too.

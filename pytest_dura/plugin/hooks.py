@@ -68,6 +68,10 @@ class SessionHooks:
             self.session.named_requirements.update(map(str, marker.args[:1]))
             self.session.named_requirements.add(str(marker.kwargs.get("id", "")))
         if uses_bench(item):
+            from pytest_dura.plugin.messages import make_reason_visible
+
+            for marker in item.iter_markers("xfail"):
+                make_reason_visible(marker)
             names: list[str] = item.fixturenames  # type: ignore[attr-defined]
             if names[0] != "_dura_roles":
                 names.insert(0, "_dura_roles")
@@ -123,23 +127,28 @@ class SessionHooks:
                 pytrace=False,
             )
 
-    @pytest.hookimpl(wrapper=True)
-    def pytest_pyfunc_call(self, pyfuncitem: pytest.Function) -> Generator[None, Any, Any]:
-        """Tell our own errors as failures, and refuse a pass on an episode that says nothing."""
+    @pytest.hookimpl(wrapper=True, trylast=True)
+    def pytest_fixture_setup(self) -> Generator[None, Any, Any]:
+        """Make the error of a fixture visible before others pass it on."""
         try:
-            try:
-                result = yield
-            except DuraError as error:
-                outcome = self.session.reporter.outcome_of(error)
-                raise outcome.with_traceback(error.__traceback__) from None
-            if uses_bench(pyfuncitem):
-                self.session.reporter.body_passed(pyfuncitem)
-        except BaseException as error:
-            if uses_bench(pyfuncitem):
+            return (yield)
+        except BaseException as error:  # also of `pytest.skip`; it is raised again
+            if self.session.evidence.record is not None or self.session.is_worker:
                 from pytest_dura.plugin.messages import make_visible
 
                 make_visible(error)
             raise
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_pyfunc_call(self, pyfuncitem: pytest.Function) -> Generator[None, Any, Any]:
+        """Tell our own errors as failures, and refuse a pass on an episode that says nothing."""
+        try:
+            result = yield
+        except DuraError as error:
+            outcome = self.session.reporter.outcome_of(error)
+            raise outcome.with_traceback(error.__traceback__) from None
+        if uses_bench(pyfuncitem):
+            self.session.reporter.body_passed(pyfuncitem)
         return result
 
     @pytest.hookimpl(wrapper=True)
@@ -147,6 +156,10 @@ class SessionHooks:
         self, item: pytest.Item, call: pytest.CallInfo[None]
     ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
         """Attach what the item told to its report, which crosses processes."""
+        if call.excinfo is not None and uses_bench(item):
+            from pytest_dura.plugin.messages import make_visible
+
+            make_visible(call.excinfo.value)
         report = yield
         told = self.session.reporter.attach(item, call, report)
         # A test that could not be set up is not called.

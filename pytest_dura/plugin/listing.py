@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from pytest_dura.plugin.messages import say
+
 if TYPE_CHECKING:
     from pytest_dura.plugin.session import DuraSession
 
@@ -62,5 +64,5 @@ def show_list(session: DuraSession) -> int:
         f"warning: {place}: no scenario uses the requirement {name!r}"
         for name, place in library.unused.items()
     ]
-    print("\n".join(lines))  # noqa: T201 - it is what was asked for
+    say(lines)
     return 0

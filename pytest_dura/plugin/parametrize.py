@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.plugin.messages import error_text
 from pytest_dura.plugin.requirement_markers import marked_requirements, marker_arguments
 
 if TYPE_CHECKING:
@@ -74,10 +75,10 @@ def _errors_at(definition: pytest.Item) -> Iterator[None]:
         from pytest_dura.campaign.problems import placed
 
         file, line, _ = definition.location
-        told = error
+        found = error
         if error.file is None:
-            told = placed(error, file=file, line=None if line is None else line + 1)
-        raise pytest.Collector.CollectError(str(told)) from None
+            found = placed(error, file=file, line=None if line is None else line + 1)
+        raise pytest.Collector.CollectError(error_text(found)) from None
 
 
 def _check_use(definition: pytest.Item, looked_at: Sequence[str]) -> None:

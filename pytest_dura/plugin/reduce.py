@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.plugin.commands import replay_command
+from pytest_dura.plugin.messages import say
 from pytest_dura.plugin.places import beside
 from pytest_dura.plugin.recorded import Data, Recorded, damage_told, recorded_episodes
 from pytest_dura.plugin.tables import counted
@@ -39,10 +40,8 @@ def reduce(session: DuraSession) -> int:
     judged = [one for one in recorded.requirements if one.id in recorded.violated]
     budget = BUDGET if options.runs is None else options.runs
     spec = recorded.spec
-    print(  # noqa: T201 - it is what was asked for
-        f"{name} ({spec.component}): {counted(len(spec.faults), 'fault')}, "
-        f"violates {', '.join(recorded.violated)}; at most {budget} runs"
-    )
+    violates = f"violates {', '.join(recorded.violated)}; at most {budget} runs"
+    say([f"{name} ({spec.component}): {counted(len(spec.faults), 'fault')}, {violates}"])
     with damage_told(options, name, OPTION):
         reduction = reduce_faults(spec, judged, recorded.run, budget=budget, on_run=_show_run)
     lines = _told(reduction, budget)
@@ -51,7 +50,7 @@ def reduce(session: DuraSession) -> int:
         with damage_told(options, name, OPTION):
             _record(record, recorded, reduction, folder)
         lines.append(f"  replay: {replay_command(session, reduction.episode.id, folder)}")
-    print("\n".join(lines))  # noqa: T201 - see above
+    say(lines)
     return 0 if reduction.reproduced else 1
 
 
@@ -76,7 +75,7 @@ def _check(recorded: Recorded, name: str) -> None:
 
 def _show_run(faults: Sequence[str], violated: Sequence[str]) -> None:
     told = f"violates {', '.join(violated)}" if violated else "violates nothing"
-    print(f"  {' + '.join(faults) or 'none'}: {told}")  # noqa: T201 - it is what was asked for
+    say([f"  {' + '.join(faults) or 'none'}: {told}"])
 
 
 def _told(reduction: Reduction, budget: int) -> list[str]:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.plugin.messages import say
 from pytest_dura.plugin.places import beside
 from pytest_dura.plugin.recorded import Recorded, damage_told, recorded_episodes
 
@@ -38,8 +39,7 @@ def replay(config: pytest.Config, options: Options) -> int:
             episode = one.run(recorded=True)
         same, lines = _compared(one, episode, options.evidence)
         equal &= same
-        print("\n".join(lines))  # noqa: T201 - it is what was asked for
-        print(f"  player: {_page(one, episode, options.evidence)}")  # noqa: T201 - see above
+        say([*lines, f"  player: {_page(one, episode, options.evidence)}"])
     return 0 if equal else 1
 
 

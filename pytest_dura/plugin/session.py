@@ -11,6 +11,7 @@ import pytest
 
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.plugin.evidence import SessionEvidence
+from pytest_dura.plugin.messages import error_text
 from pytest_dura.plugin.options import Options
 from pytest_dura.plugin.planning import make_plan
 from pytest_dura.plugin.reporter import Reporter
@@ -243,7 +244,7 @@ class usage_errors:  # noqa: N801 - reads like a statement
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         """Translate."""
         if isinstance(error, ConfigurationError):
-            raise pytest.UsageError(str(error)) from None
+            raise pytest.UsageError(error_text(error)) from None
 
 
 _KEY = pytest.StashKey[DuraSession]()

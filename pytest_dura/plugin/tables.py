@@ -5,9 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from pytest_dura.evidence.text import name
+
 Data = Mapping[str, Any]
 
 WIDTH = 100
+LONGEST = 500
+"""Characters of a row's name."""
 
 
 def case_table(cases: Sequence[Data]) -> list[str]:
@@ -23,17 +27,19 @@ def aligned(
     title: str, columns: Sequence[str], names: Sequence[str], rows: Sequence[Sequence[str]]
 ) -> list[str]:
     """Lines of a table; a name that is too long stands on a line of its own."""
-    table = [columns, *rows]
+    # The names of cases, faults and metrics may have any length.
+    names = [name(one, LONGEST) for one in names]
+    table = [[name(one) for one in columns], *rows]
     widths = [max(len(row[i]) for row in table) for i in range(len(columns))]
     room = max(24, WIDTH - sum(widths) - 2 * len(widths))
     left = min(max(map(len, [title, *names])), room)
     lines = []
-    for name, row in zip([title, *names], table, strict=True):
+    for shown, row in zip([title, *names], table, strict=True):
         cells = "".join(f"  {cell:>{width}}" for cell, width in zip(row, widths, strict=True))
-        if len(name) > left:
-            lines += [name, " " * left + cells]
+        if len(shown) > left:
+            lines += [shown, " " * left + cells]
         else:
-            lines.append(f"{name:<{left}}{cells}")
+            lines.append(f"{shown:<{left}}{cells}")
     return lines
 
 

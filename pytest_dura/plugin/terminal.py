@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from pytest_dura.plugin.baseline_lines import baseline_header, show_baseline
 from pytest_dura.plugin.fault_lines import fault_table
+from pytest_dura.plugin.messages import Shown, shown_lines
 from pytest_dura.plugin.overrides import overrides_deeper_down, root_conftest_with
 from pytest_dura.plugin.places import from_here
 from pytest_dura.plugin.tables import case_table, counted, monitor_table, pair_table
@@ -40,7 +41,7 @@ def header(session: DuraSession) -> list[str]:
             "move the fixture to the root conftest.py"
             for file, role in overrides_deeper_down(session.config)
         ]
-    return lines
+    return [one for line in lines for one in shown_lines(line)]
 
 
 def unused(session: DuraSession) -> list[str]:
@@ -68,6 +69,7 @@ def summary(session: DuraSession, terminal: Any) -> None:
     if record is None or not (record["cases"] or record["baseline"]):
         return
     terminal.section("dura", "=")
+    terminal = Shown(terminal)
     if record["cases"]:
         _show_cases(session, terminal, record)
     show_verdicts(session, terminal, record)

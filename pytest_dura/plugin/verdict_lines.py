@@ -6,6 +6,7 @@ import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from pytest_dura.evidence.text import name, one_line
 from pytest_dura.plugin.commands import replay_command, rerun_command
 from pytest_dura.plugin.fault_lines import chain_line
 from pytest_dura.plugin.tables import WIDTH, Data, counted
@@ -14,6 +15,8 @@ if TYPE_CHECKING:
     from pytest_dura.evidence.record.session_record import SessionRecord
     from pytest_dura.plugin.session import DuraSession
 
+LONGEST = 2000
+"""Characters of a text that is told in several lines."""
 TOGETHER = "\N{NO-BREAK SPACE}"
 """Keeps a requirement and its margin on one line, and is shown as a space."""
 COLOURS = {"supported": {"green": True}, "violated": {"red": True}, "undecided": {"yellow": True}}
@@ -27,7 +30,7 @@ def show_verdicts(session: DuraSession, terminal: Any, record: SessionRecord) ->
     terminal.line("")
     same: dict[tuple[str, ...], list[Data]] = {}
     for verdict in verdicts:
-        where = f"{verdict['case']} ({verdict['component']})"
+        where = _where(verdict)
         same.setdefault((verdict["verdict"], where, _counts(verdict)), []).append(verdict)
     for (word, where, counts), group in same.items():
         terminal.write(f"{word:<9}", **COLOURS[word])
@@ -70,8 +73,14 @@ def _with_margin(verdict: Data) -> str:
     told = [] if verdict["margin"] is None else [f"{verdict['margin']:.3g}"]
     if verdict["vacuous"]:
         told.append(f"{verdict['vacuous']} vacuous")
-    name = str(verdict["requirement"])
-    return f"{name}{TOGETHER}({f',{TOGETHER}'.join(told)})".replace(" ", TOGETHER) if told else name
+    shown = name(verdict["requirement"])
+    if not told:
+        return shown
+    return f"{shown}{TOGETHER}({f',{TOGETHER}'.join(told)})".replace(" ", TOGETHER)
+
+
+def _where(verdict: Data) -> str:
+    return f"{name(verdict['case'])} ({name(verdict['component'])})"
 
 
 def _show_failure(
@@ -82,13 +91,13 @@ def _show_failure(
     episodes: Mapping[tuple[str, str], Data],
 ) -> None:
     first = verdicts[0]
-    names = ", ".join(dict.fromkeys(one["requirement"] for one in verdicts))
+    names = ", ".join(dict.fromkeys(name(one["requirement"]) for one in verdicts))
     terminal.line("")
     terminal.line(
-        f"{first['verdict']}: {names} on {first['case']} ({first['component']})",
+        f"{first['verdict']}: {names} on {_where(first)}",
         **COLOURS[first["verdict"]],
     )
-    for line in textwrap.wrap(first["reason"], WIDTH - 2):
+    for line in textwrap.wrap(one_line(first["reason"], LONGEST), WIDTH - 2):
         terminal.line(f"  {line}")
     if check and len(verdicts) == 1 and check != first["requirement"]:
         terminal.line(f"  check:  {check}")
@@ -112,10 +121,10 @@ def _show_episode(
     episodes: Mapping[tuple[str, str], Data],
 ) -> None:
     """The worst episode, or one that spoilt the campaign, and how to see it again."""
-    name = _name(verdict)
-    if name is None:
+    shown = _name(verdict)
+    if shown is None:
         return
-    episode = episodes.get((name, verdict["component"]), {"faults": [], "events": []})
+    episode = episodes.get((shown, verdict["component"]), {"faults": [], "events": []})
     if verdict["counterexamples"]:
         from pytest_dura.campaign.reasons import describe_counterexample
 
@@ -130,11 +139,12 @@ def _show_episode(
             told = f"invalid: {told}"
         terminal.line(f"  {told}")
     for fault in episode["faults"]:
-        first, *rest = textwrap.wrap(chain_line(fault), WIDTH - 12, break_on_hyphens=False)
+        chain = one_line(chain_line(fault), LONGEST)
+        first, *rest = textwrap.wrap(chain, WIDTH - 12, break_on_hyphens=False)
         terminal.line(f"  fault:  {first}")
         for line in rest:
             terminal.line(f"            {line}")
-    terminal.line(f"  replay: {replay_command(session, name)}")
+    terminal.line(f"  replay: {replay_command(session, shown)}")
 
 
 def _name(verdict: Data) -> str | None:
@@ -150,7 +160,7 @@ def _named(record: SessionRecord, verdicts: Iterable[Data]) -> dict[tuple[str, s
     They are found in one go, since a record may have a great many.
     """
     named = [(_name(one), one["component"]) for one in verdicts]
-    wanted = {(name, component) for name, component in named if name is not None}
+    wanted = {(shown, component) for shown, component in named if shown is not None}
     found: dict[tuple[str, str], Data] = {}
     for episode in record.episodes() if wanted else ():
         key = episode["id"], episode["component"]

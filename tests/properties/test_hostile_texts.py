@@ -12,6 +12,7 @@ from functools import cache
 from html.parser import HTMLParser
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from types import SimpleNamespace
 from xml.etree import ElementTree as ET
 
 import jsonschema
@@ -20,7 +21,7 @@ import yaml
 from cyclonedx.schema import SchemaVersion
 from cyclonedx.validation.json import JsonStrictValidator
 from google.protobuf import json_format
-from hostile_bundles import MEGABYTE, Spoiler, real_session, session, spoilers
+from hostile_bundles import MEGABYTE, SORTS, Spoiler, real_session, session, spoilers
 from hypothesis import given, settings
 from in_toto_attestation.predicates.test_result.v0 import test_result_pb2
 from in_toto_attestation.v1 import statement_pb2
@@ -28,11 +29,13 @@ from in_toto_attestation.v1.statement import Statement
 from markdown_it import MarkdownIt
 from mcap.reader import NonSeekingReader
 
+from pytest_dura.__main__ import main
 from pytest_dura.evidence.bundle.writing import write_bundle
 from pytest_dura.evidence.formats import all_formats
 from pytest_dura.evidence.formats.gsn.rules import problems
 from pytest_dura.evidence.traces.mcap_file import read_trace
 from pytest_dura.evidence.verifying import verify_bundle
+from pytest_dura.plugin.terminal import summary
 
 # What a terminal, an editor or a reader might act on instead of showing it.
 CONTROL = re.compile(
@@ -102,6 +105,7 @@ def test_a_session_full_of_hostile_texts_leaves_a_harmless_bundle(real, spoil):
         check_summary(bundle)
         check_declarations(bundle)
         check_statement(bundle)
+        check_terminal(bundle)
         for name in bundle.traces:
             check_trace(bundle.directory / name)
 
@@ -278,3 +282,56 @@ def check_trace(file):
     assert is_visible([json.loads(one) for one in metadata["about"].values()])
     assert sum(map(len, strings(metadata))) < 50_000
     assert trace.about["id"].endswith(("#0", "#1"))
+
+
+class Terminal:
+    """What is written to pytest's terminal."""
+
+    def __init__(self):
+        self.text = ""
+
+    def write(self, text, **_):
+        self.text += text
+
+    def line(self, text, **_):
+        self.text += f"{text}\n"
+
+    def section(self, title, _):
+        self.text += f"= {title} =\n"
+
+
+def check_terminal(bundle):
+    """Nothing acts on a terminal, or reads as another line of ours."""
+    config = SimpleNamespace(
+        args_source=None, ArgsSource=SimpleNamespace(ARGS=1), option=SimpleNamespace(
+            inifilename=None, rootdir=None), invocation_params=SimpleNamespace(dir=bundle.root),
+    )  # fmt: skip
+    session = SimpleNamespace(
+        config=config, options=SimpleNamespace(runs=None, given=()), evidence=SimpleNamespace(
+            final=bundle.record, objections=bundle.record["gate"]["reasons"],
+            file=bundle.directory / "evidence.json"),
+    )  # fmt: skip
+    terminal = Terminal()
+    summary(session, terminal)
+    assert CONTROL.findall(terminal.text) == []
+    assert len(terminal.text) < LARGEST
+    ours = [line for line in terminal.text.split("\n") if line.startswith(("gate:", "#", "|"))]
+    assert [line[:13] for line in ours] == ["gate: failed,"]
+
+
+def test_what_a_verifier_tells_of_hostile_texts_is_harmless(real, tmp_path, capsys):
+    text = "".join(one for sort in SORTS for one in sort)
+    bundle = Bundle(real, tmp_path, Spoiler([text]))
+    file = bundle.directory / "evidence.json"
+    told = json.loads(file.read_text())
+    told["verdicts"][0]["case"] = told["episodes"][0]["case"] = told["cases"][0]["id"] + text
+    told["requirements"][0][text] = text * 99
+    file.write_text(json.dumps(told))
+    assert main(["verify", str(bundle.directory)]) == 1
+    del told["requirements"][0][text]
+    file.write_text(json.dumps(told))
+    assert main(["verify", str(bundle.directory)]) == 1
+    shown = capsys.readouterr().out
+    assert CONTROL.findall(shown) == []
+    assert len(shown.splitlines()) > 10
+    assert max(map(len, shown.splitlines())) <= 2000
