@@ -1,0 +1,64 @@
+"""A whole session of hostile texts in a real browser: nothing runs or loads, nothing breaks."""
+
+from __future__ import annotations
+
+import pytest
+from hostile_bundles import SORTS, Spoiler, real_session, session
+
+from pytest_dura.evidence.formats.report import render
+from pytest_dura.evidence.player import player_page
+from pytest_dura.evidence.traces.mcap_file import read_trace
+
+FIRST = (
+    "<img src=x onerror=window.pwned=1>", "__proto__", "constructor", "'\"><svg onload=pwned=1>",
+    "javascript:window.pwned=1", "</script><script>window.pwned=1</script>", "%s{{x}}${x}`",
+)  # fmt: skip
+POOL = [*FIRST, *(f"{one}{''.join(map(''.join, SORTS))}" for one in FIRST)]
+PWNED = """() => {
+  const found = [...document.querySelectorAll("img")].map((one) => one.outerHTML);
+  for (const name in {}) found.push(name);  // what reached the prototype of all objects
+  return window.pwned === undefined ? found : [...found, "ran"];
+}"""
+
+
+@pytest.fixture(scope="module")
+def hostile(tmp_path_factory):
+    """The record, and the first of its traces that has decisions."""
+    folder = tmp_path_factory.mktemp("hostile")
+    record = session(real_session(folder / "project"), folder / "bundle", Spoiler(POOL))
+    traces = (one["trace"]["file"] for one in record.episodes() if one["trace"])
+    found = (read_trace(record.directory / file) for file in traces)
+    return record, next(one for one in found if len(one.time) > 2)
+
+
+def opened_wide(page):
+    """Each part of the page unfolded, its players opened, and its links followed."""
+    page.evaluate("() => document.querySelectorAll('details').forEach(one => { one.open = true })")
+    for button in page.get_by_role("button", name="Open the episode player").all():
+        button.click()
+    for link in page.locator("a[href^='#']").all()[:20]:
+        link.evaluate("one => one.click()")
+    page.wait_for_timeout(100)
+    return page
+
+
+def test_the_report_of_a_hostile_session_runs_nothing(opened, hostile):
+    page = opened_wide(opened(render(hostile[0])))
+    assert page.evaluate(PWNED) == []
+    assert page.locator(".dura-player").count() >= 2
+    assert page.locator("script").count() == 2 + page.locator("details.player").count()
+    assert "<img src=x onerror=window.pwned=1>" in page.locator("main").inner_text()
+    page.get_by_label("Filter", exact=True).fill("<img src=x onerror=window.pwned=1>")
+    assert page.evaluate(PWNED) == []
+
+
+def test_the_player_of_a_hostile_episode_runs_nothing(opened, hostile):
+    verdicts = [{"requirement": one, "verdict": one, "check": one, "time": 0.1} for one in POOL]
+    page = opened(player_page(hostile[1], verdicts))
+    page.locator(".dura-player").wait_for()
+    opened_wide(page)
+    for key in ("ArrowRight", "ArrowRight", "End", "Home", " ", " "):
+        page.keyboard.press(key)
+    assert page.evaluate(PWNED) == []
+    assert page.locator(".dura-player").locator("script, img, a[href]").count() == 0
+    assert "onerror=window.pwned=1" in page.locator(".dura-player").inner_text()
