@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from pytest_dura.plugin.session import DuraSession
 
 
-def uses_bench(item: pytest.Item | pytest.Metafunc) -> bool:
+def uses_bench(item: pytest.Item | pytest.Metafunc | pytest.FixtureRequest) -> bool:
     """Whether the item runs episodes: our ``orchestrator`` alone asks for ``dura_metrics``.
 
     Names such as ``episode`` or ``generator`` may be fixtures of other people's own.
@@ -128,12 +128,12 @@ class SessionHooks:
             )
 
     @pytest.hookimpl(wrapper=True, trylast=True)
-    def pytest_fixture_setup(self) -> Generator[None, Any, Any]:
-        """Make the error of a fixture visible before others pass it on."""
+    def pytest_fixture_setup(self, request: pytest.FixtureRequest) -> Generator[None, Any, Any]:
+        """Make the error of a fixture visible before others pass it on; of our tests alone."""
         try:
             return (yield)
         except BaseException as error:  # also of `pytest.skip`; it is raised again
-            if self.session.evidence.record is not None or self.session.is_worker:
+            if uses_bench(request):
                 from pytest_dura.plugin.messages import make_visible
 
                 make_visible(error)

@@ -252,3 +252,22 @@ def test_what_a_marker_or_a_file_may_not_hold_ends_a_session_harmlessly(project)
     result = project.scenarios()
     assert result.ret == 4
     assert CONTROL.findall(result.stderr.str()) == []
+
+
+def test_errors_of_other_peoples_fixtures_stay_as_they_are(pytester):
+    pytester.makeconftest(
+        "import pathlib\n"
+        "def pytest_runtest_makereport(item, call):\n"
+        "    if call.excinfo is not None:\n"
+        "        pathlib.Path('told').write_text(ascii(call.excinfo.value.args))\n"
+    )
+    pytester.makepyfile(
+        "import pytest\n"
+        "@pytest.fixture\n"
+        "def broken():\n"
+        "    raise ValueError('\\x1b[31mred')\n"
+        "def test_it(broken):\n"
+        "    pass\n"
+    )
+    pytester.runpytest_inprocess("-n", "1").assert_outcomes(errors=1)
+    assert (pytester.path / "told").read_text() == ascii(("\x1b[31mred",))
