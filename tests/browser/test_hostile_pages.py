@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from hostile_bundles import SORTS, Spoiler, real_session, session
 
@@ -54,8 +56,10 @@ def test_the_report_of_a_hostile_session_runs_nothing(opened, hostile):
 
 def test_the_player_of_a_hostile_episode_runs_nothing(opened, hostile):
     verdicts = [{"requirement": one, "verdict": one, "check": one, "time": 0.1} for one in POOL]
-    page = opened(player_page(hostile[1], verdicts))
+    about = {**hostile[1].about, "id": f"</title>{FIRST[0]}", "failure": FIRST[0]}
+    page = opened(player_page(replace(hostile[1], about=about), verdicts))
     page.locator(".dura-player").wait_for()
+    assert FIRST[0] in page.title()
     opened_wide(page)
     for key in ("ArrowRight", "ArrowRight", "End", "Home", " ", " "):
         page.keyboard.press(key)

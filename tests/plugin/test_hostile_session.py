@@ -144,6 +144,9 @@ def test_a_session_of_hostile_texts_ends_properly_and_harmlessly(project, mode, 
     assert len(shown) < 400_000
     ours = shown.partition("= dura =")[2].partition("= short test summary")[0].splitlines()
     assert [line[:12] for line in ours if line.startswith("gate")] == ["gate: failed"]
+    told = re.split("\n[_=]{4}", shown.partition(" corridor/it::H-1 _")[2])[0]
+    assert "required: " in told
+    assert "\ngate: passed" not in told
     check_evidence(project, capsys)
     check_junit(project.path / "junit.xml")
     check_allure(project.path / "allure")
@@ -230,10 +233,17 @@ MARKERS = (
     "requirement(TEXT)",
     "requirement(TEXT, text='x', kind=TEXT)",
     "requirement('GAP-1', text=TEXT)",
+    "requirement('OTHER', text='another one')",
 )
 
 
 def test_what_a_marker_or_a_file_may_not_hold_ends_a_session_harmlessly(project):
+    project.write(
+        "test_said_before.py",
+        f"import pytest\nTEXT = {TEXT!a}\n"
+        "@pytest.mark.dura(scenario='corridor/free')\n"
+        "@pytest.mark.requirement('OTHER', text=TEXT)\ndef test_it(episode): pass\n",
+    )
     files = [f"test_{number}.py" for number in range(len(MARKERS))]
     for file, marker in zip(files, MARKERS, strict=True):
         known = "" if marker.startswith("dura") else "@pytest.mark.dura(scenario='corridor/free')\n"
@@ -242,13 +252,13 @@ def test_what_a_marker_or_a_file_may_not_hold_ends_a_session_harmlessly(project)
             f"import pytest\nTEXT = {TEXT!a}\n"
             f"@pytest.mark.{marker}\n{known}def test_it(episode): pass\n",
         )
-    result = project.run(*files, "--junit-xml=junit.xml")
+    result = project.run("test_said_before.py", *files, "--junit-xml=junit.xml")
     told = result.stdout.str() + result.stderr.str()
     result.assert_outcomes(errors=len(MARKERS))
     assert "INTERNALERROR" not in told
     assert CONTROL.findall(told) == []
     ET.parse(project.path / "junit.xml")
-    project.write("scenarios/x.yaml", f"name: {YAML}\n")
+    project.write("scenarios/x\x1b[31m\u202e.yaml", f"name: {YAML}\n")
     result = project.scenarios()
     assert result.ret == 4
     assert CONTROL.findall(result.stderr.str()) == []

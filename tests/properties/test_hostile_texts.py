@@ -203,6 +203,7 @@ def check_report(bundle):
     assert all(re.fullmatch(r"#[A-Za-z0-9._-]+", one) for one in page.leads)
     assert page.policies == expected.policies
     assert len(page.policies) == 1
+    assert re.match("default-src 'none'; script-src( 'sha256-[^' ]+')+; ", page.policies[0])
     assert "unsafe" not in page.policies[0]
     assert len(page.data) == len(bundle.traces)
     for packed in page.data:
