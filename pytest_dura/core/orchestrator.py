@@ -7,6 +7,7 @@ from dataclasses import replace
 from time import perf_counter_ns
 from typing import Any, Protocol, cast
 
+from pytest_dura.core.checked_calls import corrupted, corrupted_command, run_if_triggered
 from pytest_dura.core.component import Component
 from pytest_dura.core.episode import Episode, EpisodeSpec
 from pytest_dura.core.errors import (
@@ -195,7 +196,7 @@ class Orchestrator:
             percept = Percept(tick.channels)
         else:
             start = perf_counter_ns()
-            percept = self._guard("fault_injector", _corrupted, self.injector, tick)
+            percept = self._guard("fault_injector", corrupted, self.injector, tick)
             self._injector_ns = perf_counter_ns() - start
         self.state.perceive(percept)
         for kind, subject, detail in tick.events:
@@ -267,7 +268,7 @@ class Orchestrator:
         for name, role, owed in self.assessors:
             if first or role.reassess:
                 start = perf_counter_ns()
-                output = self._guard(name, _run_if_triggered, role, view, owed)
+                output = self._guard(name, run_if_triggered, role, view, owed)
                 elapsed = perf_counter_ns() - start
                 if role is self.injector:
                     elapsed += self._injector_ns
@@ -333,7 +334,7 @@ class Orchestrator:
         if self.injector is not None:
             sent = self._guard("simulator", self.simulator.actuation, action)
             sent, tampered = self._guard(
-                "fault_injector", _corrupted_command, self.injector, sent, tick.time
+                "fault_injector", corrupted_command, self.injector, sent, tick.time
             )
             # Without an effect the plant gets what was decided, whatever `actuation` makes of it.
             action = sent if tampered else action
@@ -376,33 +377,8 @@ def _plain_copy(value: Any) -> Any:
     return tuple(_plain_copy(item) for item in value) if isinstance(value, tuple) else value
 
 
-def _corrupted(injector: FaultInjector, tick: Tick) -> Percept:
-    channels, tampered = injector.corrupt(tick.channels, tick.time)
-    if not isinstance(channels, Mapping):
-        raise TypeError(f"corrupt returned channels of type {type(channels).__name__}")
-    for faults in tampered.values():
-        check_texts("tampered faults", faults)
-    return Percept(channels, tampered)
-
-
 def _end_directives(state: StateManager, name: str) -> None:
     """A directive holds for the tick in which it was given; the rest of an output stays."""
     latest = state.outputs.get(name)
     if isinstance(latest, SecurityAssessment) and latest.directives:
         state.outputs[name] = replace(latest, directives=())
-
-
-def _corrupted_command(
-    injector: FaultInjector, action: Any, time: float
-) -> tuple[Any, tuple[str, ...]]:
-    command, tampered = injector.corrupt_command(action, time)
-    check_texts("tampered faults", tampered)
-    return command, tampered
-
-
-def _run_if_triggered(role: Role, view: RoleView, owed: type[Any]) -> Any:
-    if not role.trigger(view):
-        return None
-    output = role.run(view)
-    check_output(output, owed)
-    return output

@@ -93,7 +93,7 @@ class SessionEvidence:
             )
             gate = Gate.running(warn_undecided=options.warn_undecided)
             begin_bundle(self._concluded("running", gate), traces=not late)
-        except BaseException:
+        except BaseException:  # also on ctrl-C the next session may write here; it is raised again
             self._unlock()
             raise
 

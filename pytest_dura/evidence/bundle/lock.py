@@ -97,7 +97,7 @@ class DirectoryLock:
                 expected="a directory of its own for each session at a time",
                 remedy="wait for the other session, or name another directory",
             ) from None
-        except BaseException:
+        except BaseException:  # also ctrl-C leaves no lock that nobody holds; it is raised again
             os.close(handle)
             raise
         return handle
