@@ -7,6 +7,7 @@ from collections.abc import Callable
 from numbers import Real
 from typing import Any
 
+from pytest_dura.core.accounts import account_problem
 from pytest_dura.core.episode import EpisodeSpec
 from pytest_dura.core.errors import describe_error
 from pytest_dura.core.limits import CallNotStopped, TimeBudgetExceeded, call_within
@@ -26,6 +27,11 @@ def check_proposal(proposal: Any) -> str | None:
         return f"returned {type(proposal).__name__}, not a Proposal"
     if not isinstance(proposal.explanation, str):
         return f"gave an explanation that is {type(proposal.explanation).__name__}, not str"
+    if not isinstance(proposal.failure, str):
+        return f"gave a failure that is {type(proposal.failure).__name__}, not str"
+    wrong = account_problem(proposal.account)
+    if wrong is not None:
+        return wrong
     latency: Any = proposal.latency
     if latency is None or (isinstance(latency, Real) and 0.0 <= float(latency) < math.inf):
         return None

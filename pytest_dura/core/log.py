@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pytest_dura.core.accounts import accounted
 from pytest_dura.core.episode import Episode, EpisodeSpec
 from pytest_dura.core.errors import InfrastructureError, describe_error
 from pytest_dura.core.metrics import DependabilityMetrics, FaultRecord
@@ -20,6 +21,7 @@ from pytest_dura.core.roles import (
     Assessment,
     Injection,
     PerformanceAssessment,
+    Proposal,
     Recovery,
     SecurityAssessment,
 )
@@ -67,6 +69,8 @@ class EpisodeLog:
         self._open: dict[tuple[str, str], str] = {}
         self._violated_at: dict[str, int] = {}
         self._alerts: dict[Alert, str] = {}
+        self._accounts: list[Mapping[str, Any]] = []
+        self._account: Mapping[str, Any] = NOTHING
         self._recovery: str | None = None
         self._recovery_told = ""
         self._reached: set[str] = set()
@@ -81,8 +85,9 @@ class EpisodeLog:
         """An event before the first tick."""
         self.events.append(Event(0, 0.0, kind, subject, detail))
 
-    def proposed(self, tick: Tick, problem: str | None) -> None:
+    def proposed(self, tick: Tick, proposal: Proposal | None, problem: str | None) -> None:
         """The Generator was asked; ``problem`` is what is wrong with its answer, if anything."""
+        self._account = NOTHING if proposal is None else proposal.account
         self.metrics.proposals += 1
         if problem is None:
             self.metrics.valid_proposals += 1
@@ -146,6 +151,7 @@ class EpisodeLog:
             Ids of those that did so for the first time since their activation.
         """
         perceived: set[str] = set()
+        perceived.update(state.message_faults)
         for channel, faults in state.percept.tampered.items():
             if channel in state.generator_reads:
                 perceived.update(faults)
@@ -212,6 +218,7 @@ class EpisodeLog:
             column.append(value)
         self._said["explanations"].append("" if proposal is None else proposal.explanation)
         self._said["reasons"].append("; ".join(decision.reasons))
+        self._accounts.append(self._account)
         self._said["recoveries"].append(self._recovery_told)
         self._recovery_told = ""
 
@@ -265,21 +272,22 @@ class EpisodeLog:
         """
         time = np.array([tick.time for tick in state.ticks], dtype=np.float64)
         signals: dict[str, NDArray[np.float64]] = {}
+        # A step that failed leaves a decision behind that no state follows.
+        for column in (*self._columns.values(), *self._said.values(), self._accounts):
+            del column[max(len(time) - 1, 0) :]
         if state.ticks:
             try:
                 _add_signals(signals, simulator.signals(state.ticks), "", len(time))
                 failure = failure or _first_bad_signal(signals, time)
                 percepts = simulator.percept_signals(state.percepts)
                 _add_signals(signals, percepts, "percept.", len(time), len(state.percepts))
+                self._add_accounts(signals, simulator, state)
             except Exception as error:
                 last, cause = state.ticks[-1], describe_error(error)
                 failure = failure or InfrastructureError("simulator", last.index, last.time, cause)
         if failure is not None:
             ending = "infrastructure"
             self.failed(failure)
-        # A step that failed leaves a decision behind that no state follows.
-        for column in (*self._columns.values(), *self._said.values()):
-            del column[max(len(time) - 1, 0) :]
         critical = ending == "critical"
         self.metrics.settle_recoveries(len(self._columns["verdict"]) - 1, critical)
         return Episode(
@@ -302,6 +310,16 @@ class EpisodeLog:
             recording=self._recording(simulator, state) if recorded else None,
         )
 
+    def _add_accounts(
+        self, signals: dict[str, NDArray[np.float64]], simulator: Simulator, state: StateManager
+    ) -> None:
+        """Failure modes that the component's accounts show, where it gave any."""
+        told = accounted(simulator, state.ticks, state.percepts, self._accounts)
+        if told is not None:
+            _add_signals(signals, told.signals, "proposal.", len(state.ticks))
+            self.metrics.tallies = dict(told.tallies)
+            self.metrics.answer_seconds = list(told.seconds)
+
     def _recording(self, simulator: Simulator, state: StateManager) -> Recording:
         decisions = len(self._columns["verdict"])
         flags = {}
@@ -313,7 +331,8 @@ class EpisodeLog:
             flags[name] = column
         explanations, reasons, recoveries = map(tuple, self._said.values())
         scene, problem = _scene(simulator, state)
-        return Recording(explanations, reasons, recoveries, flags, scene, problem)
+        accounts = tuple(self._accounts) if any(self._accounts) else ()
+        return Recording(explanations, reasons, recoveries, flags, scene, problem, accounts)
 
 
 def _scene(simulator: Simulator, state: StateManager) -> tuple[Scene | None, str | None]:

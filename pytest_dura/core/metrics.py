@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -93,6 +93,20 @@ def _between(first: float | None, then: float | None) -> float | None:
     return None if first is None or then is None else then - first
 
 
+@dataclass(frozen=True)
+class Tally:
+    """How often a failure mode showed, among the decisions that could have shown it.
+
+    ``null_hits`` of ``null_of`` is the same for a null component, which ignores its input, on the
+    same decisions.
+    """
+
+    hits: int
+    of: int
+    null_hits: int = 0
+    null_of: int = 0
+
+
 @dataclass
 class DependabilityMetrics:
     """Violations by type, performance over time, robustness scores, faults, recovery, timings.
@@ -114,6 +128,8 @@ class DependabilityMetrics:
         alert_ticks: Ticks at which each assessor that was asked raised alerts, by role name.
         proposals: How often the Generator was asked.
         valid_proposals: How often it answered with an action of this simulator.
+        tallies: How often each failure mode showed in what the component told of its proposals.
+        answer_seconds: Wall-clock seconds that it says its decisions took, one each.
         user: User-defined metrics, filled when the episode is complete.
     """
 
@@ -129,6 +145,8 @@ class DependabilityMetrics:
     alert_ticks: dict[str, list[int]] = field(default_factory=dict)
     proposals: int = 0
     valid_proposals: int = 0
+    tallies: dict[str, Tally] = field(default_factory=dict)
+    answer_seconds: list[float] = field(default_factory=list)
     user: dict[str, float] = field(default_factory=dict)
 
     def log_time(self, role: str, tick: int, nanoseconds: int) -> None:
@@ -184,6 +202,7 @@ class DependabilityMetrics:
 
     def deterministic(self) -> dict[str, Any]:
         """All that does not depend on the machine's speed, as plain data."""
+        tallies = sorted(self.tallies.items())
         return {
             "violations": {
                 kind: count
@@ -197,6 +216,7 @@ class DependabilityMetrics:
             "alerts": self.alerts,
             "alert_ticks": self.alert_ticks,
             "proposals": [self.proposals, self.valid_proposals],
+            **({"tallies": {name: asdict(one) for name, one in tallies}} if tallies else {}),
         }
 
     def summary(self) -> dict[str, Any]:

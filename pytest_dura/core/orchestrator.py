@@ -18,6 +18,7 @@ from pytest_dura.core.errors import (
 )
 from pytest_dura.core.limits import alarms
 from pytest_dura.core.log import Decision, EpisodeLog
+from pytest_dura.core.messages import Messages
 from pytest_dura.core.outputs import check_output, check_texts, owed_output
 from pytest_dura.core.roles import (
     Assessed,
@@ -26,7 +27,6 @@ from pytest_dura.core.roles import (
     Generator,
     Injection,
     PerformanceAssessment,
-    Proposal,
     Recovery,
     RecoveryPlanner,
     Role,
@@ -111,6 +111,7 @@ class Orchestrator:
         """One episode. An infrastructure error ends it and is told by ``Episode.failure``."""
         self.spec = spec
         self.state = StateManager(spec.time_step)
+        self._messages = Messages(self.injector, self.state)
         self.log = EpisodeLog(spec)
         self._last_index = spec.termination.last_index(spec.time_step)
         self._injector_ns = 0
@@ -160,7 +161,10 @@ class Orchestrator:
             scenario = _plain_copy(spec.scenario)
             if role is self.generator:
                 own_seed = derive_seed(spec.seed, "generator")
-                problem = self._component.reset(RoleContext(own_seed, spec.time_step, scenario))
+                context = RoleContext(
+                    own_seed, spec.time_step, scenario, time_budget=spec.time_budget
+                )
+                problem = self._component.reset(context)
                 if problem is not None:
                     self.log.early_event("component_failure", spec.component, problem)
             else:
@@ -234,7 +238,7 @@ class Orchestrator:
             self.log.event(tick, "halt", "orchestrator", "; ".join(reasons))
             return _HALT
         action = self._command(decision, tick)
-        self.state.command = decision.action
+        self.state.decide(decision.action, decision.source)
         self._guard(
             "simulator", self.log.decided, decision, self.state, self.simulator.describe_action
         )
@@ -244,11 +248,17 @@ class Orchestrator:
         tick = self.state.tick
         self.state.proposal = None
         start = perf_counter_ns()
-        proposal, problem = self._component.ask(self.state.generator_view(feedback))
+        view = self.state.generator_view(feedback, self._messages.transmit)
+        proposal, problem = self._component.ask(view)
         elapsed = perf_counter_ns() - start
         self.state.generator_seconds = elapsed / 1e9
         self.log.metrics.log_time("generator", tick.index, elapsed)
+        if self._messages.failure is not None:
+            failure = self._messages.failure
+            raise self._infrastructure("fault_injector", failure) from failure
         if proposal is not None:
+            problem = proposal.failure or None
+        if proposal is not None and (proposal.action is not None or problem is None):
             try:
                 action = self.simulator.check_action(proposal.action)
             except ActionError as error:
@@ -256,8 +266,8 @@ class Orchestrator:
             except (Exception, SystemExit) as error:
                 raise self._infrastructure("simulator", error) from error
             else:
-                self.state.proposal = Proposal(action, proposal.explanation, proposal.latency)
-        self.log.proposed(tick, problem)
+                self.state.proposal = replace(proposal, action=action)
+        self.log.proposed(tick, proposal, problem)
 
     def _assess(self, *, first: bool) -> tuple[Assessed, tuple[str, ...]]:
         state, tick = self.state, self.state.tick

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,6 +70,7 @@ class Recording:
             was not asked. Shape ``(decisions,)``.
         scene: If the simulator can tell it.
         problem: Why there is no scene, where the simulator failed to tell it.
+        accounts: What the component told of each decision; empty if it told nothing of any.
     """
 
     explanations: tuple[str, ...] = ()
@@ -77,3 +79,4 @@ class Recording:
     flags: Mapping[str, NDArray[np.int8]] = field(default_factory=dict)
     scene: Scene | None = None
     problem: str | None = None
+    accounts: tuple[Mapping[str, Any], ...] = ()

@@ -27,13 +27,23 @@ class Assessed(IntEnum):
 class Proposal:
     """The Generator's output.
 
-    ``latency`` is the component's own response time in seconds, where it is modelled or known;
-    it is held against the time budget, and is deterministic where wall-clock time is not.
+    Args:
+        action: What it wants done. ``None`` where ``failure`` says that there is nothing.
+        explanation: Why, in the component's own words.
+        latency: The component's own response time in seconds, where it is modelled or known;
+            it is held against the time budget, and is deterministic where wall-clock time is not.
+        failure: Why the component came to no decision of its own, if so. ``action`` is what its
+            own fallback does instead. It is assessed and carried out like any other, and counts as
+            a failed proposal.
+        account: What the component tells of how it came to the proposal, as plain data with texts
+            as keys; see :meth:`pytest_dura.Simulator.account_measures`.
     """
 
     action: Any
     explanation: str = ""
     latency: float | None = None
+    failure: str = ""
+    account: Mapping[str, Any] = NOTHING
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,13 +110,15 @@ class RoleContext:
 
     ``seed`` with :func:`pytest_dura.core.seeding.stream` and the role's own name gives its draws.
     The Generator's context has a seed of its own and no ``faults``: what the component knew of
-    the attacks beforehand, it could not be tested against.
+    the attacks beforehand, it could not be tested against. ``time_budget`` is what it has for one
+    proposal, in s; ``None`` if there is no limit.
     """
 
     seed: int
     dt: float
     scenario: Mapping[str, Any] = NOTHING
     faults: tuple[Mapping[str, Any], ...] = ()
+    time_budget: float | None = None
 
 
 class Role(ABC):
@@ -131,6 +143,22 @@ class Role(ABC):
         Raises:
             ConfigurationError: For such parameters. The default accepts all.
         """
+
+    @classmethod
+    def settled(cls, params: Mapping[str, Any]) -> Mapping[str, Any]:
+        """The parameters with all that determines the role's behaviour and is found elsewhere.
+
+        Such as the name of a model that the environment gives. Episodes' specs state what it
+        returns. It is asked once per process, before the first episode, and settles what it
+        settled before to the same.
+
+        Args:
+            params: Keyword parameters of the class, as they were given.
+
+        Raises:
+            ConfigurationError: If they cannot be settled. The default returns them as they are.
+        """
+        return params
 
     def reset(self, context: RoleContext) -> None:  # noqa: B027 - stateless roles need none
         """Begin an episode; forget everything of the one before."""
@@ -209,6 +237,15 @@ class FaultInjector(Role):
     ) -> tuple[Any, tuple[str, ...]]:
         """The command after active command faults, and the ids of the faults that changed it."""
         return action, ()
+
+    def corrupt_message(
+        self,
+        channel: str,  # noqa: ARG002 - for those who override it
+        message: Any,
+        time: float,  # noqa: ARG002 - see above
+    ) -> tuple[Any, tuple[str, ...]]:
+        """What the component sends on a channel of its own, and the faults that changed it."""
+        return message, ()
 
     def manifested(self, faults: tuple[str, ...], time: float) -> None:
         """Told at the tick at which faults first reached the component or the plant."""

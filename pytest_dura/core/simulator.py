@@ -61,6 +61,29 @@ class Simulator(ABC):
         """
         return {}
 
+    def account_measures(
+        self,
+        ticks: Sequence[Tick],  # noqa: ARG002 - for those who override it
+        percepts: Sequence[Percept],  # noqa: ARG002 - see above
+        accounts: Sequence[Mapping[str, Any]],  # noqa: ARG002 - see above
+    ) -> dict[str, NDArray[np.float64]]:
+        """Failure modes of the component that its accounts show, one value per decision.
+
+        Called once per episode, and only if the component gave an account of any proposal. 1 where
+        the decision in force at a tick shows the failure, 0 where it does not, NaN where it could
+        not show it. The episode stores them as signals with the prefix ``proposal.``, 0 for NaN,
+        and counts them over the ticks at which something was decided anew.
+
+        Args:
+            ticks: The world as it was.
+            percepts: As it was perceived.
+            accounts: Of each decision, :attr:`Proposal.account`; empty where there was none.
+
+        Returns:
+            Columns of shape ``(len(accounts),)``.
+        """
+        return {}
+
     def scene(
         self,
         ticks: Sequence[Tick],  # noqa: ARG002 - for those who override it

@@ -171,10 +171,40 @@ class History(Sequence[Any]):
 
 
 @dataclass(frozen=True, slots=True)
+class PastDecision:
+    """What became of one tick's proposal.
+
+    Args:
+        time: Simulated seconds.
+        proposed: The proposed action; ``None`` without a valid one.
+        explanation: The component's explanation of it.
+        executed: The action that was decided on, proposal or recovery, before any command fault.
+        source: ``proposal``, ``recovery`` or ``fallback``.
+    """
+
+    time: float
+    proposed: Any
+    explanation: str
+    executed: Any
+    source: str
+
+
+Transmit = Callable[[str, Any], Any]
+"""Sends a message on a channel of the component's own, and returns what arrives."""
+
+
+def _undisturbed(channel: str, message: Any) -> Any:  # noqa: ARG001 - as Transmit has it
+    return message
+
+
+@dataclass(frozen=True, slots=True)
 class GeneratorView:
     """All that the component under test may see. It has no ground truth.
 
-    ``feedback`` says why this tick's earlier proposal was refused (policy ``refine``).
+    ``feedback`` says why this tick's earlier proposal was refused (policy ``refine``). ``past``
+    are the decisions of the ticks before, oldest first. ``transmit(channel, message)`` lets a
+    component that talks to something outside, such as the server of a language model, do so
+    through the loop: it returns the message as it arrives, after active faults of that channel.
     """
 
     index: int
@@ -182,6 +212,8 @@ class GeneratorView:
     dt: float
     percept: Percept
     feedback: tuple[str, ...] = ()
+    past: Sequence[PastDecision] = ()
+    transmit: Transmit = _undisturbed
 
 
 @dataclass(frozen=True, slots=True)
@@ -221,6 +253,8 @@ class StateManager:
     alerts: list[tuple[float, Alert]] = field(default_factory=list)
     generator_reads: set[str] = field(default_factory=set)
     generator_seconds: float = 0.0
+    past: list[PastDecision] = field(default_factory=list)
+    message_faults: set[str] = field(default_factory=set)
     _role_reads: set[str] = field(default_factory=set)
     _role_percepts: list[Percept] = field(default_factory=list)
     _channels: Mapping[str, Any] = NOTHING
@@ -247,12 +281,24 @@ class StateManager:
         self._role_percepts.append(PerceptView(self._channels, self._role_reads))
         self.proposal = None
         self.generator_reads = set()
+        self.message_faults = set()
         self.generator_seconds = 0.0
 
-    def generator_view(self, feedback: tuple[str, ...] = ()) -> GeneratorView:
+    def decide(self, executed: Any, source: str) -> None:
+        """What is carried out at this tick, and where it comes from."""
+        self.command = executed
+        proposed, why = None, ""
+        if self.proposal is not None:
+            proposed, why = self.proposal.action, self.proposal.explanation
+        self.past.append(PastDecision(self.tick.time, proposed, why, executed, source))
+
+    def generator_view(
+        self, feedback: tuple[str, ...] = (), transmit: Transmit = _undisturbed
+    ) -> GeneratorView:
         """The Generator's view of this tick; reading a channel through it is remembered."""
         percept = PerceptView(self._channels, self.generator_reads)
-        return GeneratorView(self.tick.index, self.tick.time, self.dt, percept, feedback)
+        past, tick = History(self.past), self.tick
+        return GeneratorView(tick.index, tick.time, self.dt, percept, feedback, past, transmit)
 
     def role_view(self, reasons: tuple[str, ...] = ()) -> RoleView:
         """The view of this tick that every role but the Generator gets."""

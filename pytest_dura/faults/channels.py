@@ -9,7 +9,7 @@ from typing import Literal
 
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.faults.model import Fault, Kind
-from pytest_dura.faults.targets import COMMAND, Target
+from pytest_dura.faults.targets import COMMAND, MESSAGES, Target
 
 
 @dataclass(frozen=True)
@@ -18,12 +18,14 @@ class Channel:
 
     Args:
         kind: ``numbers`` and ``pose`` have named fields, ``array`` has rows; lists of objects,
-            pictures and signs are taken as a whole.
+            pictures, signs and messages are taken as a whole.
         fields: Names of the fields that hold numbers.
         columns: Numbers in each row of an array; 0 where the rows are numbers themselves.
     """
 
-    kind: Literal["numbers", "array", "objects", "image", "pose", "signs", "other"]
+    kind: Literal[
+        "numbers", "array", "objects", "image", "pose", "signs", "prompt", "model", "other"
+    ]
     fields: tuple[str, ...] = ()
     columns: int = 0
 
@@ -33,7 +35,11 @@ _HOLDS: Mapping[Kind, tuple[str, ...]] = {
     "image": ("image",),
     "pose": ("pose",),
     "signs": ("signs",),
+    "prompt": ("prompt",),
+    "model": ("model",),
 }
+_OWN: Mapping[str, Channel] = {"prompt": Channel("prompt"), "model": Channel("model")}
+"""The channels of messages, which every domain has: it is the component that sends them."""
 _COUNTED = ("objects", "array", "signs")
 
 
@@ -43,6 +49,7 @@ def check_target(fault: Fault, channels: Mapping[str, Channel]) -> None:
     Raises:
         ConfigurationError: With the targets that it can act on, or what the parameters may be.
     """
+    channels = {**channels, **_OWN}
     target, possible = fault.place, possible_targets(fault.acts_on, channels)
     channel = channels.get(target.channel)
     if channel is not None and (
@@ -76,6 +83,8 @@ WHAT: Mapping[Kind, str] = {
     "image": "a picture",
     "pose": "a pose",
     "signs": "the texts of signs",
+    "prompt": "what is put before a model",
+    "model": "how a model is reached",
 }
 """What the kinds mean, for messages."""
 
@@ -145,5 +154,5 @@ def possible_targets(acts_on: Kind, channels: Mapping[str, Channel]) -> list[str
     if acts_on == "command":
         return [name for name in numbers if Target.parse(name).is_command]
     if acts_on == "any":
-        return [*channels, *numbers]
+        return [*(name for name in channels if name not in MESSAGES), *numbers]
     return [name for name, one in channels.items() if one.kind in _HOLDS[acts_on]]

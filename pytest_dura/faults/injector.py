@@ -43,9 +43,10 @@ class CampaignInjector(FaultInjector):
             self._lives[fault.id] = Life(fault, context.seed, context.dt)
         self._sensors: list[Life] = []
         self._commands: list[Life] = []
+        self._messages: list[Life] = []
         self._followers: dict[tuple[str, str], list[Life]] = {}
         for life in self._lives.values():
-            (self._commands if life.target.is_command else self._sensors).append(life)
+            self._acting_where(life).append(life)
             after = life.fault.activation.after
             if after is not None:
                 self._followers.setdefault((after.fault, after.event), []).append(life)
@@ -100,6 +101,28 @@ class CampaignInjector(FaultInjector):
         if len(tampered) > 1 and same(decided, action):
             return decided, ()
         return action, tuple(tampered)
+
+    def corrupt_message(
+        self, channel: str, message: Any, time: float
+    ) -> tuple[Any, tuple[str, ...]]:
+        """Apply the active faults of a channel of messages, in declared order."""
+        sent, tampered = message, list[str]()
+        for life in self._messages:
+            if life.target.channel != channel or not life.acts_now:
+                continue
+            before = message
+            message = life.act(before, time, self._channels)
+            if message is not before:
+                tampered.append(life.fault.id)
+        if len(tampered) > 1 and same(sent, message):
+            return sent, ()
+        return message, tuple(tampered)
+
+    def _acting_where(self, life: Life) -> list[Life]:
+        """The faults that act at the same point of the loop."""
+        if life.target.is_command:
+            return self._commands
+        return self._messages if life.target.is_message else self._sensors
 
     def manifested(self, faults: Sequence[str], time: float) -> None:
         """Faults that the orchestrator saw reach the component or the plant."""

@@ -68,7 +68,7 @@ class Life:
         """
         place = "target"
         try:
-            if not self.target.is_command:
+            if not (self.target.is_command or self.target.is_message):
                 with suppress(AbsentRowError):
                     self.target.read(channels)
             place = "activation.when"

@@ -19,9 +19,10 @@ from pytest_dura.faults.targets import Target
 if TYPE_CHECKING:
     from pytest_dura.faults.channels import Channel
 
-Kind = Literal["number", "any", "command", "objects", "image", "pose", "signs"]
+Kind = Literal["number", "any", "command", "objects", "image", "pose", "signs", "prompt", "model"]
 """What a type of fault can act on: a number in a channel or command, any value at all, a command,
-a list of objects, a picture, a pose, or the texts of signs."""
+a list of objects, a picture, a pose, the texts of signs, what is put before a model, or how that
+model is reached."""
 
 
 @dataclass(frozen=True)

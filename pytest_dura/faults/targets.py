@@ -17,6 +17,10 @@ COMMAND = "command"
 """The command channel: what is on its way to the actuators."""
 
 
+MESSAGES = ("prompt", "model")
+"""Channels of the component's own: what it puts before a model, and how the model is reached."""
+
+
 class AbsentRowError(ConfigurationError):
     """A row that a list or array does not have now, and may have at another tick."""
 
@@ -42,6 +46,11 @@ class Target:
     def is_command(self) -> bool:
         """Whether it is the command, or a part of it."""
         return self.channel == COMMAND
+
+    @property
+    def is_message(self) -> bool:
+        """Whether it is something that the component sends, rather than a sensor's value."""
+        return self.channel in MESSAGES
 
     def channel_of(self, channels: Mapping[str, Any]) -> Any:
         """The whole channel's value.

@@ -181,7 +181,9 @@ def _trace(arrays: Mapping[str, Column]) -> Trace:
         else:
             _check(codes.ndim == 1, name)
             decisions[name] = codes
-    said = {name: tuple(_decoded(arrays[f"said.{name}"], texts["said"][name])) for name in _SAID}
+    said: dict[str, Any] = {
+        name: tuple(_decoded(arrays[f"said.{name}"], texts["said"][name])) for name in _SAID
+    }
     monitors, flags = _names(texts["flags"]), arrays["flags"]
     _check(flags.dtype == np.int8 and flags.ndim == 2 and len(flags) == len(monitors), "flags")
     scene = None if texts["scene"] is None else _scene(arrays, texts["scene"])

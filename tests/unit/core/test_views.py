@@ -36,7 +36,7 @@ def state_with(*channels: dict[str, Any]) -> StateManager:
 
 def test_the_generators_view_has_no_ground_truth() -> None:
     names = {field.name for field in fields(GeneratorView)}
-    assert names == {"index", "time", "dt", "percept", "feedback"}
+    assert names == {"index", "time", "dt", "percept", "feedback", "past", "transmit"}
     view = state_with({"a": 1.0}).generator_view()
     assert not hasattr(view, "truth")
     assert not hasattr(view, "__dict__")

@@ -1,0 +1,40 @@
+"""Messages: what the component sends through the loop, past the active faults of its channels."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pytest_dura.core.outputs import check_texts
+from pytest_dura.core.roles import FaultInjector
+from pytest_dura.core.state import StateManager
+
+
+class Messages:
+    """The way of a component's own messages, such as prompts to a language model.
+
+    The component calls :meth:`transmit` from within its proposal. A failure of the injector there
+    says nothing about the component, which may catch it or not; the loop finds it in ``failure``.
+
+    Args:
+        injector: Whose faults act on the messages; ``None`` without any.
+        state: Where the faults that changed a message are noted.
+    """
+
+    def __init__(self, injector: FaultInjector | None, state: StateManager) -> None:
+        self._injector, self._state = injector, state
+        self.failure: BaseException | None = None
+
+    def transmit(self, channel: str, message: Any) -> Any:
+        """The message as it arrives."""
+        if self._injector is None:
+            return message
+        try:
+            changed, tampered = self._injector.corrupt_message(
+                channel, message, self._state.tick.time
+            )
+            check_texts("tampered faults", tampered)
+        except (Exception, SystemExit) as error:
+            self.failure = error
+            raise
+        self._state.message_faults.update(tampered)
+        return changed

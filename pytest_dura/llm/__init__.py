@@ -1,0 +1,1 @@
+"""Language models as the component under test (extra ``llm``)."""

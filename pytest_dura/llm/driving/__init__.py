@@ -1,0 +1,1 @@
+"""The language model as a tactical planner for driving."""

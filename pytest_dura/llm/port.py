@@ -1,0 +1,181 @@
+"""The port to a language model: what is asked, what is answered, and how the way there fails."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_dura.core.episode import canonical
+from pytest_dura.core.state import NOTHING
+
+WireFailure = Literal["", "unavailable", "timeout", "empty", "refused", "truncated"]
+"""How a call can fail before there is a whole text to read; empty if it did not."""
+
+Structured = Literal["json_schema", "json_object_schema", "json_object", "none"]
+"""How a server is asked for a structured answer: OpenAI's ``json_schema``; llama-cpp-python's
+``json_object`` with a ``schema``; ``json_object`` alone; or by the words of the prompt only."""
+
+
+@dataclass(frozen=True, eq=False)
+class Image:
+    """A picture in a message.
+
+    Args:
+        name: The channel that it comes from, such as ``camera_front``.
+        pixels: RGB, shape ``(height, width, 3)``, ``uint8``.
+    """
+
+    name: str
+    pixels: NDArray[np.uint8]
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of its pixels and shape, whatever a file format makes of them."""
+        shape = "x".join(map(str, self.pixels.shape))
+        data = np.ascontiguousarray(self.pixels, dtype=np.uint8).tobytes()
+        return hashlib.sha256(shape.encode() + b"|" + data).hexdigest()
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Image):
+            return NotImplemented
+        return (self.name, self.digest) == (other.name, other.digest)
+
+    def __hash__(self) -> int:
+        return hash((self.name, self.digest))
+
+
+@dataclass(frozen=True)
+class Message:
+    """One message of a conversation; ``images`` come before the text."""
+
+    role: Literal["system", "user", "assistant"]
+    text: str
+    images: tuple[Image, ...] = ()
+
+
+@dataclass(frozen=True)
+class Request:
+    """All that determines an answer, as far as a client can.
+
+    Args:
+        model: Name of the model.
+        messages: The conversation.
+        schema: JSON schema of the answer.
+        structured: How the server is asked to keep to it.
+        temperature: Of the sampling; 0 takes the most likely token.
+        max_tokens: Longest answer.
+        seed: Of the sampling; ``None`` where the server takes none.
+        sample: Number of the sample, where one thing is asked several times.
+    """
+
+    model: str
+    messages: tuple[Message, ...]
+    schema: Mapping[str, Any] = NOTHING
+    structured: Structured = "none"
+    temperature: float = 0.0
+    max_tokens: int = 700
+    seed: int | None = None
+    sample: int = 0
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data, with images by their digests. It holds no key and no address."""
+        return {
+            "model": self.model,
+            "messages": [
+                {
+                    "role": one.role,
+                    "text": one.text,
+                    "images": [
+                        {"name": image.name, "sha256": image.digest} for image in one.images
+                    ],
+                }
+                for one in self.messages
+            ],
+            "schema": dict(self.schema),
+            "structured": self.structured,
+            "temperature": self.temperature,
+            "max_tokens": self.max_tokens,
+            "seed": self.seed,
+            "sample": self.sample,
+        }
+
+    def key(self, fingerprint: str) -> str:
+        """SHA-256 of the request to a server with this fingerprint."""
+        return hashlib.sha256(canonical([self.to_json(), fingerprint])).hexdigest()
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What came back. A call never raises: that it failed is an answer, too.
+
+    Args:
+        text: The raw text, of bounded length.
+        failure: Why there is no whole text, if so.
+        detail: What the server or the connection said of the failure, in a few words.
+        seconds: Wall-clock seconds that it took.
+        finish: Why the model ended, in the server's word.
+        usage: Tokens, as the server counted them.
+        fingerprint: What the server says of itself with each answer, if it does.
+    """
+
+    text: str = ""
+    failure: WireFailure = ""
+    detail: str = ""
+    seconds: float = 0.0
+    finish: str = ""
+    usage: Mapping[str, int] = field(default_factory=dict)
+    fingerprint: str = ""
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data."""
+        return {
+            "text": self.text,
+            "failure": self.failure,
+            "detail": self.detail,
+            "seconds": self.seconds,
+            "finish": self.finish,
+            "usage": dict(self.usage),
+            "fingerprint": self.fingerprint,
+        }
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> Answer:
+        """The inverse of :meth:`to_json`."""
+        return cls(**data)
+
+
+ServerFault = Literal["", "refused", "http_429", "http_500", "cut", "garbage", "error_text"]
+"""How a server can be made to fail: it refuses the connection, answers 429 or 500, ends in the
+middle of its answer, answers with what is no JSON, or with status 200 and an error."""
+
+
+@dataclass(frozen=True)
+class Delivery:
+    """How a request reaches the model; the message on the channel ``model``.
+
+    Args:
+        fault: How the server fails instead of answering, if so.
+        delay: Seconds that the answer takes longer.
+    """
+
+    fault: ServerFault = ""
+    delay: float = 0.0
+
+
+class ChatPort(Protocol):
+    """A language model behind some wire."""
+
+    def ask(self, request: Request, budget: float, fault: ServerFault = "") -> Answer:
+        """One call, without retries, that ends within the budget.
+
+        Args:
+            request: What is asked.
+            budget: Seconds of wall-clock time.
+            fault: How the server is made to fail; then nothing is sent to the real one.
+        """
