@@ -49,6 +49,7 @@ class Component:
 
     def __init__(self, generator: Generator, spec: EpisodeSpec, timeouts: list[int]) -> None:
         self.generator, self.spec, self.timeouts = generator, spec, timeouts
+        self._limit = generator.time_limit(spec.time_budget)
         self._calls = 0
         self._not_called = ""
 
@@ -93,7 +94,7 @@ class Component:
                 raise TimeBudgetExceeded
             return call(argument)
         try:
-            return call_within(self.spec.time_budget, call, argument)
+            return call_within(self._limit, call, argument)
         except CallNotStopped:
             self._overran(number, ABANDON_AFTER)
             raise

@@ -181,6 +181,14 @@ class Generator(Role):
     def propose(self, view: GeneratorView) -> Proposal:
         """An action for this tick, from the percept alone."""
 
+    def time_limit(self, budget: float | None) -> float | None:
+        """Seconds of wall-clock time after which the loop ends a call; ``None`` for never.
+
+        The time budget, unless the component keeps a deadline of its own and declares its latency,
+        which is held against the budget all the same, and does more within a call than to decide.
+        """
+        return budget
+
     def run(self, view: RoleView) -> Any:
         """Not scheduled: the loop calls :meth:`propose` with the Generator's own view."""
         raise NotImplementedError("the loop calls propose() with a GeneratorView")

@@ -1,0 +1,122 @@
+"""Answers: the schema that a model is held to, and the strict reading of what it wrote."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from pytest_dura.core.state import NOTHING
+from pytest_dura.llm.failures import ANSWERED, Outcome
+from pytest_dura.llm.port import Answer
+
+LONGEST = 20_000
+"""Characters of a text that is read at all."""
+
+OBSERVATIONS, REASONING = 160, 240
+"""Characters of what a model may say. llama.cpp's server refuses strings without a bound."""
+IDS, ID_LENGTH = 3, 16
+"""Ids that may be cited, and their characters."""
+
+
+def answer_schema(actions: Sequence[str], intents: Sequence[str]) -> dict[str, Any]:
+    """The JSON schema of an answer, every string bounded, the reasoning before the decision.
+
+    Args:
+        actions: The values of ``maneuver``.
+        intents: The values of ``intent``.
+    """
+    properties = {
+        "observations": {"type": "string", "maxLength": OBSERVATIONS},
+        "threat_ids": {
+            "type": "array",
+            "items": {"type": "string", "maxLength": ID_LENGTH},
+            "maxItems": IDS,
+        },
+        "reasoning": {"type": "string", "maxLength": REASONING},
+        "intent": {"type": "string", "enum": list(intents)},
+        "maneuver": {"type": "string", "enum": list(actions)},
+        "confidence": {"type": "number", "minimum": 0, "maximum": 1},
+    }
+    return {
+        "type": "object",
+        "properties": properties,
+        "required": list(properties),
+        "additionalProperties": False,
+    }
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What an answer says.
+
+    Args:
+        outcome: ``answered``, or the class of the failure.
+        detail: What is wrong, in a few words.
+        said: The answer's object, where there is one that keeps to the schema.
+    """
+
+    outcome: Outcome
+    detail: str = ""
+    said: Mapping[str, Any] = NOTHING
+
+    @property
+    def answered(self) -> bool:
+        """Whether it is a decision."""
+        return self.outcome == ANSWERED
+
+
+def read_answer(answer: Answer, schema: Mapping[str, Any]) -> Reading:
+    """An answer, read strictly: the whole text is one JSON object that keeps to the schema.
+
+    Nothing is mended: no text around the object, no code fence, no repeated key, no NaN.
+
+    Args:
+        answer: What came back.
+        schema: Of :func:`answer_schema`.
+    """
+    if answer.failure:
+        return Reading(answer.failure, answer.detail)
+    if not answer.text.strip():
+        return Reading("empty", "the text is blank")
+    if len(answer.text) > LONGEST:
+        return Reading("malformed", f"a text of {len(answer.text)} characters")
+    try:
+        said = json.loads(
+            answer.text, object_pairs_hook=_without_repeats, parse_constant=_no_number
+        )
+        answer.text.encode()
+        json.dumps(said, ensure_ascii=False).encode()  # escapes may hide half a character
+    except (ValueError, RecursionError) as error:
+        return Reading("malformed", _short(f"no JSON: {error}"))
+    if not isinstance(said, dict):
+        return Reading("malformed", f"JSON, but no object: {type(said).__name__}")
+    return _checked(said, schema)
+
+
+def _checked(said: dict[str, Any], schema: Mapping[str, Any]) -> Reading:
+    from jsonschema import Draft202012Validator
+
+    problems = sorted(Draft202012Validator(dict(schema)).iter_errors(said), key=str)
+    if not problems:
+        return Reading(ANSWERED, said=said)
+    unknown = all(list(one.path) == ["maneuver"] for one in problems)
+    if unknown and isinstance(said["maneuver"], str):
+        return Reading("unknown_action", _short(f"maneuver {said['maneuver']!r}"))
+    return Reading("schema_violation", _short(problems[0].message))
+
+
+def _without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        raise ValueError("a key stands there twice")
+    return found
+
+
+def _no_number(name: str) -> float:
+    raise ValueError(f"{name} is no number of JSON")
+
+
+def _short(text: str) -> str:
+    return text if len(text) <= 200 else text[:197] + "..."
