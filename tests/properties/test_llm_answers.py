@@ -1,0 +1,53 @@
+"""Laws of reading an answer: any text has an outcome, and only what keeps to the schema is one."""
+
+from __future__ import annotations
+
+import json
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from jsonschema import Draft202012Validator
+
+from pytest_dura.llm.answers import answer_schema, read_answer
+from pytest_dura.llm.failures import OUTCOMES
+from pytest_dura.llm.port import Answer
+
+SCHEMA = answer_schema(("wait", "proceed"), ("slow_down", "hold", "speed_up"))
+JSON = st.recursive(
+    st.none() | st.booleans() | st.floats() | st.integers() | st.text(max_size=20),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=8), inner),
+    max_leaves=8,
+)
+NEARLY = st.fixed_dictionaries(
+    {
+        "observations": st.text(max_size=170) | JSON,
+        "threat_ids": st.lists(st.text(max_size=4), max_size=4) | JSON,
+        "reasoning": st.text(max_size=20),
+        "intent": st.sampled_from(["slow_down", "hold", "speed_up", "panic"]),
+        "maneuver": st.sampled_from(["wait", "proceed", "fly"]) | JSON,
+        "confidence": st.floats() | st.integers(0, 1),
+    }
+)
+TEXTS = st.text(max_size=50) | JSON.map(json.dumps) | NEARLY.map(json.dumps)
+
+
+@settings(derandomize=True, deadline=None, max_examples=200)
+@given(text=TEXTS)
+def test_any_text_has_one_outcome(text):
+    reading = read_answer(Answer(text), SCHEMA)
+    assert reading.outcome in OUTCOMES
+    assert reading.answered == bool(reading.said)
+    assert reading.answered or reading.detail
+
+
+@settings(derandomize=True, deadline=None, max_examples=200)
+@given(said=NEARLY)
+def test_what_was_answered_keeps_to_the_schema(said):
+    reading = read_answer(Answer(json.dumps(said)), SCHEMA)
+    finite = all(abs(one) < float("inf") for one in [said["confidence"]])
+    if reading.answered:
+        assert Draft202012Validator(SCHEMA).is_valid(said)
+        assert reading.said == said
+    elif finite and Draft202012Validator(SCHEMA).is_valid(said):
+        # What JSON can say and UTF-8 cannot.
+        assert any("\ud800" <= letter <= "\udfff" for letter in json.dumps(said, ensure_ascii=False))
