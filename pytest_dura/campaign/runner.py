@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from pytest_dura.campaign.campaigns import Campaign
 from pytest_dura.campaign.cases import WITHOUT, Case, expand_cases, no_match, one_case
@@ -43,6 +43,7 @@ class Bench:
         simulator: Replaces the scenarios' simulators.
         runs: Replaces the planned runs of every campaign.
         faults: Fault campaigns that replace those of the scenarios, if given.
+        time_budget: Replaces the seconds that scenarios give the component for one proposal.
         metrics: User-defined metrics by name.
         on_episode: Told of every use of an episode: the case, the episode, and how many were
             planned of this case; 0 if the episode's seed was chosen by hand.
@@ -60,6 +61,7 @@ class Bench:
     simulator: RoleSpec | None = None
     runs: int | None = None
     faults: tuple[FaultCampaign, ...] | None = None
+    time_budget: float | None = None
     metrics: Metrics = NOTHING
     on_episode: Callable[[Case, JudgedEpisode, int], None] = _nobody_listens
     on_progress: Callable[[Case, int, int], None] = _nobody_listens
@@ -162,7 +164,7 @@ class Bench:
         Raises:
             ConfigurationError: If a role or the simulator cannot be built.
         """
-        spec = case.spec(run, self.base_seed, self.roles, simulator=self.simulator, seed=seed)
+        spec = self._spec(case, run, seed)
         return self.store.get(spec, lambda spec: self._simulate(case, spec))
 
     def follow(self, case: Case, run: int) -> None:
@@ -199,13 +201,7 @@ class Bench:
         reached = any(fault.manifested_at is not None for fault in episode.faults)
         if not (self.twins and reached):
             return causal_chains(episode, requirements)
-        spec = case.without_faults().spec(
-            episode.spec.run,
-            self.base_seed,
-            self.roles,
-            simulator=self.simulator,
-            seed=episode.spec.seed,
-        )
+        spec = self._spec(case.without_faults(), episode.spec.run, episode.spec.seed)
 
         def simulated() -> JudgedEpisode:
             return self._simulate(case, spec)
@@ -238,6 +234,10 @@ class Bench:
         if until_decided is None:
             until_decided = found.scenario.until_decided and runs is None
         return Campaign(self, found, planned, requirement, until_decided)
+
+    def _spec(self, case: Case, run: int, seed: int | None) -> EpisodeSpec:
+        spec = case.spec(run, self.base_seed, self.roles, simulator=self.simulator, seed=seed)
+        return spec if self.time_budget is None else replace(spec, time_budget=self.time_budget)
 
     def _simulate(self, case: Case, spec: EpisodeSpec) -> JudgedEpisode:
         judge = None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -64,6 +65,11 @@ def add_options(parser: pytest.Parser) -> None:
         "--dura-seed",
         metavar="N",
         help=f"base seed, from which every episode's seed follows (default: {DEFAULT_SEED})",
+    )
+    add(
+        "--dura-time-budget",
+        metavar="SECONDS",
+        help="what the component has for one proposal, instead of what the scenarios say",
     )
     add(
         "--dura-evidence",
@@ -138,6 +144,7 @@ class Options:
     faults: tuple[Any, ...] | None
     runs: int | None
     seed: int
+    time_budget: float | None
     evidence: Path
     evidence_level: Level
     replay: str | None
@@ -191,7 +198,7 @@ class Options:
             )
         given = [("--dura-path", path) for path in get("dura_path")]
         given += [("--dura-faults", text) for text in faults]
-        for name in ("generator", "runs", "seed", "evidence", "evidence-level"):
+        for name in ("generator", "runs", "seed", "time-budget", "evidence", "evidence-level"):
             value = get(f"dura_{name.replace('-', '_')}")
             if value is not None:
                 given.append((f"--dura-{name}", str(value)))
@@ -204,6 +211,7 @@ class Options:
             faults=_fault_campaigns(faults, config.invocation_params.dir),
             runs=runs,
             seed=DEFAULT_SEED if seed is None else seed,
+            time_budget=_seconds("--dura-time-budget", get("dura_time_budget")),
             evidence=_evidence(config),
             evidence_level=cast("Level", get("dura_evidence_level") or DEFAULT_LEVEL),
             replay=get("dura_replay"),
@@ -254,6 +262,24 @@ def _whole_number(option: str, text: Any, *, at_least: int) -> int | None:
             found=text,
             expected=f"a whole number of at least {at_least}",
             remedy=f"for example {option}={max(at_least, 10)}",
+        )
+    return number
+
+
+def _seconds(option: str, text: Any) -> float | None:
+    if text is None:
+        return None
+    try:
+        number = float(str(text))
+    except ValueError:
+        number = math.nan
+    if not 0.0 < number < math.inf:
+        raise ConfigurationError(
+            f"{option} takes a number of seconds",
+            key=option,
+            found=text,
+            expected="a number above 0",
+            remedy=f"for example {option}=30",
         )
     return number
 

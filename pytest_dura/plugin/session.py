@@ -190,6 +190,7 @@ class DuraSession:
             roles=self.roles.chosen(),
             runs=self.options.runs,
             faults=self.options.faults,
+            time_budget=self.options.time_budget,
             on_episode=self.reporter.episode_used,
             on_progress=Progress(self).show,
             on_verdict=self.reporter.verdict_reached,

@@ -11,6 +11,11 @@ import pytest
             ["ERROR: --dura-runs takes a whole number", "  found:    'many'", "*at least 1*"],
         ),
         (["--dura-runs=0"], ["ERROR: --dura-runs takes a whole number", "*at least 1*"]),
+        (
+            ["--dura-time-budget=nan"],
+            ["ERROR: --dura-time-budget takes a number of seconds", "  found:    'nan'"],
+        ),
+        (["--dura-time-budget=0"], ["ERROR: --dura-time-budget takes a number*", "*above 0*"]),
         (["--dura-seed=-1"], ["ERROR: --dura-seed takes a whole number", "*at least 0*"]),
         (
             ["--dura-path=nowhere"],
@@ -129,3 +134,10 @@ def test_evidence_that_cannot_be_written(project):
     result = project.scenarios("--dura-evidence=pytest.ini/below")
     assert result.ret == 4
     result.stderr.fnmatch_lines(["ERROR: the evidence cannot be written: Not a directory"])
+
+
+def test_a_time_budget_replaces_that_of_the_scenarios(project):
+    result = project.run("--dura-scenarios", "--dura-time-budget=1.5", "--dura-runs=1")
+    episodes = project.evidence()["episodes"]
+    assert {one["spec"]["time_budget"] for one in episodes} == {1.5}
+    assert "--dura-time-budget=1.5" in result.stdout.str()
