@@ -3,42 +3,78 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pytest_dura.core.errors import describe_error
 from pytest_dura.core.metrics import Tally
 from pytest_dura.core.simulator import Simulator
-from pytest_dura.core.state import Percept, Tick
+from pytest_dura.core.state import NOTHING, Percept, Tick
 
 Floats = NDArray[np.float64]
 
+PREFIX = "proposal."
+"""Beginning of the names of the signals that accounts come to."""
 DECIDED = "decided"
-"""Key of an account: whether the component decided anew, rather than held what it had decided."""
+"""Key of an account: ``True`` where the component decided anew, rather than held what it had."""
 NULL = "null"
 """Key of an account: what a null component, which ignores its input, would have told instead."""
 SECONDS = "seconds"
 """Key of an account: how long the component took for its decision, in s of wall-clock time."""
+INPUT = (DECIDED, "at", "perceived")
+"""Keys of an account that tell of the input, which a null component has as well."""
 LONGEST = 100_000
 """Characters of one account, as JSON."""
+DEEPEST = 12
+"""Mappings and lists within each other in one account."""
 
 
 def account_problem(account: Any) -> str | None:
-    """What is wrong with an account; ``None`` if nothing is."""
+    """What is wrong with an account; ``None`` if nothing is.
+
+    What plain data it holds is not looked at: who reads it takes what he understands.
+    """
     if not isinstance(account, Mapping):
         return f"gave an account that is {type(account).__name__}, not a mapping"
-    if not account:
-        return None
     try:
-        size = len(json.dumps(dict(account), allow_nan=False))
-    except (TypeError, ValueError, RecursionError) as error:
-        return f"gave an account that is no plain data: {error}"
-    if size > LONGEST:
-        return f"gave an account of {size} characters; {LONGEST} are allowed"
+        told = dict(account)
+        text = json.dumps(told, allow_nan=False) if told else ""
+    except Exception as error:
+        return f"gave an account that is no plain data: {describe_error(error)}"
+    if len(text) > LONGEST:
+        return f"gave an account of {len(text)} characters; {LONGEST} are allowed"
+    if not all(isinstance(key, str) for key in told):
+        return "gave an account with a key that is no text"
+    if _depth(told) > DEEPEST:
+        return f"gave an account of more than {DEEPEST} levels"
     return None
+
+
+def copied(account: Mapping[str, Any]) -> Mapping[str, Any]:
+    """An account of which the component cannot change anything any more.
+
+    Args:
+        account: One with which nothing is wrong.
+    """
+    if not account:
+        return NOTHING
+    if not account:
+        return NOTHING
+    found: dict[str, Any] = json.loads(json.dumps(dict(account)))
+    return found
+
+
+def _depth(value: Any, above: int = 0) -> int:
+    """Levels of plain data; no more is looked at than it takes to be too deep."""
+    if above > DEEPEST or not isinstance(value, (Mapping, list, tuple)):
+        return above
+    parts = value.values() if isinstance(value, Mapping) else value
+    return max((_depth(one, above + 1) for one in parts), default=above + 1)
 
 
 @dataclass(frozen=True)
@@ -47,7 +83,7 @@ class Accounted:
 
     Args:
         signals: Columns of shape ``(ticks,)``; the last decision is still in force at the end.
-        tallies: By the same names.
+        tallies: By the names of the failure modes.
         seconds: Wall-clock seconds of each decision that was made anew and took any.
     """
 
@@ -69,34 +105,60 @@ def accounted(
     """
     if not any(accounts):
         return None
-    columns = _measures(simulator, ticks, percepts, accounts)
-    null = [one.get(NULL, {}) for one in accounts]
-    null_columns = _measures(simulator, ticks, percepts, null) if any(null) else {}
-    fresh = np.array([bool(one.get(DECIDED)) for one in accounts])
-    signals, tallies = {}, {}
+    measures = simulator.account_measures
+    columns = _columns(measures, ticks, percepts, accounts)
+    null = [_null(one) for one in accounts]
+    null_columns = _columns(measures, ticks, percepts, null) if any(null) else {}
+    fresh = np.array([one.get(DECIDED) is True for one in accounts])
+    tallies = {}
     for name, column in columns.items():
-        filled = np.nan_to_num(column, nan=0.0)
-        signals[name] = np.append(filled, filled[-1:]) if len(ticks) > len(filled) else filled
         counts = _count(column[fresh])
         beside = null_columns.get(name)
-        tallies[name] = Tally(*counts, *((0, 0) if beside is None else _count(beside[fresh])))
-    seconds = [float(one[SECONDS]) for one in accounts if one.get(DECIDED) and SECONDS in one]
-    return Accounted(signals, tallies, seconds)
+        null_counts = (0, 0) if beside is None else _count(beside[fresh])
+        tallies[name] = Tally(*counts, *null_counts, simulator.measure_kinds.get(name, "failure"))
+    plain = _columns(simulator.account_signals, ticks, percepts, accounts)
+    signals = {name: _to_the_end(one, len(ticks)) for name, one in {**columns, **plain}.items()}
+    spent = [_seconds(one.get(SECONDS)) for one in accounts if one.get(DECIDED) is True]
+    return Accounted(signals, tallies, [one for one in spent if one is not None])
 
 
-def _measures(
-    simulator: Simulator,
+def _null(account: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The account of the null component, on the same input."""
+    told = account.get(NULL)
+    if not isinstance(told, Mapping):
+        return {}
+    return {**{key: account[key] for key in INPUT if key in account}, **told}
+
+
+def _seconds(told: Any) -> float | None:
+    """A duration, if it is one."""
+    if isinstance(told, bool) or not isinstance(told, (int, float)):
+        return None
+    try:
+        seconds = float(told)
+    except OverflowError:  # an int of hundreds of digits
+        return None
+    return seconds if 0.0 <= seconds < math.inf else None
+
+
+def _to_the_end(column: Floats, ticks: int) -> Floats:
+    """One value per tick, 0 where there is none."""
+    filled = np.nan_to_num(column, nan=0.0)
+    return np.append(filled, filled[-1:]) if ticks > len(filled) else filled
+
+
+def _columns(
+    hook: Callable[..., Mapping[str, Any]],
     ticks: Sequence[Tick],
     percepts: Sequence[Percept],
     accounts: Sequence[Mapping[str, Any]],
 ) -> dict[str, Floats]:
-    found = simulator.account_measures(ticks, percepts, accounts)
+    found = hook(ticks, percepts, accounts)
     columns = {name: np.asarray(column, dtype=np.float64) for name, column in found.items()}
     for name, column in columns.items():
         if column.shape != (len(accounts),):
             raise ValueError(
-                f"account_measures returned {name!r} of shape {column.shape}, not "
-                f"({len(accounts)},)"
+                f"{hook.__name__} returned {name!r} of shape {column.shape}, not ({len(accounts)},)"
             )
     return columns
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_dura.core.accounts import accounted
+from pytest_dura.core.accounts import PREFIX, accounted, copied
 from pytest_dura.core.episode import Episode, EpisodeSpec
 from pytest_dura.core.errors import InfrastructureError, describe_error
 from pytest_dura.core.metrics import DependabilityMetrics, FaultRecord
@@ -87,7 +87,7 @@ class EpisodeLog:
 
     def proposed(self, tick: Tick, proposal: Proposal | None, problem: str | None) -> None:
         """The Generator was asked; ``problem`` is what is wrong with its answer, if anything."""
-        self._account = NOTHING if proposal is None else proposal.account
+        self._account = NOTHING if proposal is None else copied(proposal.account)
         self.metrics.proposals += 1
         if problem is None:
             self.metrics.valid_proposals += 1
@@ -316,7 +316,7 @@ class EpisodeLog:
         """Failure modes that the component's accounts show, where it gave any."""
         told = accounted(simulator, state.ticks, state.percepts, self._accounts)
         if told is not None:
-            _add_signals(signals, told.signals, "proposal.", len(state.ticks))
+            _add_signals(signals, told.signals, PREFIX, len(state.ticks))
             self.metrics.tallies = dict(told.tallies)
             self.metrics.answer_seconds = list(told.seconds)
 

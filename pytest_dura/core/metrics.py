@@ -97,14 +97,20 @@ def _between(first: float | None, then: float | None) -> float | None:
 class Tally:
     """How often a failure mode showed, among the decisions that could have shown it.
 
-    ``null_hits`` of ``null_of`` is the same for a null component, which ignores its input, on the
-    same decisions.
+    Args:
+        hits: Decisions that showed it.
+        of: Decisions that could have shown it.
+        null_hits: The same for a null component, which ignores its input, on the same decisions.
+        null_of: See above.
+        kind: ``failure``, ``control`` (a negative control: what a component does that takes no
+            notice of its input) or ``comparison`` (no failure by itself).
     """
 
     hits: int
     of: int
     null_hits: int = 0
     null_of: int = 0
+    kind: str = "failure"
 
 
 @dataclass
@@ -243,6 +249,8 @@ class DependabilityMetrics:
             "processing_us": {
                 role: float(np.mean(ns)) / 1000.0 for role, (_, ns) in self.processing_ns.items()
             },
+            "tallies": {name: asdict(one) for name, one in self.tallies.items()},
+            "answer_seconds": list(self.answer_seconds),
             "user": dict(self.user),
         }
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,6 +81,22 @@ class Simulator(ABC):
 
         Returns:
             Columns of shape ``(len(accounts),)``.
+        """
+        return {}
+
+    measure_kinds: ClassVar[Mapping[str, str]] = {}
+    """What a measure of :meth:`account_measures` is, where it is no plain failure mode: ``control``
+    or ``comparison``; see :class:`~pytest_dura.core.metrics.Tally`."""
+
+    def account_signals(
+        self,
+        ticks: Sequence[Tick],  # noqa: ARG002 - for those who override it
+        percepts: Sequence[Percept],  # noqa: ARG002 - see above
+        accounts: Sequence[Mapping[str, Any]],  # noqa: ARG002 - see above
+    ) -> dict[str, NDArray[np.float64]]:
+        """What accounts tell beside failure modes, such as the age of a decision.
+
+        As :meth:`account_measures`, whose names it shares, but any numbers; nothing is counted.
         """
         return {}
 

@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
+from pytest_dura.evidence.record.failure_modes import FailureModes
 from pytest_dura.evidence.record.faults import FaultMetrics
 
 COUNTED = ("flagged", "collided", "gridlock")
@@ -34,6 +35,7 @@ class CaseMetrics:
         self._times_to_safe = array("d")
         self._user: dict[str, array[float]] = {}
         self._faults = FaultMetrics()
+        self._failure_modes = FailureModes()
 
     def add(self, episode: Data) -> None:
         """Take in an episode.
@@ -54,6 +56,7 @@ class CaseMetrics:
         self._clears |= told["gridlock"] is not None
         if told["clearance_time"] is not None:
             self._times.append(told["clearance_time"])
+        self._failure_modes.add(episode["metrics"])
         if told["switching"]["decisions"]:
             self._add_switching(told["switching"])
         for name, value in episode["metrics"]["user"].items():
@@ -94,6 +97,8 @@ class CaseMetrics:
                 for name, column in self._user.items()
             },
             "faults": self._faults.to_json(),
+            "failure_modes": self._failure_modes.to_json(),
+            "answer_times": self._failure_modes.answer_times(),
         }
 
     def _share(self, key: str, planned: int) -> dict[str, Any] | None:

@@ -65,6 +65,7 @@ def _metrics(episode: Data) -> Iterator[str]:
             yield f"{metrics[key]} {key}, and {episode['outcome'][key]} in its outcome"
     if metrics["valid_proposals"] > metrics["proposals"]:
         yield "more valid proposals than there were"
+    yield from _tallies(metrics, episode["outcome"]["switching"]["decisions"])
     first: dict[str, float] = {}
     for event in episode["events"]:
         if event["kind"] == "fault_manifested":
@@ -75,3 +76,13 @@ def _metrics(episode: Data) -> Iterator[str]:
                 f"{one['id']} manifested at {one['manifested_at']} s, and its events "
                 f"say {first.get(one['id'])}"
             )
+
+
+def _tallies(metrics: Data, decisions: int) -> Iterator[str]:
+    """Whether no more was told than there were decisions to tell of."""
+    for name, one in metrics["tallies"].items():
+        for part, whole in (("hits", "of"), ("null_hits", "null_of")):
+            if not one[part] <= one[whole] <= decisions:
+                yield f"{one[part]} of {one[whole]} for {name} ({part}), in {decisions} decisions"
+    if len(metrics["answer_seconds"]) > decisions:
+        yield f"the times of {len(metrics['answer_seconds'])} answers, in {decisions} decisions"

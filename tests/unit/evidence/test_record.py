@@ -25,7 +25,7 @@ def episode(run=0, digest="d", validity="valid", **outcome):
     return {
         "id": f"a/b#{run}", "case": "a/b", "component": "C", "seed": run, "planned": True,
         "validity": validity, "digest": digest, "outcome": told | outcome,
-        "metrics": {"user": {}}, "faults": [], "spec": {"run": run, "timeouts": []},
+        "metrics": {"user": {}, "tallies": {}, "answer_seconds": []}, "faults": [], "spec": {"run": run, "timeouts": []},
     }  # fmt: skip
 
 
