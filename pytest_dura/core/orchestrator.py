@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from time import perf_counter_ns
 from typing import Any, Protocol, cast
@@ -20,6 +20,7 @@ from pytest_dura.core.limits import alarms
 from pytest_dura.core.log import Decision, EpisodeLog
 from pytest_dura.core.messages import Messages
 from pytest_dura.core.outputs import check_output, check_texts, owed_output
+from pytest_dura.core.outside import OutsideError, listening
 from pytest_dura.core.roles import (
     Assessed,
     Assessment,
@@ -164,7 +165,9 @@ class Orchestrator:
                 context = RoleContext(
                     own_seed, spec.time_step, scenario, time_budget=spec.time_budget
                 )
-                problem = self._component.reset(context)
+                with listening() as outside:
+                    problem = self._component.reset(context)
+                self._raise_outside(outside)
                 if problem is not None:
                     self.log.early_event("component_failure", spec.component, problem)
             else:
@@ -249,10 +252,12 @@ class Orchestrator:
         self.state.proposal = None
         start = perf_counter_ns()
         view = self.state.generator_view(feedback, self._messages.transmit)
-        proposal, problem = self._component.ask(view)
+        with listening() as outside:
+            proposal, problem = self._component.ask(view)
         elapsed = perf_counter_ns() - start
         self.state.generator_seconds = elapsed / 1e9
         self.log.metrics.log_time("generator", tick.index, elapsed)
+        self._raise_outside(outside)
         if self._messages.failure is not None:
             failure = self._messages.failure
             raise self._infrastructure("fault_injector", failure) from failure
@@ -369,10 +374,18 @@ class Orchestrator:
                 raise
             raise self._infrastructure(role, error) from error
 
+    def _raise_outside(self, heard: Sequence[OutsideError]) -> None:
+        """End the episode at the first failure of what the component rests on, if there was one."""
+        if heard:
+            raise self._failure_of(heard[0].source, str(heard[0])) from heard[0]
+
     def _infrastructure(self, role: str, error: BaseException) -> InfrastructureError:
+        return self._failure_of(role, describe_error(error))
+
+    def _failure_of(self, role: str, cause: str) -> InfrastructureError:
         ticks = self.state.ticks
         index, time = (ticks[-1].index, ticks[-1].time) if ticks else (0, 0.0)
-        return InfrastructureError(role, index, time, describe_error(error))
+        return InfrastructureError(role, index, time, cause)
 
 
 _HALT = object()
