@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from pytest_dura.core.episode import canonical
 from pytest_dura.core.state import NOTHING
 
-WireFailure = Literal["", "unavailable", "timeout", "empty", "refused", "truncated"]
-"""How a call can fail before there is a whole text to read; empty if it did not."""
+WireFailure = Literal["", "unavailable", "timeout", "empty", "refused", "truncated", "malformed"]
+"""How a call can fail before there is a whole text to read; empty if it did not. Here
+``malformed`` is a body that is no chat completion."""
 
 Structured = Literal["json_schema", "json_object_schema", "json_object", "none"]
 """How a server is asked for a structured answer: OpenAI's ``json_schema``; llama-cpp-python's

@@ -1,0 +1,135 @@
+"""Endpoint: which server and which model is asked, and the key that must show nowhere."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from urllib.parse import SplitResult, urlsplit
+
+from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.llm.secret import DUMMIES, SHORTEST, Scrubber
+
+URL, MODEL, KEY = "DURA_LLM_BASE_URL", "DURA_LLM_MODEL", "DURA_LLM_API_KEY"
+"""The environment variables."""
+NO_KEY = "none"
+"""The key where the server needs none; the SDK wants one that is not empty."""
+_EXAMPLE = "http://127.0.0.1:11434/v1"
+_LOCAL_REMEDY = f"unset {KEY}, or set it to `{NO_KEY}`, where the server needs no key"
+_LONGEST = 2000
+
+
+@dataclass(frozen=True)
+class Endpoint:
+    """An OpenAI-compatible server, a model of it, and the key.
+
+    The key is in no ``repr``; :meth:`scrub` takes it out of texts of others.
+
+    Args:
+        base_url: Up to and with the version, such as ``http://127.0.0.1:11434/v1``.
+        model: Name of the model, as the server has it.
+        key: Sent as a bearer token to this server alone.
+
+    Raises:
+        ConfigurationError: For a URL, a name or a key that cannot be used.
+    """
+
+    base_url: str
+    model: str
+    key: str = field(default=NO_KEY, repr=False)
+
+    def __post_init__(self) -> None:
+        _check_url(self.base_url)
+        if not self.model.strip() or not self.model.isprintable() or len(self.model) > _LONGEST:
+            raise ConfigurationError(
+                "the model's name is empty or cannot be printed",
+                key=MODEL,
+                found=self.model[:_LONGEST],
+                expected="a name such as `llama3.1:8b`",
+            )
+        _check_key(self.key)
+
+    @classmethod
+    def from_environment(cls, environ: Mapping[str, str]) -> Endpoint:
+        """From ``DURA_LLM_BASE_URL``, ``DURA_LLM_MODEL`` and ``DURA_LLM_API_KEY``.
+
+        Raises:
+            ConfigurationError: If one of the first two is missing, or one cannot be used.
+        """
+        given = {name: environ.get(name, "").strip() for name in (URL, MODEL, KEY)}
+        for name, example in ((URL, _EXAMPLE), (MODEL, "llama3.1:8b")):
+            if not given[name]:
+                raise ConfigurationError(
+                    f"no language model is named: {name} is not set",
+                    key=name,
+                    expected=f"such as {example}",
+                    remedy=f"set {URL} and {MODEL}, and {KEY} where the server needs a key",
+                )
+        return cls(given[URL], given[MODEL], given[KEY] or NO_KEY)
+
+    @cached_property
+    def public(self) -> str:
+        """The URL without user, password, query and fragment."""
+        return _public(urlsplit(self.base_url))
+
+    def scrub(self, text: str) -> str:
+        """The text with every form of the key replaced by ``[key]``."""
+        return self._scrubber.scrub(text)
+
+    @cached_property
+    def _scrubber(self) -> Scrubber:
+        return Scrubber(self.key)
+
+
+def _public(parts: SplitResult) -> str:
+    return f"{parts.scheme}://{parts.netloc.rpartition('@')[2]}{parts.path}".rstrip("/")
+
+
+def _check_url(url: str) -> None:
+    """Refuse a URL that cannot be used; no message shows a password or a query."""
+
+    def refused(problem: str, remedy: str, shown: str | None = None) -> ConfigurationError:
+        return ConfigurationError(
+            f"the base URL {problem}",
+            key=URL,
+            found=shown,
+            expected=f"http:// or https://, a host and a path, such as {_EXAMPLE}",
+            remedy=remedy,
+        )
+
+    if not url.isascii() or not url.isprintable() or re.search(r"\s|\\", url):
+        raise refused("holds blanks or characters that no URL has", "write it without them")
+    try:
+        parts = urlsplit(url)
+        port = parts.port
+    except ValueError:
+        raise refused("cannot be read", "check its host and its port") from None
+    if parts.scheme not in ("http", "https"):
+        raise refused("has no scheme that can be used", "begin it with http:// or https://")
+    if "@" in parts.netloc:
+        raise refused("holds a user or a password", f"leave them out, and set {KEY}")
+    shown = _public(parts)
+    if not parts.hostname or port == 0:
+        raise refused("names no host or port", "name the server's", shown)
+    if parts.query or parts.fragment:
+        raise refused("has a query or a fragment", "end it with the path", shown)
+    if parts.path.rstrip("/").endswith("/completions"):
+        raise refused("goes too far", "leave out /chat/completions", shown)
+
+
+def _check_key(key: str) -> None:
+    """Refuse a key that no header can hold, or that cannot be kept out of texts."""
+    if not key or not key.isascii() or not key.isprintable() or " " in key or len(key) > _LONGEST:
+        raise ConfigurationError(
+            "the key is empty, too long, or holds blanks or characters that no header can hold",
+            key=KEY,
+            remedy=_LOCAL_REMEDY,
+        )
+    if len(key) < SHORTEST and key.casefold() not in DUMMIES:
+        raise ConfigurationError(
+            f"the key has fewer than {SHORTEST} characters, so that it cannot be kept out of"
+            " files: it would be taken for ordinary text",
+            key=KEY,
+            remedy=_LOCAL_REMEDY,
+        )
