@@ -11,9 +11,12 @@ from urllib.parse import quote, quote_plus
 SHORTEST = 8
 """Characters of the shortest key that is taken for a secret."""
 DUMMIES = frozenset(
-    ("none", "null", "nil", "no", "na", "n/a", "empty", "dummy", "fake", "local", "test", "token")
-    + ("key", "x", "xx", "xxx", "xxxx", "0", "1", "-", "ollama", "vllm", "secret", "sk", "apikey")
-)
+    {
+        "none", "null", "nil", "no", "na", "n/a", "empty", "dummy", "fake",
+        "local", "test", "token", "key", "x", "xx", "xxx", "xxxx", "0",
+        "1", "-", "ollama", "vllm", "secret", "sk", "apikey",
+    }
+)  # fmt: skip
 """Keys that stand for none; they are shown as they are."""
 BLANK = "[key]"
 
