@@ -21,6 +21,7 @@ from pytest_dura.campaign.fault_grids import check_number
 from pytest_dura.campaign.planned_faults import own_fault, parsed
 from pytest_dura.campaign.problems import did_you_mean
 from pytest_dura.campaign.scenario import Scenario
+from pytest_dura.campaign.settling import settled
 from pytest_dura.campaign.worlds import checked_world
 from pytest_dura.core.episode import EpisodeSpec, Policy, Termination
 from pytest_dura.core.errors import ConfigurationError
@@ -117,7 +118,7 @@ class Case:
             run=run,
             seed=seed,
             simulator=simulator,
-            roles=self.roles(roles or {}),
+            roles={name: settled(role) for name, role in self.roles(roles or {}).items()},
             scenario={"name": scenario.name, "duration": scenario.duration, "world": world},
             faults=faults,
             policy=Policy.parse(policy or self.policy),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from pytest_dura.campaign.domains import DOMAINS
@@ -11,6 +11,7 @@ from pytest_dura.campaign.problems import did_you_mean, placed
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.roles import STANDARD_ROLES, Generator, Role, RoleSpec
 from pytest_dura.core.simulator import Simulator
+from pytest_dura.core.state import NOTHING
 
 
 class LocalRole(RoleSpec):
@@ -22,8 +23,10 @@ class LocalRole(RoleSpec):
 
     target: Callable[..., Any]
 
-    def __init__(self, path: str, target: Callable[..., Any]) -> None:
-        super().__init__(path)
+    def __init__(
+        self, path: str, target: Callable[..., Any], params: Mapping[str, Any] = NOTHING
+    ) -> None:
+        super().__init__(path, dict(params))
         object.__setattr__(self, "target", target)
 
     @property
@@ -36,6 +39,10 @@ class LocalRole(RoleSpec):
     def factory(self) -> Callable[..., Any]:
         """The class or factory that was given."""
         return self.target
+
+    def with_params(self, params: Mapping[str, Any]) -> LocalRole:
+        """The same with other parameters."""
+        return LocalRole(self.path, self.target, params)
 
 
 def local_object(spec: RoleSpec) -> Any:

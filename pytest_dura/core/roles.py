@@ -341,6 +341,10 @@ class RoleSpec:
         """The component's name in cases, verdicts and reports."""
         return self.path.rsplit(":", 1)[-1]
 
+    def with_params(self, params: Mapping[str, Any]) -> RoleSpec:
+        """The same with other parameters."""
+        return RoleSpec(self.path, dict(params), self.instance)
+
     def factory(self) -> Callable[..., Any]:
         """The imported class or factory.
 

@@ -161,7 +161,7 @@ def _local(config: pytest.Config, role: RoleSpec, option: str) -> RoleSpec:
         return role
     target = defined_in_conftest(config, file, name)
     if callable(target):
-        return LocalRole(role.path, target)
+        return LocalRole(role.path, target, role.params)
     raise ConfigurationError(
         f"{name} is defined in {file}, which is not loaded here",
         key=option,

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping
 from itertools import zip_longest
-from os.path import commonprefix
 from typing import Any
 
 from pytest_dura.core.errors import shorten
@@ -129,7 +128,8 @@ def _from_difference(was: str | None, now: str | None) -> tuple[str | None, str 
     """Two lines from shortly before their first difference, if that is far from the beginning."""
     if was is None or now is None:
         return was, now
-    begin = len(commonprefix([was, now])) - _SHOWN // 3
+    ends = (i for i, (old, new) in enumerate(zip(was, now, strict=False)) if old != new)
+    begin = next(ends, min(len(was), len(now))) - _SHOWN // 3
     return (was, now) if begin <= 0 else (f"…{was[begin:]}", f"…{now[begin:]}")
 
 

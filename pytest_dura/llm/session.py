@@ -1,0 +1,293 @@
+"""ModelSession: who answers what a session asks of language models: a server, or a cassette."""
+
+from __future__ import annotations
+
+import os
+import secrets
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import replace
+from datetime import datetime, timezone
+from pathlib import Path
+from threading import RLock
+from typing import Any, Literal
+
+from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.outside import OutsideError, told
+from pytest_dura.llm.cassette.exchanges import Cassette, Exchange
+from pytest_dura.llm.cassette.missing import CassetteMissError, why_missing
+from pytest_dura.llm.delivery import delivered, injected, scrubbed
+from pytest_dura.llm.description import ModelDescription
+from pytest_dura.llm.port import Answer, Delivery, Request
+from pytest_dura.llm.serving import Connect, Server, connect
+
+Mode = Literal["live", "record", "replay"]
+Scrub = Callable[[Any], Any]
+
+WITHOUT_LIMIT = 600.0
+"""Seconds for an answer where nobody says how long it may take."""
+
+
+def _as_it_is(value: Any) -> Any:
+    return value
+
+
+class ModelSession:
+    """What asks, records or replays.
+
+    In mode ``live`` the server of the environment is asked each time. In mode ``record`` an equal
+    request is asked once: what the cassette has answers it, so that paired runs and reruns see the
+    same. In mode ``replay`` nothing but the cassette answers: no environment is needed, and no
+    connection is made.
+
+    Args:
+        mode: One of the three.
+        cassette: The file, for the last two.
+        environ: Names the server; by default the process's environment, when it is first needed.
+        session: Id that all processes of one pytest session share: what one of them found out of
+            a server holds for the others, and for no later session.
+        scrub: Takes secrets out of plain data, beside the key of the server: out of answers before
+            they are used, and out of all that is stored.
+        connect: Makes the connection to the server of an environment.
+
+    Raises:
+        ConfigurationError: If the cassette cannot be used.
+    """
+
+    def __init__(
+        self,
+        mode: Mode = "live",
+        cassette: Path | None = None,
+        *,
+        environ: Mapping[str, str] | None = None,
+        session: str = "",
+        scrub: Scrub = _as_it_is,
+        connect: Connect = connect,
+    ) -> None:
+        self.mode = mode
+        self.cassette: Cassette | None = None
+        if mode != "live":
+            if cassette is None:
+                raise ConfigurationError(
+                    f"the mode {mode} needs a cassette", key="--dura-cassette", expected="a file"
+                )
+            self.cassette = Cassette(cassette, writable=mode == "record")
+        self.counts: Counter[tuple[str, str, str]] = Counter()
+        """How often, by model, fingerprint and what was done: ``asked`` of the server, ``reused``
+        from the cassette, ``injected`` as a fault, ``missed``."""
+        self._environ = os.environ if environ is None else environ
+        self._session = session or secrets.token_hex(8)
+        self._scrub, self._connect = scrub, connect
+        self._servers: dict[str | None, Server] = {}
+        self._described: dict[str | None, ModelDescription | ConfigurationError] = {}
+        self._lock = RLock()
+
+    def close(self) -> None:
+        """Let go of the cassette."""
+        if self.cassette is not None:
+            self.cassette.close()
+
+    def describe(self, model: str | None = None) -> ModelDescription:
+        """What a model and its server are; found out once per process.
+
+        Args:
+            model: Its name; by default the environment's, or the only one of the cassette.
+
+        Raises:
+            ConfigurationError: If there is no such model, or its server cannot be used.
+        """
+        with self._lock:
+            if model not in self._described:
+                try:
+                    found = self._replayed(model) if self.mode == "replay" else self._probed(model)
+                    self._described[model] = self._described[found.model] = found
+                except ConfigurationError as error:
+                    self._described[model] = error
+            known = self._described[model]
+        if isinstance(known, ConfigurationError):
+            raise known.with_traceback(None)
+        return known
+
+    @property
+    def descriptions(self) -> list[ModelDescription]:
+        """Every model that was described in this process, by name."""
+        found = {
+            one.model: one for one in self._described.values() if isinstance(one, ModelDescription)
+        }
+        return [found[name] for name in sorted(found)]
+
+    def ask(
+        self,
+        request: Request,
+        budget: float | None,
+        delivery: Delivery = Delivery(),  # noqa: B008 - it cannot be changed
+        *,
+        fingerprint: str | None = None,
+    ) -> Answer:
+        """What the model answers, or how that fails.
+
+        A fault on the way is injected by the client and never recorded, and takes no time but the
+        delay. A delay adds to the seconds that the answer took and is not waited for; an answer
+        that is later than the budget allows is none.
+
+        Args:
+            request: What is asked.
+            budget: Seconds for the answer; ``None`` if nobody says.
+            delivery: How the request reaches the model.
+            fingerprint: Of the server that is to answer; by default that of :meth:`describe`.
+
+        Raises:
+            OutsideError: If nobody can be asked, which says nothing about the component: the
+                cassette misses the request (:class:`CassetteMissError`) or cannot be used, or the
+                server is another than the given fingerprint says.
+        """
+        limit = WITHOUT_LIMIT if budget is None else budget
+        try:
+            if delivery.fault:
+                self._count(request, fingerprint or "", "injected")
+                answer = injected(request, limit, delivery.fault)
+            elif delivery.delay >= limit:
+                answer = Answer()  # whatever it would be, it comes too late
+            else:
+                answer = self._answer(request, limit, fingerprint)
+        except ConfigurationError as error:
+            raise told(OutsideError("language model", str(error))) from None
+        return delivered(answer, delivery.delay, limit)
+
+    def _answer(self, request: Request, limit: float, fingerprint: str | None) -> Answer:
+        server = None if self.mode == "replay" else self._server(request.model)
+        request = request if server is None else scrubbed(request, server.scrub)
+        given = fingerprint
+        if given is None or server is not None:
+            fingerprint = self.describe(request.model).fingerprint
+        assert fingerprint is not None
+        if given not in (None, fingerprint):
+            raise ConfigurationError(
+                "the server is another than the component was settled with",
+                found=fingerprint,
+                expected=given,
+                remedy="ask the same server, or replay the cassette with --dura-llm=replay",
+            )
+        if self.cassette is None:
+            assert server is not None
+            return self._asked(server, request, limit, fingerprint)
+        key = request.key(fingerprint)
+        stored = self.cassette.find(key)
+        if stored is not None:
+            self._count(request, fingerprint, "reused")
+            return stored
+        plain = self._scrub(request.to_json())
+        if server is None:
+            self._count(request, fingerprint, "missed")
+            raise told(CassetteMissError(why_missing(self.cassette, plain, fingerprint)))
+        answer = self._asked(server, request, limit, fingerprint)
+        return self.cassette.add(Exchange(key, fingerprint, plain, answer, _now()))
+
+    def _asked(self, server: Server, request: Request, limit: float, fingerprint: str) -> Answer:
+        self._count(request, fingerprint, "asked")
+        answer = server.ask(request, limit)
+        texts = {
+            name: self._scrub(server.scrub(getattr(answer, name)))
+            for name in ("text", "detail", "finish", "fingerprint")
+        }
+        return replace(answer, **texts)
+
+    def _count(self, request: Request, fingerprint: str, deed: str) -> None:
+        with self._lock:
+            self.counts[request.model, fingerprint, deed] += 1
+
+    def _server(self, model: str | None) -> Server:
+        with self._lock:
+            if model not in self._servers:
+                self._servers[model] = self._connect(self._environ, model)
+            return self._servers[model]
+
+    def _probed(self, model: str | None) -> ModelDescription:
+        import pytest_dura
+
+        server = self._server(model)
+        if self.cassette is not None:
+            shared = self.cassette.described(server.model, server.base_url, self._session)
+            if shared is not None:
+                return self._description(shared)
+        fingerprint, capabilities = server.probe()
+        found = ModelDescription(
+            server.model,
+            server.base_url,
+            fingerprint,
+            capabilities,
+            pytest_dura.__version__,
+            _now(),
+        ).to_json()
+        found = {key: self._scrub(value) for key, value in found.items()}
+        if self.cassette is not None:
+            # That of another process, if it was quicker.
+            found = dict(self.cassette.describe(found, self._session))
+        return self._description(found)
+
+    def _replayed(self, model: str | None) -> ModelDescription:
+        assert self.cassette is not None
+        known = [self._description(one) for one in self.cassette.descriptions()]
+        names = sorted({one.model for one in known})
+        wanted = model or (names[0] if len(names) == 1 else self._environ.get("DURA_LLM_MODEL"))
+        # A server that was described again later is the one whose answers came last.
+        found = [one for one in known if one.model == wanted]
+        if found:
+            return found[-1]
+        raise ConfigurationError(
+            "the cassette knows several models, and none of them is named"
+            if wanted is None and names
+            else f"the cassette knows no model {wanted!r}"
+            if names
+            else "the cassette knows no model at all",
+            file=str(self.cassette.file),
+            key="--dura-cassette",
+            found=wanted,
+            expected=", ".join(names[:10]) or "a cassette that --dura-llm=record wrote",
+            remedy="name another model, or record it with --dura-llm=record",
+        )
+
+    def _description(self, data: Mapping[str, Any]) -> ModelDescription:
+        try:
+            return ModelDescription(**data)
+        except TypeError as error:
+            assert self.cassette is not None
+            raise self.cassette.damaged(str(error)) from None
+
+
+def _now() -> str:
+    return datetime.now(timezone.utc).isoformat(timespec="seconds")
+
+
+class _Process:
+    """What is in use in this process."""
+
+    session: ModelSession | None = None
+
+
+def current() -> ModelSession:
+    """The session that is in use in this process; a live one, unless another was put to use."""
+    if _Process.session is None:
+        _Process.session = ModelSession()
+    return _Process.session
+
+
+def use(session: ModelSession | None) -> ModelSession | None:
+    """Put a session to use; ``None`` for a live one when it is first needed.
+
+    Returns:
+        What was in use before, to be put back.
+    """
+    before, _Process.session = _Process.session, session
+    return before
+
+
+@contextmanager
+def using(session: ModelSession) -> Iterator[ModelSession]:
+    """Context in which a session is in use."""
+    before = use(session)
+    try:
+        yield session
+    finally:
+        use(before)
