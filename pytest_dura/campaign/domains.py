@@ -22,6 +22,8 @@ class Domain:
         world: Of the pydantic model of ``world``, for editors and for messages.
         signals: Of the names of the ground-truth signals.
         percept_signals: Of the names of the percept signals, without the prefix ``percept.``.
+        proposal_signals: Of the names of what components' accounts come to, without the prefix
+            ``proposal.``.
         channels: Of what the channels hold, by name; see ``pytest_dura.faults.channels``.
         fault_targets: Of where a fault acts that names no target, by what its type can act on.
     """
@@ -32,6 +34,7 @@ class Domain:
     world: str | None = None
     signals: str | None = None
     percept_signals: str | None = None
+    proposal_signals: str | None = None
     channels: str | None = None
     fault_targets: str | None = None
 
@@ -56,6 +59,7 @@ DOMAINS: dict[str, Domain] = {
                 "reactive": f"{_PLANNERS}:Reactive",
                 "aggressive": f"{_PLANNERS}:Aggressive",
                 "random": f"{_PLANNERS}:RandomPlanner",
+                "llm": "pytest_dura.llm.driving.planner:LlmPlanner",
             },
             "recovery_planner": {
                 "emergency_brake": f"{_RECOVERY}:EmergencyBrake",
@@ -69,6 +73,7 @@ DOMAINS: dict[str, Domain] = {
         world="pytest_dura.driving.scenario:DrivingWorld",
         signals="pytest_dura.driving.signals:NAMES",
         percept_signals="pytest_dura.driving.signals:PERCEPT_NAMES",
+        proposal_signals="pytest_dura.driving.explanations:SIGNALS",
         channels="pytest_dura.driving.sensors:CHANNELS",
         fault_targets="pytest_dura.driving.sensors:FAULT_TARGETS",
     )

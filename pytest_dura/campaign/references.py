@@ -9,13 +9,19 @@ from pytest_dura.campaign.domains import Domain, check_role_name, domain_of
 from pytest_dura.campaign.problems import did_you_mean, placed
 from pytest_dura.campaign.requirement_files import Located
 from pytest_dura.campaign.scenario import Scenario
-from pytest_dura.campaign.worlds import percept_signal_names, signal_names
+from pytest_dura.campaign.worlds import (
+    percept_signal_names,
+    proposal_signal_names,
+    signal_names,
+)
+from pytest_dura.core.accounts import PREFIX
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.loop_signals import LOOP_SIGNALS
 from pytest_dura.requirements.checks import Check, is_function_path
 from pytest_dura.requirements.methods import method_of
 from pytest_dura.requirements.model import FAULTS
 from pytest_dura.requirements.stl.language.checks import check_time_step
+from pytest_dura.requirements.stl.language.formula import Formula
 from pytest_dura.requirements.stl.language.parsing import parse
 
 
@@ -117,19 +123,27 @@ def check_formula(scenario: Scenario, check: Check) -> None:
     if not isinstance(check, str) or not check or is_function_path(check):
         return
     formula = parse(check)
-    known = _known_signals(domain_of(scenario.simulator.path), formula.percept_signals)
+    known = _known_signals(domain_of(scenario.simulator.path), formula)
     if known is not None:
         parse(check, known)
     check_time_step(formula, scenario.time_step)
 
 
-def _known_signals(domain: Domain | None, percepts: tuple[str, ...]) -> tuple[str, ...] | None:
+def _known_signals(domain: Domain | None, formula: Formula) -> tuple[str, ...] | None:
     """Every signal that a formula may read; ``None`` where only the simulator will tell."""
     truth = None if domain is None else signal_names(domain)
     if domain is None or truth is None:
         return None
-    perceived = percept_signal_names(domain)
-    named = percepts if perceived is None else tuple(f"percept.{name}" for name in perceived)
+    later = {"percept.": percept_signal_names(domain), PREFIX: proposal_signal_names(domain)}
+    named = [
+        name
+        for prefix, names in later.items()
+        for name in (
+            [one for one in formula.signals if one.startswith(prefix)]
+            if names is None
+            else [prefix + one for one in names]
+        )
+    ]
     return (*truth, *named, *LOOP_SIGNALS)
 
 

@@ -66,6 +66,12 @@ def percept_signal_names(domain: Domain) -> tuple[str, ...] | None:
     return None if path is None else tuple(_attribute(path))
 
 
+def proposal_signal_names(domain: Domain) -> tuple[str, ...] | None:
+    """The names of what accounts come to in a domain, without their prefix, imported now."""
+    path = domain.proposal_signals
+    return None if path is None else tuple(_attribute(path))
+
+
 def channel_kinds(domain: Domain | None) -> Mapping[str, Channel] | None:
     """What a domain's channels hold; ``None`` where that is not known before an episode runs."""
     return _attribute(domain.channels) if domain is not None and domain.channels else None

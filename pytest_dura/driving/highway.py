@@ -22,7 +22,7 @@ from pytest_dura.core.recording import Scene
 from pytest_dura.core.seeding import stream
 from pytest_dura.core.simulator import Simulator
 from pytest_dura.core.state import Percept, Tick
-from pytest_dura.driving import camera, signals
+from pytest_dura.driving import camera, explanations, signals
 from pytest_dura.driving.bodies import COLUMNS, NO_BODIES, BodyList
 from pytest_dura.driving.collisions import Contact, attribute
 from pytest_dura.driving.junction import ARM_LENGTH, ARMS, TURNS, Route, route
@@ -147,6 +147,26 @@ class HighwaySimulator(Simulator):
     def percept_signals(self, percepts: Sequence[Percept]) -> dict[str, NDArray[np.float64]]:
         """See ``signals.PERCEPT_NAMES``."""
         return signals.percept_signals(percepts)
+
+    def account_measures(
+        self,
+        ticks: Sequence[Tick],
+        percepts: Sequence[Percept],
+        accounts: Sequence[Mapping[str, Any]],
+    ) -> dict[str, NDArray[np.float64]]:
+        """See ``explanations.MEANINGS``."""
+        return explanations.account_measures(ticks, percepts, accounts, self._dt)
+
+    measure_kinds = explanations.KINDS
+
+    def account_signals(
+        self,
+        ticks: Sequence[Tick],
+        percepts: Sequence[Percept],
+        accounts: Sequence[Mapping[str, Any]],
+    ) -> dict[str, NDArray[np.float64]]:
+        """The age of the decisions; see ``explanations.SIGNALS``."""
+        return {"age": explanations.ages(ticks, accounts)}
 
     def scene(self, ticks: Sequence[Tick], percepts: Sequence[Percept]) -> Scene:
         """The junction from above."""

@@ -36,6 +36,10 @@ _TARGETS = {  # target speed in m/s, greatest acceleration in m/s2
     Maneuver.PROCEED: (9.0, 2.0),
     Maneuver.ACCELERATE: (10.0, 3.5),
 }
+_CREEPING = 4.0
+"""m/s; who gives way rolls up to the line no faster."""
+TOP_SPEED = max(speed for speed, _ in _TARGETS.values())
+"""m/s; no maneuver aims at more."""
 _GAIN = 1.0
 """1/s; how fast a speed error is taken out."""
 
@@ -118,6 +122,17 @@ def track_speed(target: float, speed: float, limit: float) -> float:
     return max(min(_GAIN * (target - speed), limit), -COMFORT_BRAKING)
 
 
+def speeds_of(maneuver: Maneuver) -> tuple[float, float]:
+    """The least and the greatest speed in m/s that a maneuver aims at.
+
+    Who waits or brakes aims at a standstill, wherever that is; who gives way is ready for one.
+    """
+    if maneuver in _TARGETS:
+        target, _ = _TARGETS[maneuver]
+        return target, target
+    return 0.0, _CREEPING if maneuver is Maneuver.YIELD else 0.0
+
+
 def acceleration_for(command: Command, speed: float, to_stop_line: float) -> float:
     """The acceleration in m/s2 that a command asks for, within the vehicle's envelope.
 
@@ -138,4 +153,4 @@ def acceleration_for(command: Command, speed: float, to_stop_line: float) -> flo
         return -COMFORT_BRAKING
     if maneuver is Maneuver.WAIT:
         return stop_at(to_stop_line - 0.5, speed)
-    return min(stop_at(to_stop_line - 0.5, speed), track_speed(4.0, speed, 1.5))
+    return min(stop_at(to_stop_line - 0.5, speed), track_speed(_CREEPING, speed, 1.5))

@@ -11,7 +11,7 @@ from pytest_dura.requirements.model import Requirement
 from pytest_dura.requirements.stl.language.parsing import parse
 from pytest_dura.requirements.stl.offline.evaluation import evaluate
 
-LATER = ("percept.", "loop.")
+LATER = ("percept.", "proposal.", "loop.")
 """Beginnings of the names of signals that are there only once the episode is complete."""
 
 
@@ -19,8 +19,8 @@ class RequirementJudge:
     """Ends an episode once every requirement is decided and at least one is violated.
 
     A requirement that ranges over the episode and holds so far is not decided, and one on a
-    signal of the percept or of the loop, on pairs of episodes, by a function or without a check
-    never is before the end: each of these keeps the episode going.
+    signal of the percept, of the proposals or of the loop, on pairs of episodes, by a function or
+    without a check never is before the end: each of these keeps the episode going.
 
     Raises:
         ConfigurationError: If a check cannot be read.

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pytest_dura.core.accounts import PREFIX as ACCOUNTS
 from pytest_dura.core.episode import Episode
 from pytest_dura.core.errors import ConfigurationError, describe_error
 from pytest_dura.core.loop_signals import PREFIX, loop_signals
@@ -23,6 +24,7 @@ from pytest_dura.requirements.checks import (
 )
 from pytest_dura.requirements.model import Requirement
 from pytest_dura.requirements.stl.language.formula import Formula, unknown_signal
+from pytest_dura.requirements.stl.language.nodes import conjuncts
 from pytest_dura.requirements.stl.language.parsing import parse
 from pytest_dura.requirements.stl.offline.evaluation import Evaluation, evaluate
 from pytest_dura.requirements.verdicts.sealed import SealedColumns
@@ -179,14 +181,18 @@ def _spoilt(episode: Episode) -> tuple[EpisodeWord, str] | None:
 def evaluate_episode(formula: Formula, episode: Episode) -> tuple[Evaluation | None, str | None]:
     """The formula on the finite part of an episode's signals, and what cut it short, if anything.
 
-    ``None`` stands for an episode without samples. After an infrastructure error the trace is a
-    prefix: it can show a violation, but not that there was none.
+    ``None`` stands for an episode without samples. What a component that gives no account of its
+    proposals would have told leaves the formula undecided, unless a part without it is violated.
+    After an infrastructure error the trace is a prefix: it can show a violation, but not that there
+    was none.
 
     Raises:
         ConfigurationError: For a signal that the episode does not have.
     """
     known = _columns(formula, episode)
     missing = [name for name in formula.signals if name not in known]
+    if missing and missing == untold(formula, known) and episode.ticks:
+        return _without_account(formula, missing, episode)
     if missing and (episode.signals or episode.failure is None):
         raise unknown_signal(missing[0], known, str(formula), None)
     if missing or episode.ticks == 0:
@@ -212,6 +218,27 @@ def evaluate_episode(formula: Formula, episode: Episode) -> tuple[Evaluation | N
         time_step=episode.spec.time_step,
     )
     return found, gap
+
+
+def untold(formula: Formula, known: Collection[str]) -> list[str]:
+    """The signals of a formula that only accounts give, of an episode that has none."""
+    if any(name.startswith(ACCOUNTS) for name in known):
+        return []
+    return [name for name in formula.signals if name.startswith(ACCOUNTS)]
+
+
+def _without_account(
+    formula: Formula, missing: Sequence[str], episode: Episode
+) -> tuple[Evaluation, str]:
+    """Undecided, unless a part of the formula that reads no account is violated."""
+    detail = f"the component gives no account of its proposals, so that {missing[0]!r} is not known"
+    for part in conjuncts(formula.root):
+        known = Formula(part, formula.text)
+        if not set(missing) & set(known.signals):
+            found, _ = evaluate_episode(known, episode)
+            if found is not None and found.status == "violated":
+                return found, detail
+    return Evaluation("undecided", np.nan, -np.inf, np.inf, None, 0.0, detail), detail
 
 
 def _columns(formula: Formula, episode: Episode) -> Mapping[str, NDArray[np.float64]]:

@@ -147,3 +147,10 @@ def walk(node: Node | Expression) -> Iterator[Node | Expression]:
         one = stack.pop()
         yield one
         stack.extend(reversed(children(one)))
+
+
+def conjuncts(root: Node) -> list[Node]:
+    """The parts of the conjunction at a formula's root, or the root alone."""
+    if isinstance(root, Boolean) and root.operator == "and":
+        return [*conjuncts(root.left), *conjuncts(root.right)]
+    return [root]

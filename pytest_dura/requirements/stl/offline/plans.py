@@ -8,7 +8,7 @@ import numpy as np
 
 from pytest_dura.requirements.stl.language.checks import check_time_step
 from pytest_dura.requirements.stl.language.formula import Formula
-from pytest_dura.requirements.stl.language.nodes import Boolean, Node, Temporal, walk
+from pytest_dura.requirements.stl.language.nodes import Boolean, Node, Temporal, conjuncts, walk
 from pytest_dura.requirements.stl.language.rendering import node_text
 from pytest_dura.requirements.stl.offline.program import Mode, Program
 from pytest_dura.requirements.stl.offline.steps import neutral
@@ -83,7 +83,7 @@ class Plan:
         self.formula = formula
         self.signals = tuple(formula.signals)
         self.program = Program(formula.root, time_step)
-        self.conjuncts = tuple(Conjunct(node, self.program) for node in _conjuncts(formula.root))
+        self.conjuncts = tuple(Conjunct(node, self.program) for node in conjuncts(formula.root))
         self.has_implication = any(
             isinstance(node, Boolean) and node.operator == "implies" for node in walk(formula.root)
         )
@@ -109,9 +109,3 @@ def plan_of(formula: Formula, time_step: float | None) -> Plan:
             _plans.clear()
         plan = _plans[key] = Plan(formula, time_step)
     return plan
-
-
-def _conjuncts(root: Node) -> list[Node]:
-    if isinstance(root, Boolean) and root.operator == "and":
-        return [*_conjuncts(root.left), *_conjuncts(root.right)]
-    return [root]
