@@ -17,6 +17,7 @@ from pytest_dura.faults.refusals import refusal
 _ATTACKS = "pytest_dura.driving.faults.attacks"
 _OBJECTS = "pytest_dura.driving.faults.objects"
 _GNSS = "pytest_dura.driving.faults.gnss"
+_PROMPT = "pytest_dura.llm.faults.prompt"
 _TYPES = "pytest_dura.faults.types"
 
 FAULT_TYPES: dict[str, str] = {
@@ -60,6 +61,9 @@ FAULT_TYPES: dict[str, str] = {
     "gnss-drag-off": f"{_GNSS}:GnssDragOff",
     "gnss-jam": f"{_GNSS}:GnssJam",
     "prompt-text": "pytest_dura.driving.faults.signs:PromptText",
+    "prompt-drop": f"{_PROMPT}:PromptDrop",
+    "prompt-reorder": f"{_PROMPT}:PromptReorder",
+    "prompt-paraphrase": f"{_PROMPT}:PromptParaphrase",
 }
 """Type name to import path; a domain's faults are imported when one is used."""
 

@@ -31,6 +31,8 @@ _ACTS_ON: Mapping[Kind, str] = {
     "image": "a picture",
     "pose": "a pose",
     "signs": "signs",
+    "prompt": "what is put before a model",
+    "model": "how a model is reached",
 }
 _DURATIONS: tuple[type[BaseModel], ...] = (Sampled, Until, Intermittent)
 

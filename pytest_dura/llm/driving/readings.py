@@ -1,0 +1,160 @@
+"""Percepts as prompts take them: a number, or nothing, whatever a fault has put there.
+
+The built-in roles let a number beyond what its sensor can report saturate, since they must reckon
+with it. A prompt says instead that there is no data, and so does it of what is no number at all.
+The ranges are those of ``driving.plausible``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from numbers import Real
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_dura.driving.bodies import BodyList
+from pytest_dura.driving.junction import Route
+from pytest_dura.driving.plausible import (
+    ACCELERATION,
+    ANGLE,
+    BODY_SPEED,
+    PLACE,
+    SIZE,
+    SPEED,
+    YAW_RATE,
+)
+from pytest_dura.driving.sensors import Pose, RouteMap, Sign
+
+Row = tuple[float | None, ...]
+
+_BODY = (
+    (-PLACE, PLACE), (-PLACE, PLACE), (-ANGLE, ANGLE), (-BODY_SPEED, BODY_SPEED),
+    (-BODY_SPEED, BODY_SPEED), SIZE, SIZE,
+)  # fmt: skip
+_RETURN = ((0.0, PLACE), (-ANGLE, ANGLE), (-2 * BODY_SPEED, 2 * BODY_SPEED))
+
+
+class Motion(NamedTuple):
+    """Of the channel imu; see ``sensors.Imu``."""
+
+    acceleration: float | None
+    lateral_acceleration: float | None
+    yaw_rate: float | None
+
+
+def number(value: object, low: float, high: float) -> float | None:
+    """A real number from ``low`` to ``high``, as a float; ``None`` for anything else."""
+    if isinstance(value, (bool, np.bool_)) or not isinstance(value, Real):
+        return None
+    try:
+        found = float(value)
+    except OverflowError:  # an int of hundreds of digits
+        return None
+    return found if low <= found <= high else None
+
+
+def shown(value: float | None, decimals: int = 1) -> float | int | None:
+    """A number as it stands in a prompt: rounded, and never -0. Without decimals it is whole."""
+    if value is None or not math.isfinite(value):
+        return None
+    return round(value, decimals) + 0.0 if decimals else round(value)
+
+
+def degrees(angle: float | None) -> int | None:
+    """Radians in whole degrees, above -180 and up to 180."""
+    if angle is None:
+        return None
+    found = round(math.degrees(math.remainder(angle, 2 * math.pi)))
+    return 180 if found == -180 else found
+
+
+def channel(percept: Mapping[str, Any], name: str) -> Any:
+    """The value of a channel; ``None`` if it is not there."""
+    return percept.get(name)
+
+
+def own_pose(percept: Mapping[str, Any]) -> Pose | None:
+    """Of the channel localisation, if all of it can be."""
+    value = channel(percept, "localisation")
+    x = number(getattr(value, "x", None), -PLACE, PLACE)
+    y = number(getattr(value, "y", None), -PLACE, PLACE)
+    heading = number(getattr(value, "heading", None), -ANGLE, ANGLE)
+    return None if x is None or y is None or heading is None else Pose(x, y, heading)
+
+
+def own_speed(percept: Mapping[str, Any]) -> float | None:
+    """Of the channel odometry, in m/s."""
+    return number(getattr(channel(percept, "odometry"), "speed", None), *SPEED)
+
+
+def own_motion(percept: Mapping[str, Any]) -> Motion:
+    """Of the channel imu."""
+    value = channel(percept, "imu")
+    limits = (ACCELERATION, ACCELERATION, YAW_RATE)
+    return Motion(*(
+        number(getattr(value, name, None), -limit, limit)
+        for name, limit in zip(Motion._fields, limits, strict=True)
+    ))  # fmt: skip
+
+
+def own_map(percept: Mapping[str, Any]) -> RouteMap | None:
+    """Of the channel map, if there is a route and its places are numbers."""
+    value = channel(percept, "map")
+    if not isinstance(value, RouteMap) or not isinstance(value.route, Route):
+        return None
+    places = [number(one, -PLACE, PLACE) for one in value[1:]]
+    stop_line, leaves, limit = places
+    if stop_line is None or leaves is None or limit is None:
+        return None
+    return RouteMap(value.route, stop_line, leaves, limit)
+
+
+def bodies(percept: Mapping[str, Any]) -> list[tuple[object, Row]] | None:
+    """Ids and rows of the channel lidar, each number of a row or ``None``; ``None`` without."""
+    value = channel(percept, "lidar")
+    if not isinstance(value, BodyList):
+        return None
+    rows = _rows(value.data, _BODY)
+    if rows is None or not isinstance(value.ids, tuple) or len(value.ids) != len(rows):
+        return None
+    return list(zip(value.ids, rows, strict=True))
+
+
+def returns(percept: Mapping[str, Any]) -> list[Row] | None:
+    """Rows of the channel radar: range, azimuth, rate, each a number or ``None``."""
+    return _rows(channel(percept, "radar"), _RETURN)
+
+
+def signs(percept: Mapping[str, Any]) -> list[Sign] | None:
+    """Of the channel controls, whatever stands in them."""
+    value = channel(percept, "controls")
+    if not isinstance(value, (tuple, list)) or isinstance(value, Sign):
+        return None
+    return [one for one in value if isinstance(one, Sign)]
+
+
+def picture(value: object, largest: int) -> NDArray[np.uint8] | None:
+    """A picture in colour, ``(height, width, 3)`` of ``uint8``.
+
+    Args:
+        value: What may be one.
+        largest: Pixels of a side, at most.
+    """
+    if not isinstance(value, np.ndarray) or value.dtype != np.uint8 or value.ndim != 3:
+        return None
+    height, width, colours = value.shape
+    return value if colours == 3 and 0 < height <= largest and 0 < width <= largest else None
+
+
+def _rows(value: object, limits: tuple[tuple[float, float], ...]) -> list[Row] | None:
+    if not isinstance(value, np.ndarray) or value.ndim != 2 or value.dtype.kind not in "fiuO":
+        return None
+    if value.shape[1] != len(limits):
+        return None
+    return [
+        tuple(number(one, *limit) for one, limit in zip(row, limits, strict=True))
+        for row in value.tolist()
+    ]
