@@ -44,6 +44,10 @@ class Connect(Protocol):
         """
 
 
+PROBING = 60.0
+"""Seconds for each request of the probe: a server may load its model at the first one."""
+
+
 class OpenAiServer:
     """A server that speaks the API of OpenAI.
 
@@ -72,7 +76,7 @@ class OpenAiServer:
         """See :class:`Server`."""
         from pytest_dura.llm.capabilities import probe
 
-        found = probe(self.client, self.model).to_json()
+        found = probe(self.client, self.endpoint, PROBING).to_json()
         return str(found["fingerprint"]), found
 
     def scrub(self, text: str) -> str:

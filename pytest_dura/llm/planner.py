@@ -1,0 +1,248 @@
+"""LlmGenerator: a language model as the component under test, whatever the domain."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
+
+from pytest_dura.core.roles import Generator, Proposal, RoleContext
+from pytest_dura.core.state import NOTHING, GeneratorView, PastDecision
+from pytest_dura.llm import session
+from pytest_dura.llm.answers import Reading, read_answer
+from pytest_dura.llm.port import Answer, Delivery, Message, Request
+from pytest_dura.llm.prompts.prompt import Prompt
+from pytest_dura.llm.settings import Settings
+
+PENDING = "pending"
+"""Outcome of a decision that has not landed yet."""
+
+
+@dataclass(frozen=True)
+class Decision:
+    """What the model decided, or why it did not.
+
+    Args:
+        at: Index of the tick whose percept it rests on.
+        time: Simulated seconds of that tick.
+        reading: What the answer says.
+        seconds: Wall-clock seconds that the answer took.
+        ids: Ids of all objects in the prompt.
+        beside: What was answered to the requests beside it, by variant.
+    """
+
+    at: int
+    time: float
+    reading: Reading
+    seconds: float
+    ids: tuple[str, ...]
+    beside: Mapping[str, Mapping[str, str]] = NOTHING
+
+    @property
+    def outcome(self) -> str:
+        """``answered``, or the class of the failure."""
+        return self.reading.outcome
+
+    def told(self) -> dict[str, Any]:
+        """The decision as an account tells it."""
+        said = self.reading.said
+        names = {"intent": said["intent"], "maneuver": said["maneuver"]} if said else {}
+        cited = list(said["threat_ids"]) if said else []
+        return {"outcome": self.outcome, "perceived": list(self.ids), "cited": cited, **names}
+
+
+class LlmGenerator(Generator):
+    """Asks a language model every few ticks, and holds what it decided in between.
+
+    A domain's subclass says what the prompt is, how it is put into words, and what an answer's
+    words mean. What a call comes to is never an exception: it is read strictly, and a failure of
+    any class leads to the fallback policy, counts as a failed proposal and stands in the account.
+
+    Args:
+        **params: See :class:`pytest_dura.llm.settings.Settings`.
+    """
+
+    MANEUVERS: ClassVar[tuple[str, ...]]
+    SCHEMA: ClassVar[Mapping[str, Any]]
+    """Of an answer, with at least ``threat_ids``, ``reasoning``, ``intent`` and ``maneuver``."""
+    NULL: ClassVar[Mapping[str, str]]
+    """Intent and maneuver of the null component: always the same, whatever the prompt."""
+
+    def __init__(self, **params: Any) -> None:
+        self.settings = Settings.of(params, self.MANEUVERS)
+
+    @classmethod
+    def settled(cls, params: Mapping[str, Any]) -> Mapping[str, Any]:
+        """The parameters with the model, what its server can do, and a digest of the templates."""
+        settings = Settings.of(params, cls.MANEUVERS)
+        told: dict[str, Any] = {"prompts": cls.templates_digest(settings)}
+        if settings.server is None:
+            found = session.current().describe(settings.model)
+            keys = ("structured", "vision", "seed")
+            server = {key: found.capabilities[key] for key in keys}
+            told |= {"model": found.model, "server": {"fingerprint": found.fingerprint, **server}}
+        return {**params, **told}
+
+    @classmethod
+    @abstractmethod
+    def templates_digest(cls, settings: Settings) -> str:
+        """SHA-256 of all templates in use."""
+
+    @abstractmethod
+    def prompt(self, view: GeneratorView, past: Sequence[PastDecision]) -> Prompt:
+        """What is put before the model.
+
+        Args:
+            view: What the component sees.
+            past: Its latest decisions and what became of them, oldest first.
+        """
+
+    @abstractmethod
+    def messages(self, prompt: Prompt) -> tuple[Message, ...]:
+        """The prompt in words."""
+
+    @abstractmethod
+    def variant(self, name: str, prompt: Prompt) -> Prompt:
+        """The prompt of a request beside the deciding one, other than ``again``."""
+
+    @abstractmethod
+    def command(self, maneuver: str) -> Any:
+        """The action that carries a maneuver out."""
+
+    def extrapolated(self, maneuver: str, view: GeneratorView, *, fresh: bool) -> Any:  # noqa: ARG002 - for those who override it
+        """The action at this tick, where actions are extrapolated between two decisions.
+
+        Asked at each tick at which a decision of the model is in force.
+
+        Args:
+            maneuver: What the model decided.
+            view: What the component sees.
+            fresh: Whether the decision comes into force at this tick.
+        """
+        return self.command(maneuver)
+
+    def time_limit(self, budget: float | None) -> float | None:
+        """Enough for all requests of a tick, each within its own deadline, and a second more."""
+        deadline = self.settings.deadline(budget)
+        return None if deadline is None else (1 + len(self.settings.variants)) * deadline + 1.0
+
+    def reset(self, context: RoleContext) -> None:
+        """Begin an episode."""
+        self._context = context
+        self._deadline = self.settings.deadline(context.time_budget)
+        self._session = session.current()
+        self._made: list[Decision] = []
+        self._landing: tuple[float, Decision] | None = None
+        self._next = 0
+        self._asked = 0
+
+    def propose(self, view: GeneratorView) -> Proposal:
+        """The decision in force, made anew where one is due."""
+        realtime = self.settings.clock == "realtime"
+        fresh = self._land(view) if realtime else False
+        again = bool(view.feedback) and not realtime
+        if again or (view.index >= self._next and self._landing is None):
+            decision = self._decide(view)
+            self._next = view.index + self.settings.decide_every
+            if realtime:
+                self._landing = (view.time + decision.seconds, decision)
+                fresh = self._land(view) or fresh
+            else:
+                self._made.append(decision)
+                fresh = True
+        return self._proposal(view, fresh=fresh)
+
+    def _land(self, view: GeneratorView) -> bool:
+        """Put a decision into force whose answer has come by now, in simulated time."""
+        if self._landing is None or view.time < self._landing[0] - view.dt * 1e-6:
+            return False
+        self._made.append(self._landing[1])
+        self._landing = None
+        return True
+
+    def _decide(self, view: GeneratorView) -> Decision:
+        """Ask the model, and beside it what the settings say."""
+        times = {one.time for one in self._made} if self.settings.clock == "frozen" else None
+        past = [one for one in view.past if times is None or one.time in times]
+        prompt = view.transmit("prompt", self.prompt(view, past[-self.settings.history :]))
+        delivery = view.transmit("model", Delivery())
+        answer = self._ask(prompt, 0, delivery)
+        beside = {}
+        if self._asked % self.settings.beside_every == 0:
+            beside = {name: self._beside(name, prompt) for name in self.settings.variants}
+        self._asked += 1
+        reading = read_answer(answer, self.SCHEMA)
+        return Decision(view.index, view.time, reading, answer.seconds, prompt.ids, beside)
+
+    def _ask(self, prompt: Prompt, sample: int, delivery: Delivery) -> Answer:
+        request = self.request(prompt, sample)
+        answer = self._session.ask(
+            request,
+            self._deadline,
+            delivery,
+            fingerprint=None if self.settings.server is None else self.settings.server.fingerprint,
+        )
+        if self._deadline is not None and answer.seconds > self._deadline:
+            late = f"answered after {answer.seconds:.1f} s"
+            return replace(answer, failure="timeout", detail=late, seconds=self._deadline)
+        return answer
+
+    def request(self, prompt: Prompt, sample: int = 0) -> Request:
+        """What is sent to the model for a prompt."""
+        server = self.settings.known_server
+        return Request(
+            model=self.settings.model or "",
+            messages=self.messages(prompt),
+            schema=self.SCHEMA,
+            structured=server.structured,
+            temperature=self.settings.temperature,
+            max_tokens=self.settings.max_tokens,
+            seed=self._context.seed % 2**31 + sample if server.seed else None,
+            sample=sample,
+        )
+
+    def _beside(self, name: str, prompt: Prompt) -> dict[str, str]:
+        """What is answered to a variant of the deciding request."""
+        kind, _, number = name.partition("_")
+        if kind == "again":
+            answer = self._ask(prompt, int(number or 1), Delivery())
+        else:
+            answer = self._ask(self.variant(name, prompt), 0, Delivery())
+        reading = read_answer(answer, self.SCHEMA)
+        said = {key: reading.said[key] for key in ("intent", "maneuver") if reading.said}
+        return {"outcome": reading.outcome, **said}
+
+    def _proposal(self, view: GeneratorView, *, fresh: bool) -> Proposal:
+        decision = self._made[-1] if self._made else None
+        account: dict[str, Any] = {"decided": fresh}
+        if decision is None:
+            account |= {"outcome": PENDING, "at": view.index, "age": 0.0, "fallback": True}
+            return self._fallback(account, "no answer has come yet", None)
+        account |= {"at": decision.at, "age": view.time - decision.time} | decision.told()
+        account["fallback"] = not decision.reading.answered
+        if fresh:
+            null = {**account, **self.NULL, "outcome": "answered", "cited": [], "fallback": False}
+            null["beside"] = {
+                name: {"outcome": "answered", **self.NULL} for name in decision.beside
+            }
+            account |= {"beside": dict(decision.beside), "seconds": decision.seconds, "null": null}
+        latency = decision.seconds if fresh else None
+        if not decision.reading.answered:
+            why = f"{decision.outcome}: {decision.reading.detail}"
+            return self._fallback(account, why, latency)
+        said = decision.reading.said
+        if self.settings.between == "extrapolate":
+            action = self.extrapolated(said["maneuver"], view, fresh=fresh)
+        else:
+            action = self.command(said["maneuver"])
+        return Proposal(action, said["reasoning"], latency, account=account)
+
+    def _fallback(self, account: Mapping[str, Any], why: str, latency: float | None) -> Proposal:
+        """What is proposed without a decision of the model's own."""
+        policy, last = self.settings.fallback, None
+        if policy == "last":
+            last = next((one for one in reversed(self._made) if one.reading.answered), None)
+            policy = "none" if last is None else last.reading.said["maneuver"]
+        action = None if policy == "none" else self.command(policy)
+        return Proposal(action, "", latency, failure=why, account=account)
