@@ -1,8 +1,9 @@
-"""``python -m pytest_dura``: what is done with evidence after a session."""
+"""``python -m pytest_dura``: what is done with evidence and cassettes after a session."""
 
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from collections.abc import Sequence
 from io import TextIOWrapper
@@ -30,12 +31,30 @@ def main(arguments: Sequence[str] | None = None) -> int:
         type=Path,
         help="compare it with the session's JUnit file, too",
     )
+    cassette = commands.add_parser(
+        "cassette", help="list what a language model was asked and answered, as lines of JSON"
+    )
+    cassette.add_argument("file", metavar="FILE", type=Path, help="what --dura-llm=record wrote")
     given = parser.parse_args(arguments)
     try:
+        if given.command == "cassette":
+            return _list_cassette(given.file)
         return _verify(given.directory, given.junit_xml)
+    except BrokenPipeError:  # whoever reads, such as `head`, has enough
+        # Or what is still to be written would raise it again at the end.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
     except ConfigurationError as error:
         print(visible(str(error), LONGEST), file=sys.stderr)
         return USAGE_ERROR
+
+
+def _list_cassette(file: Path) -> int:
+    from pytest_dura.llm.cassette.listing import listing
+
+    for line in listing(file):
+        print(line)
+    return 0
 
 
 def _verify(directory: Path, junit: Path | None) -> int:

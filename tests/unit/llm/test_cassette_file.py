@@ -1,0 +1,211 @@
+"""One file for several processes, which is refused with one error where it cannot be used."""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+import subprocess
+import sys
+
+import pytest
+
+from pytest_dura.__main__ import main
+from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.llm.cassette.exchanges import Cassette, Exchange, text_digest
+from pytest_dura.llm.port import Answer, Message, Request
+
+HOSTILE = "\x1b]0;owned\x07\x7f\u202e\ud800\x00|`<b>\n\u2028"
+
+
+def exchange(text="hello", answer="world", number=0):
+    request = Request("m", (Message("system", "drive"), Message("user", text)), {"type": "object"})
+    told = Answer(answer, usage={"total_tokens": number})
+    return Exchange(request.key("f"), "f", request.to_json(), told, "2026-01-02T03:04:05+00:00")
+
+
+@pytest.fixture
+def tape(tmp_path):
+    return tmp_path / "a folder" / "tape?mode=rw#1.sqlite"
+
+
+@pytest.fixture
+def recorded(tape):
+    cassette = Cassette(tape, writable=True)
+    cassette.add(exchange())
+    description = {"model": "m", "base_url": "http://h/v1", "fingerprint": "f"}
+    cassette.describe(description, "session")
+    cassette.close()
+    return tape
+
+
+def refused(tape, words, *, writable=False):
+    with pytest.raises(ConfigurationError) as caught:
+        Cassette(tape, writable=writable)
+    told = str(caught.value)
+    assert words in told
+    assert "--dura-cassette" in told
+    assert caught.value.__cause__ is None
+    return told
+
+
+def test_what_is_stored_comes_back_and_the_first_stays(tape):
+    cassette = Cassette(tape, writable=True)
+    assert cassette.find(exchange().key) is None
+    assert cassette.add(exchange()) == exchange().answer
+    assert cassette.add(exchange(answer="another")) == exchange().answer
+    assert list(cassette.exchanges()) == [exchange()]
+    assert list(cassette.exchanges("n")) == []
+    assert list(tape.parent.iterdir()) == [tape]
+
+
+def test_hostile_texts_come_back_as_they_were(tape):
+    cassette = Cassette(tape, writable=True)
+    cassette.add(exchange(HOSTILE, HOSTILE))
+    cassette.close()
+    assert list(Cassette(tape, writable=False).exchanges()) == [exchange(HOSTILE, HOSTILE)]
+
+
+def test_a_text_is_stored_once(tape):
+    cassette = Cassette(tape, writable=True)
+    for number in range(250):
+        cassette.add(exchange(f"prompt {number}"))
+    assert [one.request["messages"][1]["text"] for one in cassette.exchanges()] == [
+        f"prompt {number}" for number in range(250)
+    ]
+    texts = sqlite3.connect(tape).execute("SELECT COUNT(*) FROM texts").fetchone()
+    assert texts == (252,)
+
+
+WORK = """
+import sys
+from pathlib import Path
+sys.path.insert(0, sys.argv[3])
+from test_cassette_file import exchange
+from pytest_dura.llm.cassette.exchanges import Cassette
+cassette = Cassette(Path(sys.argv[1]), writable=True)
+print(*[cassette.add(exchange(f"{i}", sys.argv[2])).text for i in range(60)])
+"""
+
+
+def test_processes_that_record_at_once_agree_on_every_answer(tape):
+    here = str(__file__).rpartition("/")[0]
+    workers = [
+        subprocess.Popen(
+            [sys.executable, "-c", WORK, tape, name, here], stdout=subprocess.PIPE, text=True
+        )
+        for name in ("a", "b", "c")
+    ]
+    told = [worker.communicate()[0].split() for worker in workers]
+    assert [worker.returncode for worker in workers] == [0, 0, 0]
+    assert told[0] == told[1] == told[2]
+    assert set(told[0]) <= {"a", "b", "c"}
+    assert len(told[0]) == len(Cassette(tape, writable=False)) == 60
+
+
+def test_replay_leaves_the_file_as_it_is(recorded):
+    before = recorded.read_bytes()
+    recorded.chmod(0o400)
+    cassette = Cassette(recorded, writable=False)
+    assert cassette.find(exchange().key) == exchange().answer
+    with pytest.raises(ConfigurationError, match="the cassette cannot be read"):
+        cassette.add(exchange("more"))
+    cassette.close()
+    assert recorded.read_bytes() == before
+    assert list(recorded.parent.iterdir()) == [recorded]
+
+
+def test_a_file_that_is_missing_is_not_made_in_replay(tape):
+    refused(tape, "there is no such cassette")
+    assert not tape.exists()
+
+
+@pytest.mark.parametrize("writable", [False, True])
+@pytest.mark.parametrize(
+    "content, words",
+    [(b"{}" * 3000, "file is not a database"), (b"SQLite format 3\0" + b"x" * 4096, "cannot be")],
+)
+def test_a_file_that_is_no_database_stays_as_it_is(tmp_path, content, words, writable):
+    file = tmp_path / "notes.json"
+    file.write_bytes(content)
+    refused(file, words, writable=writable)
+    assert file.read_bytes() == content
+
+
+@pytest.mark.parametrize("writable", [False, True])
+def test_the_database_of_another_program_stays_as_it_is(tmp_path, writable):
+    file = tmp_path / "other.sqlite"
+    other = sqlite3.connect(file)
+    other.execute("CREATE TABLE exchanges (key TEXT)")
+    other.commit()
+    other.close()
+    before = file.read_bytes()
+    refused(file, "this file is no cassette", writable=writable)
+    assert file.read_bytes() == before
+
+
+@pytest.mark.parametrize("writable", [False, True])
+def test_a_newer_form_is_not_guessed_at(recorded, writable):
+    newer = sqlite3.connect(recorded)
+    newer.execute("PRAGMA user_version = 2")
+    newer.close()
+    refused(recorded, "found:    'version 2'", writable=writable)
+
+
+def test_a_truncated_file_is_refused(recorded):
+    data = recorded.read_bytes()
+    recorded.write_bytes(data[: len(data) // 2 // 4096 * 4096])
+    refused(recorded, "the cassette cannot be read")
+
+
+def test_a_directory_is_refused(tmp_path):
+    refused(tmp_path, "there is no such cassette")
+    refused(tmp_path, "the cassette is a directory", writable=True)
+    (tmp_path / "file").touch()
+    refused(tmp_path / "file" / "tape", "the cassette cannot be written", writable=True)
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "UPDATE exchanges SET answer = '{'",
+        "UPDATE exchanges SET answer = '[]'",
+        "UPDATE exchanges SET answer = '{\"words\": 1}'",
+        "UPDATE exchanges SET answer = x'ff'",
+        "UPDATE exchanges SET request = '{}'",
+        "UPDATE exchanges SET request = '{\"messages\": 7}'",
+        "UPDATE texts SET text = 'x'",
+        "DELETE FROM texts",
+        "DROP TABLE texts",
+    ],
+)
+def test_what_somebody_changed_by_hand_is_one_error(recorded, statement):
+    by_hand = sqlite3.connect(recorded)
+    by_hand.execute(statement)
+    by_hand.commit()
+    by_hand.close()
+    cassette = Cassette(recorded, writable=False)
+    with pytest.raises(ConfigurationError, match="the cassette cannot be read"):
+        list(cassette.exchanges())
+
+
+def test_a_text_is_found_by_what_it_is(recorded):
+    assert Cassette(recorded, writable=False).text(text_digest("hello")) == "hello"
+
+
+def test_the_listing_is_json_that_acts_on_no_terminal(recorded, capsys):
+    cassette = Cassette(recorded, writable=True)
+    cassette.add(exchange(HOSTILE, HOSTILE))
+    cassette.close()
+    assert main(["cassette", str(recorded)]) == 0
+    told = capsys.readouterr().out
+    assert all(one == "\n" or " " <= one <= "~" for one in told)
+    described, first, second = map(json.loads, told.splitlines())
+    assert described["described"]["model"] == "m"
+    assert first["answer"]["text"] == "world"
+    assert second["answer"]["text"] == HOSTILE
+    assert second["request"]["messages"][1]["text"] == HOSTILE
+
+
+def test_the_listing_of_something_else_is_one_error(tmp_path, capsys):
+    assert main(["cassette", str(tmp_path / "none")]) == 2
+    assert "there is no such cassette" in capsys.readouterr().err
