@@ -64,6 +64,8 @@ FAULT_TYPES: dict[str, str] = {
     "prompt-drop": f"{_PROMPT}:PromptDrop",
     "prompt-reorder": f"{_PROMPT}:PromptReorder",
     "prompt-paraphrase": f"{_PROMPT}:PromptParaphrase",
+    "model-failure": "pytest_dura.llm.faults.model:ModelFailure",
+    "model-delay": "pytest_dura.llm.faults.model:ModelDelay",
 }
 """Type name to import path; a domain's faults are imported when one is used."""
 
