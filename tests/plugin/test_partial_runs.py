@@ -80,3 +80,23 @@ def test_a_dead_worker_leaves_its_runs_undecided(project):
     reason = "only 3 of 4 planned episodes were run"
     found = expect(project, result, "undecided", reason, requirement="GAP-1")
     assert (found["planned"], found["run"], found["violations"]) == (4, 3, 0)
+
+
+@pytest.mark.parametrize("workers", ["1", "2"])
+def test_an_item_that_kills_its_worker_is_tried_once_and_the_others_run(
+    project, monkeypatch, workers
+):
+    log = project.path / "log"
+    monkeypatch.setenv("CORRIDOR_LOG", str(log))
+    # Cases run in the order of their names here: some before and some after the one that dies.
+    for name in ("a", "b", "c", "e", "f"):
+        scenario(project, name, requirements="[GAP-1]", runs=1)
+    scenario(project, "d", requirements="[GAP-1, GO-1]", runs=1, world="{dies: true}")
+    result = project.scenarios("-n", workers, select="corridor/[a-f]")
+    words = {case: word for (case, of), word in project.verdicts().items() if of == "GAP-1"}
+    assert words.pop("corridor/d") == "undecided"
+    assert words == dict.fromkeys([f"corridor/{name}" for name in "abcef"], "supported")
+    simulated = [line.split()[0] for line in log.read_text().splitlines()]
+    # Once for each of its two requirements, each of which cost a worker.
+    assert sorted(simulated) == [f"corridor/{name}" for name in "abcddef"]
+    assert result.ret == 1
