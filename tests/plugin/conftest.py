@@ -2,10 +2,12 @@ from __future__ import annotations
 
 import importlib
 import json
+import os
 import shutil
 from pathlib import Path
 
 import pytest
+from forked_workers import AVAILABLE, ForkedWorkers
 
 from pytest_dura.evidence.formats import all_formats
 from pytest_dura.requirements.stl.language.grammar import rtamt_modules
@@ -87,9 +89,20 @@ class Project:
         }
 
 
+@pytest.fixture(scope="session")
+def forked_workers():
+    workers = ForkedWorkers(PROJECT)
+    yield workers
+    workers.close()
+
+
 @pytest.fixture
-def project(pytester, monkeypatch):
+def project(pytester, monkeypatch, forked_workers):
     monkeypatch.delenv("PYTEST_ADDOPTS", raising=False)
+    # Milliseconds each, for what no test can see: that files survive a loss of power.
+    monkeypatch.setattr(os, "fsync", lambda _: None)
+    if AVAILABLE:
+        monkeypatch.setattr("execnet.gateway_io.popen_args", forked_workers.arguments)
     return Project(pytester)
 
 

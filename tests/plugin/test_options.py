@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import pytest
+from corridors import scenario
 
 
 @pytest.mark.parametrize(
@@ -137,7 +138,9 @@ def test_evidence_that_cannot_be_written(project):
 
 
 def test_a_time_budget_replaces_that_of_the_scenarios(project):
-    result = project.run("--dura-scenarios", "--dura-time-budget=1.5", "--dura-runs=1")
+    scenario(project)  # with a budget of its own, as the others have none
+    result = project.scenarios("--dura-time-budget=1.5", "--dura-runs=1")
     episodes = project.evidence()["episodes"]
+    assert {one["case"] for one in episodes} == {"corridor/free", "corridor/it", "corridor/tight"}
     assert {one["spec"]["time_budget"] for one in episodes} == {1.5}
     assert "--dura-time-budget=1.5" in result.stdout.str()

@@ -1,0 +1,138 @@
+"""Workers of pytest-xdist that begin as copies of a process in which a session was run before.
+
+A worker of its own spends a second on imports, and has a few episodes to run. Here one process is
+started, runs a session of the example project, forgets that project, and forks for each worker that
+is asked for. That an earlier session leaves nothing behind that matters is what the tests that run
+in this process assume as well; workers that start afresh are in the tests that start pytest in a
+process of its own.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import os
+import pickle
+import select
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+from pathlib import Path
+
+AVAILABLE = sys.platform == "linux"
+"""Elsewhere a process may not be forked that has used system libraries."""
+
+ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+"""Threads of a numeric library are not there in a copy."""
+
+CLIENT = """
+import os, pickle, socket, sys
+with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as server:
+    server.connect(sys.argv[1])
+    told = pickle.dumps((os.getcwd(), dict(os.environb)))
+    socket.send_fds(server, [len(told).to_bytes(4, "big")], [0, 1, 2])
+    server.sendall(told)
+    for number in (0, 1):
+        os.close(number)
+    server.recv(1)  # until the worker is no more
+"""
+"""What execnet starts: it hands its pipes to the worker, and lasts as long as the worker does."""
+
+
+class ForkedWorkers:
+    """Starts the process that forks when the first worker is asked for."""
+
+    def __init__(self, project: Path) -> None:
+        self.project = project
+        self.folder = tempfile.mkdtemp(prefix="dura-")  # a socket's name must be short
+        self.process: subprocess.Popen[bytes] | None = None
+
+    def arguments(self, _spec: object = None) -> list[str]:
+        """The command of a worker, as ``execnet.gateway_io.popen_args``."""
+        address = str(Path(self.folder, "socket"))
+        if self.process is None:
+            kept = {key: value for key, value in os.environ.items() if "PYTEST" not in key}
+            self.process = subprocess.Popen(
+                [sys.executable, __file__, address, str(self.project)],
+                env=kept | ONE_THREAD | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+            )
+            assert self.process.stdout is not None
+            assert self.process.stdout.readline() == b"ready\n", "no worker can be forked"
+        return [sys.executable, "-IS", "-c", CLIENT, address]
+
+    def close(self) -> None:
+        """End the process; workers end with the sessions that asked for them."""
+        if self.process is not None:
+            self.process.communicate(timeout=60)
+        shutil.rmtree(self.folder)
+
+
+def _run_a_session(project: str) -> None:
+    """What a session imports is imported then, by the hook that pytest expects to have done it."""
+    import pytest
+
+    with tempfile.TemporaryDirectory() as name:
+        folder = shutil.copytree(project, Path(name, "project"))
+        here = Path.cwd()
+        os.chdir(folder)
+        with Path(os.devnull).open("w") as quiet, contextlib.redirect_stdout(quiet):
+            code = pytest.main(["-p", "no:cacheprovider", "-p", "no:xdist", "corridor/free"])
+        os.chdir(here)
+        if code:
+            raise SystemExit(f"the session that workers begin with ended with {code!r}")
+        for key, module in list(sys.modules.items()):
+            if (getattr(module, "__file__", None) or "").startswith(str(folder)):
+                del sys.modules[key]
+
+
+def _serve(address: str) -> None:
+    """Fork for each client; returns in the child, whose pipes, folder and environment are set."""
+    stops = sys.stdin.fileno()
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as server:
+        server.bind(address)
+        server.listen()
+        assert threading.active_count() == 1, "a thread of the session would be missing in a copy"
+        sys.stdout.write("ready\n")
+        sys.stdout.flush()
+        while stops not in select.select([stops, server], [], [])[0]:
+            client = server.accept()[0]
+            size, pipes, _, _ = socket.recv_fds(client, 4, 3)
+            with client.makefile("rb") as stream:
+                told = stream.read(int.from_bytes(size, "big"))
+            child = os.fork() == 0
+            if child:
+                for number, pipe in enumerate(pipes):
+                    os.dup2(pipe, number)
+            for pipe in pipes:
+                os.close(pipe)
+            if child:
+                client.detach()  # it is closed when this process ends
+                return _become(*pickle.loads(told))
+            client.close()
+    raise SystemExit
+
+
+def _become(folder: str, environment: dict[bytes, bytes]) -> None:
+    os.chdir(folder)
+    os.environb.clear()
+    os.environb.update(environment)
+    signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+    sys.stdin, sys.stdout, sys.stderr = map(os.fdopen, range(3), ("r", "w", "w"))
+    sys.argv = ["-c"]
+    importlib.invalidate_caches()
+
+
+if __name__ == "__main__":
+    sys.path[0] = ""
+    before = list(sys.path)
+    _run_a_session(sys.argv[2])
+    signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # nobody waits for the workers
+    _serve(sys.argv[1])
+    sys.path[:] = before
+    exec(eval(sys.stdin.readline()))  # as execnet begins a worker
