@@ -63,8 +63,6 @@ def copied(account: Mapping[str, Any]) -> Mapping[str, Any]:
     """
     if not account:
         return NOTHING
-    if not account:
-        return NOTHING
     found: dict[str, Any] = json.loads(json.dumps(dict(account)))
     return found
 
@@ -118,7 +116,7 @@ def accounted(
         tallies[name] = Tally(*counts, *null_counts, simulator.measure_kinds.get(name, "failure"))
     plain = _columns(simulator.account_signals, ticks, percepts, accounts)
     signals = {name: _to_the_end(one, len(ticks)) for name, one in {**columns, **plain}.items()}
-    spent = [_seconds(one.get(SECONDS)) for one in accounts if one.get(DECIDED) is True]
+    spent = [told_seconds(one) for one in accounts if one.get(DECIDED) is True]
     return Accounted(signals, tallies, [one for one in spent if one is not None])
 
 
@@ -130,8 +128,9 @@ def _null(account: Mapping[str, Any]) -> Mapping[str, Any]:
     return {**{key: account[key] for key in INPUT if key in account}, **told}
 
 
-def _seconds(told: Any) -> float | None:
-    """A duration, if it is one."""
+def told_seconds(account: Mapping[str, Any]) -> float | None:
+    """How long the component says that its decision took; ``None`` if it gives no duration."""
+    told = account.get(SECONDS)
     if isinstance(told, bool) or not isinstance(told, (int, float)):
         return None
     try:

@@ -7,6 +7,7 @@ from dataclasses import replace
 from time import perf_counter_ns
 from typing import Any, Protocol, cast
 
+from pytest_dura.core.accounts import told_seconds
 from pytest_dura.core.checked_calls import corrupted, corrupted_command, run_if_triggered
 from pytest_dura.core.component import Component
 from pytest_dura.core.episode import Episode, EpisodeSpec
@@ -255,7 +256,8 @@ class Orchestrator:
         with listening() as outside:
             proposal, problem = self._component.ask(view)
         elapsed = perf_counter_ns() - start
-        self.state.generator_seconds = elapsed / 1e9
+        told = None if proposal is None else told_seconds(proposal.account)
+        self.state.generator_seconds = elapsed / 1e9 if told is None else told
         self.log.metrics.log_time("generator", tick.index, elapsed)
         self._raise_outside(outside)
         if self._messages.failure is not None:

@@ -218,7 +218,7 @@ class LlmGenerator(Generator):
         account: dict[str, Any] = {"decided": fresh}
         if decision is None:
             account |= {"outcome": PENDING, "at": view.index, "age": 0.0, "fallback": True}
-            return self._fallback(account, "no answer has come yet", None)
+            return self._fallback(account, "no answer has come yet")
         account |= {"at": decision.at, "age": view.time - decision.time} | decision.told()
         account["fallback"] = not decision.reading.answered
         if fresh:
@@ -227,22 +227,21 @@ class LlmGenerator(Generator):
                 name: {"outcome": "answered", **self.NULL} for name in decision.beside
             }
             account |= {"beside": dict(decision.beside), "seconds": decision.seconds, "null": null}
-        latency = decision.seconds if fresh else None
         if not decision.reading.answered:
             why = f"{decision.outcome}: {decision.reading.detail}"
-            return self._fallback(account, why, latency)
+            return self._fallback(account, why)
         said = decision.reading.said
         if self.settings.between == "extrapolate":
             action = self.extrapolated(said["maneuver"], view, fresh=fresh)
         else:
             action = self.command(said["maneuver"])
-        return Proposal(action, said["reasoning"], latency, account=account)
+        return Proposal(action, said["reasoning"], account=account)
 
-    def _fallback(self, account: Mapping[str, Any], why: str, latency: float | None) -> Proposal:
+    def _fallback(self, account: Mapping[str, Any], why: str) -> Proposal:
         """What is proposed without a decision of the model's own."""
         policy, last = self.settings.fallback, None
         if policy == "last":
             last = next((one for one in reversed(self._made) if one.reading.answered), None)
             policy = "none" if last is None else last.reading.said["maneuver"]
         action = None if policy == "none" else self.command(policy)
-        return Proposal(action, "", latency, failure=why, account=account)
+        return Proposal(action, failure=why, account=account)
