@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pytest_dura.plugin.baseline_lines import baseline_header, show_baseline
+from pytest_dura.plugin.failure_mode_lines import failure_mode_table
 from pytest_dura.plugin.fault_lines import fault_table
 from pytest_dura.plugin.messages import Shown, shown_lines
 from pytest_dura.plugin.overrides import overrides_deeper_down, root_conftest_with
@@ -33,6 +34,7 @@ def header(session: DuraSession) -> list[str]:
     lines = ["dura: " + ", ".join(parts)]
     if options.runs is not None:
         lines.append(f"dura: --dura-runs={options.runs} replaces the planned number of runs")
+    lines += session.models.header()
     lines += baseline_header(session.evidence.given.baseline)
     if plan:
         lines += [f"dura: warning: {one}" for one in session.library().warnings]
@@ -111,6 +113,7 @@ def _show_cases(session: DuraSession, terminal: Any, record: SessionRecord) -> N
     if by_hand:
         terminal.line(f"and {counted(by_hand, 'episode')} with a seed chosen by hand")
     for lines in (
+        failure_mode_table(shown, by_case=session.config.option.verbose > 0),
         fault_table(shown),
         pair_table(record["verdicts"], record["cases"]),
         monitor_table(record["monitors"]),

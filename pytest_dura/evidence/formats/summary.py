@@ -18,6 +18,13 @@ from pytest_dura.evidence.formats.stated import UNREVIEWED, bound, components, s
 from pytest_dura.evidence.record.counts import Counts
 from pytest_dura.evidence.record.session_record import SessionRecord
 from pytest_dura.evidence.text import code, markdown, name
+from pytest_dura.evidence.views.failure_modes import (
+    NULL,
+    answers,
+    in_words,
+    percent,
+    summed,
+)
 from pytest_dura.evidence.views.replay_command import evidence_option, replay_command
 
 FILE = "summary.md"
@@ -26,8 +33,8 @@ LIMIT = 1024 * 1024
 
 Data = dict[str, Any]
 _KIB = 1024
-_SHARES = {"failures": 300 * _KIB, "verdicts": 350 * _KIB, "requirements": 100 * _KIB,
-           "cases": 150 * _KIB}  # fmt: skip
+_SHARES = {"failures": 300 * _KIB, "verdicts": 320 * _KIB, "requirements": 100 * _KIB,
+           "cases": 150 * _KIB, "failure modes": 30 * _KIB}  # fmt: skip
 """Bytes of the tables; the rest is for what has a small bound: the head, reasons, provenance."""
 _REASONS = 20
 _CELLS = 10
@@ -46,6 +53,7 @@ def render(record: SessionRecord) -> str:
         *_section("Verdicts", _VERDICTS, map(_verdict, verdicts), "verdicts"),
         *_section("Requirements", _REQUIREMENTS, _requirements(record), "requirements"),
         *_section("Cases", _CASES, map(_case, record["cases"]), "cases"),
+        *_failure_modes(record),
         *_coverage(record),
         *_provenance(record),
     ]
@@ -193,6 +201,7 @@ _VERDICTS = ["verdict", "waiver", "requirement", "case", "component", "valid n",
 _REQUIREMENTS = ["requirement", "kind", "text", "supported", "violated", "undecided", "untested"]
 _CASES = ["case", "component", "planned", "run", "valid", "invalid", "missing", "flagged",
           "collided", "gridlock", "clearance time"]  # fmt: skip
+_MODES = ["failure mode", "kind", "component", "decisions", "share %", "null %", "episodes"]
 
 
 def _row(cells: Iterable[object]) -> str:
@@ -237,6 +246,24 @@ def _case(one: Data) -> str:
         shown = f"{time['mean']:.2f} s (n = {time['runs']})"
     counts = (metrics[key] for key in ("planned", "run", "valid", "invalid", "missing"))
     return _row([_name(one["id"]), _name(one["component"]), *counts, *rates, shown])
+
+
+def _failure_modes(record: SessionRecord) -> Iterator[str]:
+    """Over all cases; nothing where no component gave accounts."""
+    cases = record["cases"]
+    rows = [
+        _row([
+            _name(in_words(one["name"])), one["kind"], _name(component),
+            f"{one['hits']} of {one['of']}", percent(one["share"]), percent(one["null_share"]),
+            f"{one['episodes']} of {one['of_episodes']}",
+        ])
+        for component, modes in summed(cases).items()
+        for one in modes
+    ]  # fmt: skip
+    if rows:
+        yield from _section("Failure modes", _MODES, rows, "failure modes")
+        yield from ["", *(f"- answers of {_name(whose)}: {text}" for whose, text in answers(cases))]
+        yield f"- {NULL}"
 
 
 def _coverage(record: SessionRecord) -> Iterator[str]:

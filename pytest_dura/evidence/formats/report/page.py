@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from pytest_dura.evidence.formats.report import (
     coverage,
     episodes,
+    failure_modes,
     faults,
     gate,
     monitors,
@@ -36,6 +37,7 @@ SECTIONS: Mapping[str, Section] = {
     "gate": gate.section,
     "requirements": requirements.section,
     "scenarios": scenarios.section,
+    "failure_modes": failure_modes.section,
     "faults": faults.section,
     "coverage": coverage.section,
     "traceability": traceability.section,
