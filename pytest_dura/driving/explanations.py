@@ -105,7 +105,8 @@ def account_measures(
     columns = {name: np.full(len(accounts), np.nan) for name in NAMES}
     told = told_decisions(accounts)
     silent = np.array([not account for account in accounts], dtype=bool)
-    for one, end in zip(told, [*(later.tick for later in told[1:]), len(accounts)], strict=True):
+    ends = [*(later.tick for later in told[1:]), len(accounts)]
+    for one, end in zip(told, ends, strict=False):  # without a decision, nothing ends either
         percept = None if one.at is None else percepts[one.at]
         shown = {
             **_citations(one, ticks, percept),
