@@ -23,7 +23,7 @@ def history_facts(past: Sequence[PastDecision], now: float) -> dict[str, Any]:
     An explanation may repeat what a sign said, and is shown as a text of the scene.
 
     Args:
-        past: The decisions to show; of equal ones in a row, the first.
+        past: The decisions to show; only the latest few are.
         now: Simulated seconds.
     """
     shown_ones = [
@@ -34,7 +34,7 @@ def history_facts(past: Sequence[PastDecision], now: float) -> dict[str, Any]:
             "source": one.source if one.source in ("proposal", "recovery", "fallback") else None,
             "explanation": PerceivedText(one.explanation, EXPLANATION) if one.explanation else "",
         }
-        for one in _without_repeats(past)[-MOST_DECISIONS:]
+        for one in past[-MOST_DECISIONS:]
     ]
     return {"decisions": tuple(shown_ones)}
 
@@ -73,7 +73,14 @@ def _command(action: object) -> Command | None:
         return None
 
 
-def _without_repeats(past: Sequence[PastDecision]) -> list[PastDecision]:
+def decision_points(past: Sequence[PastDecision]) -> list[PastDecision]:
+    """The first of each run of equal entries: where something else was decided or done.
+
+    For a component that does not know at which ticks it decided.
+
+    Args:
+        past: One entry per tick.
+    """
     return [
         one for index, one in enumerate(past) if not index or _told(one) != _told(past[index - 1])
     ]

@@ -99,8 +99,8 @@ class PromptReorder(PromptFault):
 class ParaphraseParameters(FaultPart):
     """Which wording is used."""
 
-    wording: Literal["", "paraphrased"] = Field(
-        "paraphrased", description="A folder of the templates; the empty text is their own wording."
+    wording: Literal["own", "paraphrased"] = Field(
+        "paraphrased", description="A folder of the templates; `own` changes nothing."
     )
 
 
@@ -113,6 +113,6 @@ class PromptParaphrase(PromptFault):
     def apply(self, memory: Any, value: Prompt, moment: Moment) -> Prompt:  # noqa: ARG002 - as Fault has it
         """The prompt with the other wording."""
         wording = self.parameters.wording
-        if wording in ("", value.wording):
+        if wording in ("own", value.wording):
             return value
         return replace(value, wording=wording)

@@ -28,7 +28,7 @@ def test_the_committed_page_is_up_to_date(page: str) -> None:
 @pytest.mark.parametrize("name", sorted(FAULT_TYPES))
 def test_every_type_has_a_line_and_each_of_its_parameters_one(name: str, page: str) -> None:
     kind = fault_class(name)
-    target = re.escape(FAULT_TARGETS[kind.acts_on])
+    target = re.escape(str(FAULT_TARGETS.get(kind.acts_on, kind.default_target)))
     (line,) = re.findall(rf"^\| `{name}` \| [^|]+ \| `{target}` \|.*\|$", page, re.MULTILINE)
     effect = line.strip("| ").split(" | ")[-1]
     assert len(effect) > 20
