@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
+from pytest_dura.core.errors import describe_error
 from pytest_dura.core.outputs import check_texts
+from pytest_dura.core.outside import OutsideError, told
 from pytest_dura.core.roles import FaultInjector
 from pytest_dura.core.state import StateManager
 
@@ -13,7 +15,7 @@ class Messages:
     """The way of a component's own messages, such as prompts to a language model.
 
     The component calls :meth:`transmit` from within its proposal. A failure of the injector there
-    says nothing about the component, which may catch it or not; the loop finds it in ``failure``.
+    says nothing about the component, whatever it makes of the error.
 
     Args:
         injector: Whose faults act on the messages; ``None`` without any.
@@ -22,7 +24,6 @@ class Messages:
 
     def __init__(self, injector: FaultInjector | None, state: StateManager) -> None:
         self._injector, self._state = injector, state
-        self.failure: BaseException | None = None
 
     def transmit(self, channel: str, message: Any) -> Any:
         """The message as it arrives."""
@@ -34,7 +35,6 @@ class Messages:
             )
             check_texts("tampered faults", tampered)
         except (Exception, SystemExit) as error:
-            self.failure = error
-            raise
+            raise told(OutsideError("fault_injector", describe_error(error))) from error
         self._state.message_faults.update(tampered)
         return changed

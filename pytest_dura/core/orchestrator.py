@@ -22,6 +22,7 @@ from pytest_dura.core.log import Decision, EpisodeLog
 from pytest_dura.core.messages import Messages
 from pytest_dura.core.outputs import check_output, check_texts, owed_output
 from pytest_dura.core.outside import OutsideError, listening
+from pytest_dura.core.plain import plain_copy
 from pytest_dura.core.roles import (
     Assessed,
     Assessment,
@@ -160,7 +161,7 @@ class Orchestrator:
         self._component = Component(self.generator, spec, self.log.timeouts)
         for name, role in self.roles.items():
             # Each gets copies: a role that changed the scenario would change the world.
-            scenario = _plain_copy(spec.scenario)
+            scenario = plain_copy(spec.scenario)
             if role is self.generator:
                 own_seed = derive_seed(spec.seed, "generator")
                 context = RoleContext(
@@ -172,11 +173,11 @@ class Orchestrator:
                 if problem is not None:
                     self.log.early_event("component_failure", spec.component, problem)
             else:
-                faults = tuple(_plain_copy(fault) for fault in spec.faults)
+                faults = tuple(plain_copy(fault) for fault in spec.faults)
                 context = RoleContext(spec.seed, spec.time_step, scenario, faults)
                 self._guard(name, role.reset, context)
         self._guard("simulator", self.simulator.set_time_step, spec.time_step)
-        scenario = _plain_copy(spec.scenario)
+        scenario = plain_copy(spec.scenario)
         tick = self._guard("simulator", self.simulator.reset, scenario, spec.seed)
         return cast("Tick", self._guard("simulator", self._checked, tick, 0))
 
@@ -260,9 +261,6 @@ class Orchestrator:
         self.state.generator_seconds = elapsed / 1e9 if told is None else told
         self.log.metrics.log_time("generator", tick.index, elapsed)
         self._raise_outside(outside)
-        if self._messages.failure is not None:
-            failure = self._messages.failure
-            raise self._infrastructure("fault_injector", failure) from failure
         if proposal is not None:
             problem = proposal.failure or None
         if proposal is not None and (proposal.action is not None or problem is None):
@@ -391,15 +389,6 @@ class Orchestrator:
 
 
 _HALT = object()
-
-
-def _plain_copy(value: Any) -> Any:
-    """A copy of plain data, down to the last container."""
-    if isinstance(value, Mapping):
-        return {key: _plain_copy(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [_plain_copy(item) for item in value]
-    return tuple(_plain_copy(item) for item in value) if isinstance(value, tuple) else value
 
 
 def _end_directives(state: StateManager, name: str) -> None:

@@ -40,7 +40,7 @@ class Settings(BaseModel):
     templates: str | None = Field(
         None, description="A directory whose files replace templates of the same name."
     )
-    decide_every: int = Field(5, ge=1, description="Ticks from one decision to the next.")
+    decide_every: int = Field(10, ge=1, description="Ticks from one decision to the next.")
     between: Literal["hold", "extrapolate"] = Field(
         "hold",
         description="Between two decisions: hold the maneuver, or extrapolate its acceleration.",
