@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_dura.core.errors import describe_error
-from pytest_dura.core.metrics import Tally
+from pytest_dura.core.metrics import KINDS, Tally
 from pytest_dura.core.simulator import Simulator
 from pytest_dura.core.state import NOTHING, Percept, Tick
 
@@ -99,22 +99,23 @@ def accounted(
     """Signals and tallies of an episode's accounts; ``None`` without any account.
 
     Raises:
-        ValueError: For a column of another length than there are decisions.
+        ValueError: For a column of another length than there are decisions, and for a measure of
+            an unknown kind.
     """
     if not any(accounts):
         return None
-    measures = simulator.account_measures
-    columns = _columns(measures, ticks, percepts, accounts)
+    world = simulator, ticks, percepts
+    columns = _columns("account_measures", *world, accounts)
     null = [_null(one) for one in accounts]
-    null_columns = _columns(measures, ticks, percepts, null) if any(null) else {}
+    null_columns = _columns("account_measures", *world, null) if any(null) else {}
     fresh = np.array([one.get(DECIDED) is True for one in accounts])
     tallies = {}
     for name, column in columns.items():
         counts = _count(column[fresh])
         beside = null_columns.get(name)
         null_counts = (0, 0) if beside is None else _count(beside[fresh])
-        tallies[name] = Tally(*counts, *null_counts, simulator.measure_kinds.get(name, "failure"))
-    plain = _columns(simulator.account_signals, ticks, percepts, accounts)
+        tallies[name] = Tally(*counts, *null_counts, _kind(simulator, name))
+    plain = _columns("account_signals", *world, accounts)
     signals = {name: _to_the_end(one, len(ticks)) for name, one in {**columns, **plain}.items()}
     spent = [told_seconds(one) for one in accounts if one.get(DECIDED) is True]
     return Accounted(signals, tallies, [one for one in spent if one is not None])
@@ -146,18 +147,26 @@ def _to_the_end(column: Floats, ticks: int) -> Floats:
     return np.append(filled, filled[-1:]) if ticks > len(filled) else filled
 
 
+def _kind(simulator: Simulator, name: str) -> str:
+    kind = simulator.measure_kinds.get(name, KINDS[0])
+    if kind not in KINDS:
+        raise ValueError(f"measure_kinds says of {name!r} {kind!r}, not {', '.join(KINDS)}")
+    return kind
+
+
 def _columns(
-    hook: Callable[..., Mapping[str, Any]],
+    hook: str,
+    simulator: Simulator,
     ticks: Sequence[Tick],
     percepts: Sequence[Percept],
     accounts: Sequence[Mapping[str, Any]],
 ) -> dict[str, Floats]:
-    found = hook(ticks, percepts, accounts)
+    found = getattr(simulator, hook)(ticks, percepts, accounts)
     columns = {name: np.asarray(column, dtype=np.float64) for name, column in found.items()}
     for name, column in columns.items():
         if column.shape != (len(accounts),):
             raise ValueError(
-                f"{hook.__name__} returned {name!r} of shape {column.shape}, not ({len(accounts)},)"
+                f"{hook} returned {name!r} of shape {column.shape}, not ({len(accounts)},)"
             )
     return columns
 

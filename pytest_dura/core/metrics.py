@@ -93,6 +93,10 @@ def _between(first: float | None, then: float | None) -> float | None:
     return None if first is None or then is None else then - first
 
 
+KINDS = ("failure", "control", "comparison")
+"""What a measure of a component's accounts can be, see :class:`Tally`."""
+
+
 @dataclass(frozen=True)
 class Tally:
     """How often a failure mode showed, among the decisions that could have shown it.

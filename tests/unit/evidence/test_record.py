@@ -25,7 +25,8 @@ def episode(run=0, digest="d", validity="valid", **outcome):
     return {
         "id": f"a/b#{run}", "case": "a/b", "component": "C", "seed": run, "planned": True,
         "validity": validity, "digest": digest, "outcome": told | outcome,
-        "metrics": {"user": {}, "tallies": {}, "answer_seconds": []}, "faults": [], "spec": {"run": run, "timeouts": []},
+        "metrics": {"user": {}, "tallies": {}, "answer_seconds": []}, "faults": [],
+        "spec": {"run": run, "timeouts": []},
     }  # fmt: skip
 
 
@@ -53,6 +54,7 @@ def report(item="a/b::R", **parts):
             "claims",
             "chains",
             "traces",
+            "models",
             "problems",
             "parts",
         )
@@ -337,3 +339,30 @@ def test_traces_are_attached_to_their_episodes():
     trace = {"file": "episodes/x.mcap", "sha256": "0", "bytes": 1, "kept_for": "all"}
     made.add_traces([{"id": "a/b#1", "component": "C", "digest": "e", "trace": trace}])
     assert [one.get("trace") for one in evidence(made)["episodes"]] == [None, trace]
+
+
+def model(process="main", asked=0, **changes):
+    told = {
+        "component": "C", "model": "m", "base_url": "http://h/v1", "mode": "record",
+        "fingerprint": "f", "capabilities": {"vision": False}, "prompts": None, "process": process,
+        "asked": asked, "reused": 1, "injected": 0, "missed": 0,
+    }  # fmt: skip
+    return told | changes
+
+
+def test_what_processes_ask_of_a_model_is_added_up_and_told_once():
+    made = record()
+    for one in (model(asked=3), model(asked=5), model("gw1", asked=2), model(asked=5)):
+        made.add(report(models=[one]))
+    (found,) = evidence(made)["models"]
+    assert found["asked"] == 7
+    assert found["reused"] == 2
+    assert found["cassette"] is None
+    assert "process" not in found
+
+
+def test_reports_that_come_late_lose_no_count():
+    made = record()
+    made.add(report(models=[model(asked=5), model(asked=3), model(fingerprint="g")]))
+    told = {one["fingerprint"]: one["asked"] for one in evidence(made)["models"]}
+    assert told == {"f": 5, "g": 0}
