@@ -7,6 +7,9 @@ from typing import Any, Protocol
 
 from pytest_dura.llm.port import Answer, Request
 
+PROBE_BUDGET = 60.0
+"""Seconds for each request of a probe; a server may load its model at the first one."""
+
 
 class Server(Protocol):
     """A server, and one model of it."""

@@ -18,7 +18,7 @@ from pytest_dura.core.outside import OutsideError, told
 from pytest_dura.llm.cassette.exchanges import Cassette, Exchange
 from pytest_dura.llm.cassette.missing import CassetteMissError, why_missing
 from pytest_dura.llm.delivery import delivered, injected, scrubbed
-from pytest_dura.llm.description import ModelDescription
+from pytest_dura.llm.description import ModelDescription, chosen
 from pytest_dura.llm.port import Answer, Delivery, Request
 from pytest_dura.llm.serving import Connect, Server, connect
 
@@ -116,6 +116,17 @@ class ModelSession:
             one.model: one for one in self._described.values() if isinstance(one, ModelDescription)
         }
         return [found[name] for name in sorted(found)]
+
+    def known(self, model: str, fingerprint: str) -> ModelDescription | None:
+        """What was found out of a model at the server with this fingerprint, if anything was.
+
+        Raises:
+            ConfigurationError: If the cassette cannot be read.
+        """
+        stored = [] if self.cassette is None else self.cassette.descriptions()
+        found = [self._description(one) for one in stored] + self.descriptions
+        fitting = (one for one in reversed(found) if one.model == model)
+        return next((one for one in fitting if one.fingerprint == fingerprint), None)
 
     def ask(
         self,
@@ -229,24 +240,8 @@ class ModelSession:
     def _replayed(self, model: str | None) -> ModelDescription:
         assert self.cassette is not None
         known = [self._description(one) for one in self.cassette.descriptions()]
-        names = sorted({one.model for one in known})
-        wanted = model or (names[0] if len(names) == 1 else self._environ.get("DURA_LLM_MODEL"))
-        # A server that was described again later is the one whose answers came last.
-        found = [one for one in known if one.model == wanted]
-        if found:
-            return found[-1]
-        raise ConfigurationError(
-            "the cassette knows several models, and none of them is named"
-            if wanted is None and names
-            else f"the cassette knows no model {wanted!r}"
-            if names
-            else "the cassette knows no model at all",
-            file=str(self.cassette.file),
-            key="--dura-cassette",
-            found=wanted,
-            expected=", ".join(names[:10]) or "a cassette that --dura-llm=record wrote",
-            remedy="name another model, or record it with --dura-llm=record",
-        )
+        usual = self._environ.get("DURA_LLM_MODEL")
+        return chosen(known, model, usual, str(self.cassette.file))
 
     def _description(self, data: Mapping[str, Any]) -> ModelDescription:
         try:
@@ -270,6 +265,11 @@ def current() -> ModelSession:
     """The session that is in use in this process; a live one, unless another was put to use."""
     if _Process.session is None:
         _Process.session = ModelSession()
+    return _Process.session
+
+
+def in_use() -> ModelSession | None:
+    """The session that is in use in this process, if one is by now."""
     return _Process.session
 
 

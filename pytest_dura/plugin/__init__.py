@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import pytest
 
+from pytest_dura.plugin.declared_options import add_options
 from pytest_dura.plugin.fixtures import (
     _dura_roles,
     campaign,
@@ -24,7 +25,6 @@ from pytest_dura.plugin.fixtures import (
     simulator,
 )
 from pytest_dura.plugin.hooks import SessionHooks
-from pytest_dura.plugin.options import add_options
 from pytest_dura.plugin.session import session_of
 
 __all__ = [

@@ -23,6 +23,7 @@ def replay_command(session: DuraSession, episode: str, evidence: Path | None = N
     else:
         given = session.options.given
         options += [f"{name}={value}" for name, value in given if name == "--dura-evidence"]
+    options += session.models.replay_options()
     # The same arguments load the same conftest files, where a component may be defined.
     return _command(session, [*options, *_places(session)])
 

@@ -245,6 +245,8 @@ class SessionEvidence:
 
         if record is None:
             record = self.given.compared(self.record.record(status))
+        if status != "running":
+            record = self.session.models.completed(record, self._sources())
         return concluded(
             record,
             finished=None if status == "running" else _now(),

@@ -193,6 +193,7 @@ class SessionHooks:
         """Have the last word on the exit code of a session that the evidence does not support."""
         if self._pytest_session is not None:
             self.session.evidence.insist(self._pytest_session)
+        self.session.models.end()
 
     def pytest_terminal_summary(self, terminalreporter: Any) -> None:
         """Show cases, verdicts and failures."""
@@ -205,6 +206,7 @@ class SessionHooks:
     def pytest_configure_node(self, node: WorkerController) -> None:
         """Tell a worker where the evidence goes: it writes the traces of its episodes itself."""
         node.workerinput["dura_evidence"] = str(self.session.options.evidence.absolute())
+        self.session.models.tell_worker(node.workerinput)
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_xdist_make_scheduler(

@@ -43,6 +43,8 @@ class SessionInputs:
                 self.inputs.add("faults", here / value)
         if options.argument is not None:
             self.inputs.add("argument", options.argument)
+        if options.llm == "replay" and options.cassette is not None:
+            self.inputs.add("cassette", options.cassette)
         self._baseline(here)
         for planned in self.session.plan:
             self._scenario(planned.case.scenario.name)

@@ -1,4 +1,4 @@
-"""The command-line options and ini settings, and their values once they are checked."""
+"""The values of the command-line options and ini settings, once they are checked."""
 
 from __future__ import annotations
 
@@ -10,123 +10,19 @@ from typing import TYPE_CHECKING, Any, cast
 import pytest
 
 from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.plugin.declared_options import (
+    DEFAULT_CASSETTE,
+    DEFAULT_EVIDENCE,
+    DEFAULT_LEVEL,
+    DEFAULT_SEED,
+)
 
 if TYPE_CHECKING:
+    from pytest_dura.llm.session import Mode
     from pytest_dura.plugin.traces import Level
 
-DEFAULT_SEED = 0
-DEFAULT_EVIDENCE = "dura-evidence"
-DEFAULT_LEVEL = "violations"
 
-
-def add_options(parser: pytest.Parser) -> None:
-    """Declare everything that can be set from outside."""
-    group = parser.getgroup("dura", "dependability of AI-enabled cyber-physical systems")
-    add = group.addoption
-    add(
-        "--dura-scenarios",
-        action="store_true",
-        help="run the built-in scenarios, and those of the ini setting dura_scenario_paths",
-    )
-    add(
-        "--dura-path",
-        action="append",
-        default=[],
-        metavar="DIR",
-        help="another directory with scenario and requirement files (repeatable)",
-    )
-    add(
-        "--dura-select",
-        action="append",
-        default=[],
-        metavar="GLOB",
-        help="run only scenario cases whose name matches (repeatable)",
-    )
-    add(
-        "--dura-list",
-        action="store_true",
-        help="list scenarios, faults, requirements and roles, and what would run; run nothing",
-    )
-    add(
-        "--dura-generator",
-        metavar="NAME",
-        help="the component under test: a short name such as rule_based, or package.module:Name",
-    )
-    add(
-        "--dura-faults",
-        action="append",
-        default=[],
-        metavar="FAULTS",
-        help="fault campaigns instead of the scenarios' own, separated by commas: none, a fault, "
-        "fault+fault, catalogue, a glob of fault types, or a YAML file with a list (repeatable)",
-    )
-    add("--dura-runs", metavar="N", help="episodes per case, instead of what is planned")
-    add(
-        "--dura-seed",
-        metavar="N",
-        help=f"base seed, from which every episode's seed follows (default: {DEFAULT_SEED})",
-    )
-    add(
-        "--dura-time-budget",
-        metavar="SECONDS",
-        help="what the component has for one proposal, instead of what the scenarios say",
-    )
-    add(
-        "--dura-evidence",
-        metavar="DIR",
-        help=f"where the evidence goes (default: {DEFAULT_EVIDENCE})",
-    )
-    add(
-        "--dura-evidence-level",
-        choices=("summary", "violations", "all"),
-        default=None,
-        help="which episodes leave a trace in the evidence: none, those that violate a requirement "
-        f"and samples, or all (default: {DEFAULT_LEVEL})",
-    )
-    add(
-        "--dura-replay",
-        metavar="EPISODE",
-        help="run an episode of the evidence again (case#run) and compare the digests",
-    )
-    add(
-        "--dura-reduce",
-        metavar="EPISODE",
-        help="find the smallest set of faults with which an episode of the evidence (case#run) "
-        "still violates its requirement; --dura-runs limits the runs (default: 100)",
-    )
-    add(
-        "--dura-undecided",
-        choices=("fail", "warn"),
-        default="fail",
-        help="what an undecided verdict does to its test: fail it, or skip it (default: fail)",
-    )
-    add(
-        "--dura-no-twins",
-        action="store_true",
-        help="run no fault-free twins of episodes with faults, and so do not say which faults "
-        "reached the component's proposals",
-    )
-    add(
-        "--dura-baseline",
-        metavar="PATH",
-        help="compare the rates of violations with this evidence: evidence.json, or its directory",
-    )
-    add(
-        "--dura-baseline-worse",
-        choices=("fail", "warn"),
-        help="what a rate that got worse than the baseline's does to the session (default: warn)",
-    )
-    add(
-        "--dura-argument",
-        metavar="FILE",
-        help="your own argument on top of the generated assurance case, as gsn2x-style YAML",
-    )
-    parser.addini(
-        "dura_scenario_paths",
-        "directories with scenario and requirement files (default: scenarios, if it exists)",
-        type="paths",
-        default=[],
-    )
+_REPEATED = ("evidence", "evidence-level", "llm", "cassette")
 
 
 @dataclass(frozen=True)
@@ -154,6 +50,8 @@ class Options:
     baseline: str | None
     argument: Path | None
     fail_worse: bool
+    llm: Mode
+    cassette: Path | None
     given: tuple[tuple[str, str], ...]
     any_given: bool
 
@@ -198,7 +96,7 @@ class Options:
             )
         given = [("--dura-path", path) for path in get("dura_path")]
         given += [("--dura-faults", text) for text in faults]
-        for name in ("generator", "runs", "seed", "time-budget", "evidence", "evidence-level"):
+        for name in ("generator", "runs", "seed", "time-budget", *_REPEATED):
             value = get(f"dura_{name.replace('-', '_')}")
             if value is not None:
                 given.append((f"--dura-{name}", str(value)))
@@ -221,6 +119,8 @@ class Options:
             baseline=baseline,
             argument=None if argument is None else config.invocation_params.dir / argument,
             fail_worse=fail_worse,
+            llm=cast("Mode", get("dura_llm") or "live"),
+            cassette=_cassette(config),
             given=tuple(given),
             any_given=scenarios or bool(given) or baseline is not None,
         )
@@ -319,3 +219,18 @@ def _evidence(config: pytest.Config) -> Path:
             remedy="choose another path",
         )
     return folder
+
+
+def _cassette(config: pytest.Config) -> Path | None:
+    """The cassette, where the mode has one."""
+    given, mode = config.getoption("dura_cassette"), config.getoption("dura_llm") or "live"
+    if mode == "live" and given is not None:
+        raise ConfigurationError(
+            "--dura-cassette is about recorded exchanges, and a live session has none",
+            key="--dura-cassette",
+            found=given,
+            expected="--dura-llm=record or --dura-llm=replay beside it",
+        )
+    if mode == "live":
+        return None
+    return config.invocation_params.dir / given if given else config.rootpath / DEFAULT_CASSETTE

@@ -58,6 +58,7 @@ class Reporter:
         self._used.setdefault(case.id, UsedEpisodes(case)).add(episode)
         generator = episode.spec.roles["generator"]
         self._case_used(case, generator, planned)
+        self.session.models.used(episode.spec)
         key = self.session.bench.store.key(episode.spec), planned > 0
         if key not in self._told:
             self._told.add(key)
@@ -132,6 +133,9 @@ class Reporter:
         if traces or problems:
             self._report.traces += traces
             self._report.problems += problems
+        models = self.session.models.take()
+        if models:
+            self._report.models += models
         if self._pending is None:
             return None
         told, self._pending = self._pending, None

@@ -11,6 +11,7 @@ import pytest
 
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.plugin.evidence import SessionEvidence
+from pytest_dura.plugin.language_models import LanguageModels
 from pytest_dura.plugin.messages import error_text
 from pytest_dura.plugin.options import Options
 from pytest_dura.plugin.planning import make_plan
@@ -43,6 +44,7 @@ class DuraSession:
         self.reporter = Reporter(self)
         self.evidence = SessionEvidence(self)
         self.roles = SessionRoles(self)
+        self.models = LanguageModels(self)
         self.named_requirements: set[str] = set()
         """Ids that the markers of collected tests name."""
         self.marked: dict[str, Requirement] = {}
@@ -87,12 +89,12 @@ class DuraSession:
         if self.options.replay is not None:
             from pytest_dura.plugin.replay import replay
 
-            with usage_errors():
+            with usage_errors(), self.models:
                 return replay(self.config, self.options)
         if self.options.reduce is not None:
             from pytest_dura.plugin.reduce import reduce
 
-            with usage_errors():
+            with usage_errors(), self.models:
                 return reduce(self)
         if self.options.list_only:
             from pytest_dura.plugin.listing import show_list
@@ -109,8 +111,10 @@ class DuraSession:
             pytest.UsageError: For options and files that cannot be used.
         """
         with usage_errors():
+            self.models.begin()
             self.roles.check()
             self._make_plan()
+            self.models.settle()
             self.evidence.given.read()
             if self.active:
                 self.evidence.start()

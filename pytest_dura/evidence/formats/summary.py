@@ -14,6 +14,7 @@ from itertools import groupby
 from typing import Any
 
 from pytest_dura.evidence.formats.in_words import not_shown, shown
+from pytest_dura.evidence.formats.model_lines import model_lines
 from pytest_dura.evidence.formats.stated import UNREVIEWED, bound, components, sample
 from pytest_dura.evidence.record.counts import Counts
 from pytest_dura.evidence.record.session_record import SessionRecord
@@ -288,6 +289,7 @@ def _provenance(record: SessionRecord) -> Iterator[str]:
         version = f", version {_name(str(one['version']))}" if one.get("version") else ""
         digest = f", SHA-256 {_name(one['digest'])}" if one.get("digest") else ", no digest"
         yield f"- component under test: {_name(one['name'])}{version}{digest}"
+    yield from model_lines(record["models"], _CELLS)
     yield f"- commit: {commit}"
     yield f"- tool: {_name(tool['name'])} {_name(tool['version'])}"
     yield f"- Python {_name(told['python'])} on {_name(told['platform'])}"

@@ -11,7 +11,7 @@ from pytest_dura.evidence.provenance.places import told_path
 
 Kind = Literal[
     "scenario", "requirements", "faults", "test", "conftest", "component", "check", "role",
-    "configuration", "baseline", "argument",
+    "configuration", "baseline", "argument", "cassette",
 ]  # fmt: skip
 KINDS: tuple[str, ...] = get_args(Kind)
 

@@ -12,6 +12,7 @@ from pytest_dura.evidence.record.attempts import final_outcomes, judged_looks, t
 from pytest_dura.evidence.record.case_metrics import CaseMetrics
 from pytest_dura.evidence.record.item_report import unpacked
 from pytest_dura.evidence.record.missing_runs import missing_runs
+from pytest_dura.evidence.record.models import Models
 from pytest_dura.evidence.record.session_record import SessionRecord
 from pytest_dura.evidence.record.spool import EpisodeSpool
 from pytest_dura.requirements.model import Requirement
@@ -52,6 +53,7 @@ class EvidenceRecord:
     _expected: dict[tuple[str, str, str], Data] = field(default_factory=dict)
     _waivers: dict[str, Data] = field(default_factory=dict)
     _clashes: dict[tuple[str, str], str] = field(default_factory=dict)
+    _models: Models = field(default_factory=Models)
     _problems: set[str] = field(default_factory=set)
     _ran: set[str] = field(default_factory=set)
     """Cases with any episode."""
@@ -88,6 +90,7 @@ class EvidenceRecord:
         for case in report["cases"]:
             self._add_case(case)
         self._add_episodes(report)
+        self._models.add(report["models"])
         self._problems.update(report["problems"])
         for verdict in report["verdicts"]:
             self._add_verdict(item, verdict)
@@ -135,6 +138,7 @@ class EvidenceRecord:
             "status": status,
             **self.header,
             "component_under_test": under_test,
+            "models": self._models.to_json(),
             "requirements": [self._requirements[name] for name in sorted(self._requirements)],
             "cases": self._measured_cases(verdicts),
             "verdicts": verdicts,

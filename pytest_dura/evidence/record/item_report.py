@@ -34,6 +34,8 @@ class ItemReport:
         chains: What came of each fault, with the ``episode`` and its ``case``.
         claims: ``{requirement, case, each_run}`` of what the item is to decide, told before it.
         traces: ``{id, component, digest, trace}`` of episodes whose trace was written.
+        models: Language models that were used, as the record's ``models`` has them, with what this
+            ``process`` has asked them since it began.
         problems: What casts doubt on the whole session, each beginning with ``infrastructure:``.
         parts: Packed reports with earlier episodes of the item.
     """
@@ -49,6 +51,7 @@ class ItemReport:
     chains: list[Data] = field(default_factory=list)
     claims: list[Data] = field(default_factory=list)
     traces: list[Data] = field(default_factory=list)
+    models: list[Data] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
     parts: list[str] = field(default_factory=list)
 

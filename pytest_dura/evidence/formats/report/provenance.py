@@ -23,6 +23,7 @@ def section(record: SessionRecord, _gathered: Gathered, _links: Links) -> Data:
     under_test = record["component_under_test"]
     return {
         "components": [UNKNOWN | one for one in (under_test, *under_test.get("others", ()))],
+        "models": record["models"],
         "packages": sorted(record["environment"]["packages"].items()),
         "redacted": sorted(record["redacted"].items()),
         "inputs": record["inputs"],

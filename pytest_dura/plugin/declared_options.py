@@ -1,0 +1,132 @@
+"""The command-line options and ini settings, as they are declared."""
+
+from __future__ import annotations
+
+import pytest
+
+DEFAULT_SEED = 0
+DEFAULT_EVIDENCE = "dura-evidence"
+DEFAULT_LEVEL = "violations"
+DEFAULT_CASSETTE = "dura-cassette.sqlite"
+
+
+def add_options(parser: pytest.Parser) -> None:
+    """Declare everything that can be set from outside."""
+    group = parser.getgroup("dura", "dependability of AI-enabled cyber-physical systems")
+    add = group.addoption
+    add(
+        "--dura-scenarios",
+        action="store_true",
+        help="run the built-in scenarios, and those of the ini setting dura_scenario_paths",
+    )
+    add(
+        "--dura-path",
+        action="append",
+        default=[],
+        metavar="DIR",
+        help="another directory with scenario and requirement files (repeatable)",
+    )
+    add(
+        "--dura-select",
+        action="append",
+        default=[],
+        metavar="GLOB",
+        help="run only scenario cases whose name matches (repeatable)",
+    )
+    add(
+        "--dura-list",
+        action="store_true",
+        help="list scenarios, faults, requirements and roles, and what would run; run nothing",
+    )
+    add(
+        "--dura-generator",
+        metavar="NAME",
+        help="the component under test: a short name such as rule_based, or package.module:Name",
+    )
+    add(
+        "--dura-faults",
+        action="append",
+        default=[],
+        metavar="FAULTS",
+        help="fault campaigns instead of the scenarios' own, separated by commas: none, a fault, "
+        "fault+fault, catalogue, a glob of fault types, or a YAML file with a list (repeatable)",
+    )
+    add("--dura-runs", metavar="N", help="episodes per case, instead of what is planned")
+    add(
+        "--dura-seed",
+        metavar="N",
+        help=f"base seed, from which every episode's seed follows (default: {DEFAULT_SEED})",
+    )
+    add(
+        "--dura-time-budget",
+        metavar="SECONDS",
+        help="what the component has for one proposal, instead of what the scenarios say",
+    )
+    add(
+        "--dura-evidence",
+        metavar="DIR",
+        help=f"where the evidence goes (default: {DEFAULT_EVIDENCE})",
+    )
+    add(
+        "--dura-evidence-level",
+        choices=("summary", "violations", "all"),
+        default=None,
+        help="which episodes leave a trace in the evidence: none, those that violate a requirement "
+        f"and samples, or all (default: {DEFAULT_LEVEL})",
+    )
+    add(
+        "--dura-replay",
+        metavar="EPISODE",
+        help="run an episode of the evidence again (case#run) and compare the digests",
+    )
+    add(
+        "--dura-reduce",
+        metavar="EPISODE",
+        help="find the smallest set of faults with which an episode of the evidence (case#run) "
+        "still violates its requirement; --dura-runs limits the runs (default: 100)",
+    )
+    add(
+        "--dura-undecided",
+        choices=("fail", "warn"),
+        default="fail",
+        help="what an undecided verdict does to its test: fail it, or skip it (default: fail)",
+    )
+    add(
+        "--dura-no-twins",
+        action="store_true",
+        help="run no fault-free twins of episodes with faults, and so do not say which faults "
+        "reached the component's proposals",
+    )
+    add(
+        "--dura-baseline",
+        metavar="PATH",
+        help="compare the rates of violations with this evidence: evidence.json, or its directory",
+    )
+    add(
+        "--dura-baseline-worse",
+        choices=("fail", "warn"),
+        help="what a rate that got worse than the baseline's does to the session (default: warn)",
+    )
+    add(
+        "--dura-argument",
+        metavar="FILE",
+        help="your own argument on top of the generated assurance case, as gsn2x-style YAML",
+    )
+    add(
+        "--dura-llm",
+        choices=("live", "record", "replay"),
+        help="who answers a component that asks a language model: its server, its server once for "
+        "what is not in the cassette yet, or the cassette alone (default: live)",
+    )
+    add(
+        "--dura-cassette",
+        metavar="FILE",
+        help="where exchanges with language models are recorded, and replayed from (default: "
+        f"{DEFAULT_CASSETTE} in pytest's root directory)",
+    )
+    parser.addini(
+        "dura_scenario_paths",
+        "directories with scenario and requirement files (default: scenarios, if it exists)",
+        type="paths",
+        default=[],
+    )

@@ -1,0 +1,243 @@
+"""LanguageModels: who answers a session's components that ask a language model, and how often.
+
+Nothing of ``pytest_dura.llm`` is imported unless an option names a mode, or a component did it.
+"""
+
+from __future__ import annotations
+
+import secrets
+import sys
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pytest_dura.plugin.overrides import root_conftest_with
+
+if TYPE_CHECKING:
+    from pytest_dura.core.episode import EpisodeSpec
+    from pytest_dura.core.roles import RoleSpec
+    from pytest_dura.evidence.record.session_record import SessionRecord
+    from pytest_dura.llm.session import ModelSession
+    from pytest_dura.plugin.inputs import SessionInputs
+    from pytest_dura.plugin.session import DuraSession
+
+Data = dict[str, Any]
+DEEDS = ("asked", "reused", "injected", "missed")
+_SESSIONS = "pytest_dura.llm.session"
+_SETTLING = "pytest_dura.campaign.settling"
+
+
+class LanguageModels:
+    """What one process knows of language models.
+
+    Args:
+        session: The session of this process.
+    """
+
+    def __init__(self, session: DuraSession) -> None:
+        self.session = session
+        self._begun = False
+        self._before: ModelSession | None = None
+        self._used: dict[tuple[Any, ...], Data] = {}
+        self._latest: dict[tuple[str, str], tuple[Any, ...]] = {}
+        self._counted: Counter[tuple[str, str, str]] = Counter()
+        self._to_tell: set[tuple[Any, ...]] = set()
+
+    @property
+    def _input(self) -> Mapping[str, Any]:
+        """What the controller told this process, if it is a worker."""
+        found: Mapping[str, Any] = getattr(self.session.config, "workerinput", {})
+        return found
+
+    @property
+    def file(self) -> Path | None:
+        """The cassette, where the mode has one: the controller's, also in a worker."""
+        given = self._input.get("dura_cassette")
+        return self.session.options.cassette if given is None else Path(given)
+
+    def tell_worker(self, told: dict[str, Any]) -> None:
+        """Add what a worker has to know to its input."""
+        if self.file is not None:
+            told["dura_cassette"] = str(self.file.absolute())
+            told["dura_llm_session"] = self._name
+
+    def begin(self) -> None:
+        """Let nothing of an earlier session of this process answer, and open the cassette.
+
+        Raises:
+            ConfigurationError: If the cassette cannot be used.
+        """
+        if self._begun:
+            return
+        self._begun = True
+        self._before = self._put_to_use(None)
+        self._name = self._input.get("dura_llm_session") or secrets.token_hex(8)
+        options = self.session.options
+        if options.llm != "live":
+            from pytest_dura.llm.session import ModelSession
+
+            made = ModelSession(
+                options.llm, self.file, session=self._name, scrub=self.session.redact
+            )
+            self._put_to_use(made)
+
+    def __enter__(self) -> None:
+        """See :meth:`begin`."""
+        self.begin()
+
+    def __exit__(self, *_: object) -> None:
+        """See :meth:`end`."""
+        self.end()
+
+    def end(self) -> None:
+        """Put everything back as it was before the session."""
+        if not self._begun:
+            return
+        self._begun = False
+        own = self._put_to_use(self._before)
+        if own is not None:
+            own.close()
+
+    def _put_to_use(self, session: ModelSession | None) -> ModelSession | None:
+        """See :func:`pytest_dura.llm.session.use`; settled parameters are forgotten along with."""
+        settling = sys.modules.get(_SETTLING)
+        if settling is not None:
+            settling.forget()
+        module = sys.modules.get(_SESSIONS)
+        before: ModelSession | None = None if module is None else module.use(session)
+        return before
+
+    @property
+    def _in_use(self) -> ModelSession | None:
+        """The session that is in use by now, if any is."""
+        module = sys.modules.get(_SESSIONS)
+        found: ModelSession | None = None if module is None else module.in_use()
+        return found
+
+    def settle(self) -> None:
+        """Settle the components that are known before anything runs, so that it fails here or not.
+
+        Raises:
+            ConfigurationError: If one cannot be settled, such as for a server that does not answer.
+        """
+        config = self.session.config
+        if self.session.is_worker or config.option.collectonly:
+            return
+        for spec in self._components():
+            from pytest_dura.campaign.settling import settled
+
+            settled(spec)
+
+    def _components(self) -> list[RoleSpec]:
+        session = self.session
+        if session.options.generator is not None:
+            return [session.roles.default("generator")]
+        if not session.plan or root_conftest_with(session.config, "generator") is not None:
+            return []
+        found: list[RoleSpec] = []
+        for planned in session.plan:
+            spec = planned.case.roles({})["generator"]
+            if spec not in found:
+                found.append(spec)
+        return found
+
+    def header(self) -> list[str]:
+        """A line for each model that is known by now."""
+        session = self._in_use
+        lines = []
+        for one in [] if session is None else session.descriptions:
+            found = one.capabilities
+            kept = " (enforced)" if found.get("enforced") else " (not enforced)"
+            level = str(found.get("structured", "unknown"))
+            abilities = ", ".join(
+                f"{name} {'yes' if found.get(name) else 'no'}" for name in ("vision", "seed")
+            )
+            lines.append(
+                f"dura: language model {one.model} at {one.base_url} "
+                f"({self.session.options.llm}), structured output {level}"
+                f"{'' if level == 'none' else kept}, {abilities}"
+            )
+        return lines
+
+    def replay_options(self) -> list[str]:
+        """The options with which the cassette answers again, whatever the mode of this session."""
+        if self.file is None:
+            return []
+        given = [f"{name}={value}" for name, value in self.session.options.given
+                 if name == "--dura-cassette"]  # fmt: skip
+        return ["--dura-llm=replay", *given]
+
+    def used(self, spec: EpisodeSpec) -> None:
+        """An item looked at an episode: note the models that its settled specs state."""
+        if _SESSIONS not in sys.modules:
+            return
+        for role in spec.roles.values():
+            params = role.params
+            model = params.get("model")
+            fingerprint = params.get("fingerprint", (params.get("server") or {}).get("fingerprint"))
+            if isinstance(model, str) and isinstance(fingerprint, str):
+                key = role.label, model, fingerprint, params.get("prompts")
+                self._note(key)
+                self._latest[model, fingerprint] = key
+
+    def take(self) -> list[Data]:
+        """What is new of the models that were used: how often they were asked so far, above all.
+
+        Returns:
+            Entries for :class:`pytest_dura.evidence.record.item_report.ItemReport`.
+        """
+        session = self._in_use
+        if session is None:
+            return []
+        now = Counter(session.counts)
+        for (model, fingerprint, deed), count in (now - self._counted).items():
+            key = self._latest.get((model, fingerprint), (None, model, fingerprint, None))
+            self._note(key)
+            self._used[key][deed] += count
+            self._to_tell.add(key)
+        self._counted = now
+        found = [self._told(session, key) for key in sorted(self._to_tell, key=str)]
+        self._to_tell.clear()
+        return found
+
+    def _note(self, key: tuple[Any, ...]) -> None:
+        if key not in self._used:
+            self._used[key] = dict.fromkeys(DEEDS, 0)
+            self._to_tell.add(key)
+
+    def _told(self, session: ModelSession, key: tuple[Any, ...]) -> Data:
+        component, model, fingerprint, prompts = key
+        known = session.known(model, fingerprint)
+        return {
+            "component": component,
+            "model": model,
+            "base_url": None if known is None else known.base_url,
+            "mode": session.mode,
+            "fingerprint": fingerprint,
+            "capabilities": None if known is None else dict(known.capabilities),
+            "prompts": prompts if isinstance(prompts, str) else None,
+            "process": str(self._input.get("workerid", "main")),
+            **self._used[key],
+        }
+
+    def completed(self, record: SessionRecord, inputs: SessionInputs) -> SessionRecord:
+        """The record of a session that is over, with the cassette as it is now."""
+        session, file = self._in_use, self.file
+        if file is None or session is None or session.cassette is None:
+            return record
+        from pytest_dura.evidence.provenance.inputs import sha256_of
+        from pytest_dura.evidence.provenance.places import told_path
+
+        sha256 = sha256_of(file)
+        if session.mode == "record":
+            # The session itself has changed it.
+            inputs.inputs.add("cassette", file, sha256)
+        cassette = {
+            "file": told_path(file, self.session.config.rootpath),
+            "sha256": sha256,
+            "exchanges": len(session.cassette),
+        }
+        models = [{**one, "cassette": cassette} for one in record["models"]]
+        return replace(record, head={**record.head, "models": models})
