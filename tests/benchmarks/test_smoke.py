@@ -24,7 +24,7 @@ SMALLEST = {
     "against_gym.py": ["--episodes", "1"],
     "injector_cost.py": ["--runs", "1", "--repeats", "1", "--select", "*/nominal"],
     "loop_cost.py": ["--runs", "1", "--repeats", "1"],
-    "paper_table.py": ["--runs", "2", "--jobs", "1"],
+    "paper_table.py": ["--runs", "1", "--jobs", "1"],
     "plugin_cost.py": ["--repeats", "1"],
     "recoveries.py": ["--runs", "1", "--jobs", "1", "--select", "*/nominal"],
     "residual_limits.py": ["--runs", "1", "--draws", "1", "--select", "*/nominal"],

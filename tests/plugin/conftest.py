@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import copy
+import functools
 import importlib
 import json
 import os
@@ -9,6 +11,8 @@ from pathlib import Path
 import pytest
 from forked_workers import AVAILABLE, ForkedWorkers
 
+from pytest_dura.campaign.loading import builtin_paths
+from pytest_dura.campaign.yaml_source import read_yaml
 from pytest_dura.evidence.formats import all_formats
 from pytest_dura.requirements.stl.language.grammar import rtamt_modules
 
@@ -43,6 +47,7 @@ for module in (
 rtamt_modules()
 list(all_formats())
 
+(BUILTIN,) = builtin_paths()
 PROJECT = Path(__file__).with_name("project")
 
 MODES = {
@@ -96,11 +101,22 @@ def forked_workers():
     workers.close()
 
 
+@functools.cache
+def _read_once(file):
+    return read_yaml(file)
+
+
+def _read(file):
+    """As ``read_yaml``; the built-in files, which each session reads, are parsed once."""
+    return copy.deepcopy(_read_once(file)) if BUILTIN in file.parents else read_yaml(file)
+
+
 @pytest.fixture
 def project(pytester, monkeypatch, forked_workers):
     monkeypatch.delenv("PYTEST_ADDOPTS", raising=False)
     # Milliseconds each, for what no test can see: that files survive a loss of power.
     monkeypatch.setattr(os, "fsync", lambda _: None)
+    monkeypatch.setattr("pytest_dura.campaign.loading.read_yaml", _read)
     if AVAILABLE:
         monkeypatch.setattr("execnet.gateway_io.popen_args", forked_workers.arguments)
     return Project(pytester)

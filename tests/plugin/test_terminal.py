@@ -124,7 +124,7 @@ def test_nothing_of_ours_without_anything_of_ours(project):
 
 @pytest.mark.parametrize(
     "arguments, shown",
-    [([], True), (["-q"], False), (["-s"], True), (["-n", "2"], False)],
+    [([], True), (["-q"], False), (["-s"], True), (["-n", "1"], False)],
     ids=["default", "quiet", "without capture", "distributed"],
 )
 def test_progress_in_a_terminal(project, arguments, shown):
