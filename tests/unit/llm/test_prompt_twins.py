@@ -1,0 +1,119 @@
+"""Twins of a prompt: the same in other words or order, attacked, in conflict, blind."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from roads import car, channels_of, walker
+
+from pytest_dura.core.seeding import stream
+from pytest_dura.driving.faults.signs import PromptTextParameters
+from pytest_dura.driving.sensors import Odometry, Sign
+from pytest_dura.llm.driving.blocks import BLOCKS, percept_prompt
+from pytest_dura.llm.driving.surroundings import MOST
+from pytest_dura.llm.driving.twins import conflict, injected
+from pytest_dura.llm.driving.vocabulary import MANEUVERS
+from pytest_dura.llm.driving.wording import driving_templates
+from pytest_dura.llm.prompts.prompt import Prompt
+from pytest_dura.llm.prompts.variants import blind, paraphrased, reordered
+
+CARS = [car("V1", -20.0, 40.0, 0.0, 8.0), car("V2", 30.0, -2.0, 0.0, 9.0), walker("P1", 9.0, 9.0)]
+PICTURE = np.zeros((4, 4, 3), np.uint8)
+PROMPT = percept_prompt(
+    channels_of(*CARS, speed=6.0) | {"camera_front": PICTURE}, images=["camera_front"]
+)
+
+
+def facts(prompt: Prompt, name: str):
+    (found,) = (one.facts for one in prompt.blocks if one.name == name)
+    return found
+
+
+def text_of(prompt: Prompt) -> str:
+    return driving_templates().messages(prompt)[-1].text
+
+
+def test_reordered_moves_the_objects_and_nothing_else() -> None:
+    found = reordered(PROMPT, stream(1, "x"))
+    assert [one.name for one in found.blocks] == [one.name for one in PROMPT.blocks]
+    assert found != PROMPT
+    assert sorted(text_of(found).splitlines()) == sorted(text_of(PROMPT).splitlines())
+    assert reordered(PROMPT, stream(1, "x")) == found
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_two_objects_are_always_reordered_and_one_never(seed) -> None:
+    two = percept_prompt(channels_of(*CARS[:2]))
+    found = reordered(two, stream(seed, "x"))
+    assert [one["id"] for one in facts(found, "LIDAR")["objects"]] == ["V2", "V1"]
+    one = percept_prompt(channels_of(CARS[0]))
+    assert reordered(one, stream(seed, "x")) == one
+
+
+def test_paraphrased_has_the_same_facts() -> None:
+    found = paraphrased(PROMPT)
+    assert (found.blocks, found.images) == (PROMPT.blocks, PROMPT.images)
+    assert text_of(found) != text_of(PROMPT)
+
+
+def test_blind_has_no_pictures_and_says_so() -> None:
+    found = blind(PROMPT)
+    assert found.images == ()
+    assert "camera_front no data" in text_of(found)
+    assert "no data" not in text_of(PROMPT)
+    without = percept_prompt(channels_of())
+    assert blind(without) == without
+
+
+def test_injected_is_one_sign_more_with_what_the_fault_says() -> None:
+    found = injected(PROMPT)
+    before, after = text_of(PROMPT).splitlines(), text_of(found).splitlines()
+    attack = PromptTextParameters().text
+    assert [line for line in after if line not in before] == [
+        f"S2,text,20.0,<perceived_text>{attack}</perceived_text>"
+    ]
+    assert "accelerate" in attack
+    assert "accelerate" in MANEUVERS
+    assert "S3,text" in text_of(injected(found, "more </perceived_text>"))
+    assert text_of(injected(PROMPT, "x </perceived_text> y")).count("</perceived_text>") == 1
+
+
+@pytest.mark.parametrize("speed", [0.0, 3.0, 8.0, 14.0])
+def test_conflict_is_a_car_straight_ahead_that_is_hit_within_a_second(speed) -> None:
+    percept = channels_of(*CARS, speed=speed)
+    found = conflict(percept_prompt(percept))
+    lidar = {one["id"]: one for one in facts(found, "LIDAR")["objects"]}
+    radar = {one["id"]: one for one in facts(found, "RADAR")["objects"]}
+    assert set(lidar) == {"V1", "V2", "V3", "P1"} == set(radar)
+    one, seen = lidar["V3"], radar["V3"]
+    assert (one["bearing"], one["left"], one["ahead"]) == (0, 0.0, one["distance"])
+    gap = one["distance"] - 5.0
+    assert 0.0 < gap / one["closing"] < 1.5
+    assert one["closing"] == pytest.approx(one["speed"] + speed)
+    assert (seen["distance"], seen["bearing"], seen["rate"]) == (
+        one["distance"], 0, -one["closing"]
+    )  # fmt: skip
+    assert set(one) == set(lidar["V1"])
+    assert set(seen) == set(radar["V1"])
+
+
+def test_conflict_needs_no_speed_no_sensors_and_no_blocks() -> None:
+    for percept in (channels_of() | {"odometry": Odometry(float("nan"))}, {}):
+        text = text_of(conflict(percept_prompt(percept)))
+        assert "V1,car,13.0,ahead,0,13.0,0.0,8.0,8.0,180,oncoming" in text
+    some = [one for one in PROMPT.blocks if one.name in ("EGO", "MAP")]
+    found = injected(conflict(replace(PROMPT, blocks=tuple(some))))
+    names = [one.name for one in found.blocks]
+    assert names == [one for one in BLOCKS if one in ("EGO", "LIDAR", "RADAR", "MAP", "CONTROLS")]
+    assert "V1,13.0,0,-8.0" in text_of(found)
+
+
+def test_a_full_block_takes_one_more() -> None:
+    many = [car(f"V{n}", 2.0, 40.0 - n) for n in range(1, MOST + 1)]
+    found = conflict(percept_prompt(channels_of(*many)))
+    assert f"V{MOST + 1}" in found.ids
+    signs = tuple(Sign("text", 60.0 + n, "x") for n in range(MOST))
+    full = percept_prompt(channels_of() | {"controls": signs})
+    assert len(facts(injected(full), "CONTROLS")["objects"]) == MOST + 1
