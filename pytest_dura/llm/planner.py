@@ -133,6 +133,7 @@ class LlmGenerator(Generator):
         self._deadline = self.settings.deadline(context.time_budget)
         self._session = session.current()
         self._made: list[Decision] = []
+        self._since: list[float] = []
         self._landing: tuple[float, Decision] | None = None
         self._next = 0
         self._asked = 0
@@ -151,6 +152,8 @@ class LlmGenerator(Generator):
             else:
                 self._made.append(decision)
                 fresh = True
+        if fresh:
+            self._since.append(view.time)  # when it came into force
         return self._proposal(view, fresh=fresh)
 
     def _land(self, view: GeneratorView) -> bool:
@@ -163,9 +166,9 @@ class LlmGenerator(Generator):
 
     def _decide(self, view: GeneratorView) -> Decision:
         """Ask the model, and beside it what the settings say."""
-        times = {one.time for one in self._made} if self.settings.clock == "frozen" else None
-        past = [one for one in view.past if times is None or one.time in times]
-        prompt = view.transmit("prompt", self.prompt(view, past[-self.settings.history :]))
+        remembered = self._since[max(len(self._since) - self.settings.history, 0) :]
+        past = [one for one in view.past if one.time in remembered]
+        prompt = view.transmit("prompt", self.prompt(view, past))
         delivery = view.transmit("model", Delivery())
         answer = self._ask(prompt, 0, delivery)
         beside = {}
