@@ -10,7 +10,6 @@ from functools import cached_property
 import httpcore2
 import httpx2
 
-from pytest_dura import __version__
 from pytest_dura.llm.client.deadline import Deadline
 
 LONGEST_BODY = 1_000_000
@@ -74,7 +73,7 @@ class Wire(httpx2.BaseTransport):
             ("Accept-Encoding", "identity"),
             ("Authorization", f"Bearer {self._key}"),
             ("Connection", "close"),
-            ("User-Agent", f"pytest-dura/{__version__}"),
+            ("User-Agent", "pytest-dura"),
             *((name, request.headers[name]) for name in _KEPT if name in request.headers),
         ]
 
