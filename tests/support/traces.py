@@ -14,6 +14,14 @@ TEXTS = st.text(st.characters(), max_size=8) | st.sampled_from(
 )
 NAMES = st.text(st.characters(exclude_characters="\x00"), min_size=1, max_size=8)
 DTYPES = st.sampled_from([np.int8, np.int16, np.int64, np.uint8, np.float32, np.float64, np.bool_])
+ACCOUNTS = st.dictionaries(
+    TEXTS, st.recursive(
+        st.none() | st.booleans() | st.integers() | TEXTS
+        | st.floats(allow_nan=False, allow_infinity=False),
+        lambda inner: st.lists(inner, max_size=2) | st.dictionaries(TEXTS, inner, max_size=2),
+        max_leaves=3,
+    ), max_size=3,
+)  # fmt: skip
 ABOUT = {
     "id": "a/clear#0", "case": "a/clear", "component": "C", "seed": 7, "digest": "d" * 64,
     "validity": "valid", "termination": "time", "failure": None,
@@ -109,6 +117,7 @@ def traces(draw):
         draw(st.dictionaries(NAMES, arrays.arrays(np.int8, many), max_size=2)),
         draw(st.none() | _scenes(ticks)),
         draw(st.none() | TEXTS),
+        draw(st.just(()) | st.lists(ACCOUNTS, min_size=many, max_size=many).map(tuple)),
     )
     return Trace(
         ABOUT | {"id": draw(TEXTS), "seed": draw(st.integers(0, 2**64 - 1))},

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from bisect import bisect_left
 from collections.abc import Mapping, Sequence
@@ -53,6 +54,7 @@ def player_data(trace: Trace, verdicts: Sequence[Mapping[str, Any]] = ()) -> dic
         "explanations": _words(recording.explanations),
         "reasons": _words(recording.reasons),
         "recoveries": _words(recording.recoveries),
+        "accounts": _words([_account(one) for one in recording.accounts]),
         "flags": {
             _name(monitor): [_number(one) for one in column.tolist()]
             for monitor, column in recording.flags.items()
@@ -90,6 +92,13 @@ def _words(texts: Sequence[object]) -> dict[str, list[Any]]:
     known: dict[str, int] = {}
     at = [known.setdefault(_text(one), len(known)) for one in texts]
     return {"words": list(known), "at": at}
+
+
+def _account(account: Mapping[str, Any]) -> str:
+    """One line for each key, values as JSON."""
+    return "\n".join(
+        f"{key}: {json.dumps(value, ensure_ascii=False)}" for key, value in account.items()
+    )
 
 
 def _verdict(one: Mapping[str, Any], time: Sequence[float]) -> dict[str, Any]:

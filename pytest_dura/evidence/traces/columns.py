@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pytest_dura.core.accounts import account_problem
 from pytest_dura.core.recording import POSE, Line, Recording, Scene, Tracks
 from pytest_dura.evidence.traces.trace import Trace
 
@@ -61,11 +62,13 @@ def pack_columns(trace: Trace) -> bytes:
         arrays[f"decisions.{number}"] = codes
     for name in _SAID:
         arrays[f"said.{name}"], texts["said"][name] = _coded(getattr(trace.recording, name))
+    accounts = [_compact(account) for account in trace.recording.accounts]
+    arrays["accounts"], texts["accounts"] = _coded(accounts)
     flags = list(trace.recording.flags.values())
     arrays["flags"] = np.array(flags, np.int8) if flags else np.empty((0, 0), np.int8)
     if trace.recording.scene is not None:
         texts["scene"] = _pack_scene(arrays, trace.recording.scene)
-    text = json.dumps(texts, allow_nan=False, separators=(",", ":")).encode()
+    text = _compact(texts).encode()
     arrays[TEXTS] = np.frombuffer(text, np.uint8)
     if sum(one.nbytes for one in arrays.values()) > LIMIT:
         raise ValueError(f"the trace is larger than {LIMIT} bytes")
@@ -73,6 +76,10 @@ def pack_columns(trace: Trace) -> bytes:
 
 
 _SAID = ("explanations", "reasons", "recoveries")
+
+
+def _compact(data: Any) -> str:
+    return json.dumps(data, allow_nan=False, separators=(",", ":"))
 
 
 def _pack_scene(arrays: dict[str, Column], scene: Scene) -> dict[str, Any]:
@@ -184,6 +191,7 @@ def _trace(arrays: Mapping[str, Column]) -> Trace:
     said: dict[str, Any] = {
         name: tuple(_decoded(arrays[f"said.{name}"], texts["said"][name])) for name in _SAID
     }
+    said["accounts"] = tuple(_accounts(arrays, texts)) if "accounts" in texts else ()
     monitors, flags = _names(texts["flags"]), arrays["flags"]
     _check(flags.dtype == np.int8 and flags.ndim == 2 and len(flags) == len(monitors), "flags")
     scene = None if texts["scene"] is None else _scene(arrays, texts["scene"])
@@ -197,6 +205,16 @@ def _trace(arrays: Mapping[str, Column]) -> Trace:
     events = texts["events"]
     _check(isinstance(events, list) and all(isinstance(one, dict) for one in events), "events")
     return Trace(texts["about"], time, rows, decisions, events, recording)
+
+
+def _accounts(arrays: Mapping[str, Column], texts: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """Each is read once, however long its decision held."""
+    known = {}
+    for text in _names(texts["accounts"]):
+        account = json.loads(text)
+        _check(account_problem(account) is None, "accounts")
+        known[text] = account
+    return [known[text] for text in _decoded(arrays["accounts"], texts["accounts"])]
 
 
 def _scene(arrays: Mapping[str, Column], told: Mapping[str, Any]) -> Scene:

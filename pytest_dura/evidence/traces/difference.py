@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import zip_longest
@@ -131,6 +132,8 @@ def _all_columns(trace: Trace) -> dict[str, NDArray[Any]]:
         texts: tuple[str, ...] = getattr(recording, name)
         # An array of texts would be as wide as its longest, and drop a NUL at the end.
         found[name] = np.array([*texts, None], object)[:-1]
+    accounts = (json.dumps(account, sort_keys=True) for account in recording.accounts)
+    found["accounts"] = np.array([*accounts, None], object)[:-1]
     if recording.scene is not None:
         found |= _poses(recording.scene, len(trace.time))
     return found

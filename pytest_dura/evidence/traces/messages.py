@@ -128,13 +128,16 @@ def decision_messages(trace: Trace, texts: Texts) -> Iterator[Message]:
         (*map(texts, column[:length]), *['""'] * (length - len(column)))
         for column in (recording.explanations, recording.reasons, recording.recoveries)
     ]
-    rows = zip(decisions, flags, *said, strict=True)
-    for tick, (own, flag, explanation, reason, recovery) in enumerate(rows):
-        told = (
+    accounts = map(texts.any, recording.accounts[:length])
+    told = (*accounts, *["{}"] * (length - len(recording.accounts)))
+    rows = zip(decisions, flags, *said, told, strict=True)
+    for tick, (own, flag, explanation, reason, recovery, account) in enumerate(rows):
+        message = (
             f'"tick":{tick},"time":{_number(time[tick])},"columns":{own},'
-            f'"explanation":{explanation},"reason":{reason},"recovery":{recovery},"flags":{flag}'
+            f'"explanation":{explanation},"reason":{reason},"recovery":{recovery},"flags":{flag},'
+            f'"account":{account}'
         )
-        yield nanoseconds(time[tick]), f"{{{told}}}"
+        yield nanoseconds(time[tick]), f"{{{message}}}"
 
 
 def event_messages(trace: Trace, texts: Texts) -> Iterator[Message]:

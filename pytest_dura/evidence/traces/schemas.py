@@ -64,6 +64,10 @@ DECISION: Schema = _object(
         "description": "By monitor: 0 safe, 1 warning, 2 unsafe, -1 not asked.",
         **_by_name(_WHOLE),
     },
+    account={
+        "description": "What the component told of how it decided; empty if nothing.",
+        "type": "object",
+    },
 )
 LOG: Schema = _object(
     "foxglove.Log",

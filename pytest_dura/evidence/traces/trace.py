@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pytest_dura.core.accounts import NULL, SECONDS
 from pytest_dura.core.episode import Episode
 from pytest_dura.core.recording import Recording
 from pytest_dura.core.state import Event
@@ -28,7 +29,8 @@ class Trace:
             ``(ticks - 1,)``. See :class:`~pytest_dura.core.episode.Episode`.
         events: ``{tick, time, kind, subject, detail, data}`` in their order; with ``wall_clock``
             where that is true, of what depends on the machine's speed.
-        recording: What was said at each decision, and the scene.
+        recording: What was said at each decision, and the scene. Accounts are without what does
+            not belong to the trace: the null component's, and wall-clock times.
     """
 
     about: Mapping[str, Any]
@@ -51,13 +53,15 @@ class Trace:
             "termination": episode.termination,
             "failure": episode.failure,
         }
+        recording = episode.recording or Recording()
+        accounts = tuple(map(_account, recording.accounts))
         return cls(
             about,
             episode.time,
             episode.signals,
             episode.decisions,
             [_event(event) for event in episode.events],
-            episode.recording or Recording(),
+            replace(recording, accounts=accounts),
         )
 
     def without_secrets(self, redact: Callable[[Any], Any]) -> Trace:
@@ -81,6 +85,7 @@ class Trace:
                 explanations=_redacted(said.explanations, redact),
                 reasons=_redacted(said.reasons, redact),
                 recoveries=_redacted(said.recoveries, redact),
+                accounts=_redacted_accounts(said.accounts, redact),
                 problem=None if said.problem is None else redact(said.problem),
             ),
         )
@@ -94,6 +99,17 @@ def _redacted(texts: tuple[str, ...], redact: Callable[[Any], Any]) -> tuple[str
         return texts
     found = dict(zip(distinct, told, strict=True))
     return tuple(found[text] for text in texts)
+
+
+def _account(account: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in account.items() if key not in (NULL, SECONDS)}
+
+
+def _redacted_accounts(
+    accounts: tuple[Mapping[str, Any], ...], redact: Callable[[Any], Any]
+) -> tuple[Mapping[str, Any], ...]:
+    """Those that nothing is taken out of stay what they are."""
+    return tuple(redact(account) for account in accounts)
 
 
 def _event(event: Event) -> dict[str, Any]:

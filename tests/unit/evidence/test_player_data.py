@@ -186,3 +186,10 @@ def test_script_and_style_end_no_element_and_reach_nothing(text):
 def test_the_page_is_the_same_each_time_and_small():
     assert player_page(crossing(), VERDICTS) == player_page(crossing(), VERDICTS)
     assert len(packed(player_data(crossing(), VERDICTS))) < 3000
+
+
+def test_what_the_component_told_is_shown_line_by_line():
+    accounts = ({"cited": ["V1"], "intent": "hold"},) * 2 + ({},)
+    told = player_data(crossing(recording=Recording(accounts=accounts)))["accounts"]
+    assert told == {"words": ['cited: ["V1"]\nintent: "hold"', ""], "at": [0, 0, 1]}
+    assert player_data(crossing())["accounts"] == {"words": [], "at": []}

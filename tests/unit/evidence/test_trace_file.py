@@ -10,16 +10,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from handmade import handmade
 from mcap.reader import make_reader
 from mcap.writer import Writer
 from traces import same, simple_trace
 
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.recording import Recording
+from pytest_dura.evidence.traces import columns
 from pytest_dura.evidence.traces.columns import pack_columns, unpack_columns
 from pytest_dura.evidence.traces.mcap_file import COLUMNS, read_trace, trace_bytes, write_trace
 from pytest_dura.evidence.traces.scene import EGO, GHOST, PERCEIVED
 from pytest_dura.evidence.traces.schemas import CHANNELS, schema_of
+from pytest_dura.evidence.traces.trace import Trace
 
 # As published: https://github.com/foxglove/foxglove-sdk, schemas/jsonschema.
 PUBLISHED = {
@@ -99,6 +102,7 @@ def test_signals_and_decisions():
     assert decision == {
         "tick": 2, "time": 0.2, "columns": columns, "explanation": "keep going 2",
         "reason": "too near", "recovery": "brake: too near", "flags": {"safety_monitor": 2},
+        "account": {},
     }  # fmt: skip
     assert messages(data, "/events") == [
         (
@@ -312,3 +316,59 @@ def test_a_member_that_unpacks_to_more_than_it_declares():
 def test_there_is_no_file(tmp_path):
     with pytest.raises(ConfigurationError, match="cannot be read: No such file"):
         read_trace(tmp_path / "it.mcap")
+
+
+def told_episode(*accounts):
+    """An episode whose recording holds these accounts."""
+    found = handmade(len(accounts) + 1)
+    found.decisions = {"verdict": np.zeros(len(accounts), np.int8)}
+    found.recording = Recording(accounts=accounts)
+    return found
+
+
+def test_what_the_component_told_stands_beside_its_decision():
+    account = {"decided": True, "cited": ["V1", "\x1b[31m"], "null": {"cited": []}, "seconds": 0.5}
+    trace = Trace.of(told_episode(account, {}))
+    # The null component told it of itself, and a time would differ in every run.
+    kept = {"decided": True, "cited": ["V1", "\x1b[31m"]}
+    assert trace.recording.accounts == (kept, {})
+    data = trace_bytes(trace)
+    assert unpack_columns(pack_columns(trace)).recording.accounts == (kept, {})
+    shown = [one["account"] for _, one in messages(data, "/decision")]
+    assert shown == [{"decided": True, "cited": ["V1", "\\x1b[31m"]}, {}]
+
+
+def test_secrets_are_taken_out_of_accounts():
+    def redact(data):
+        return json.loads(json.dumps(data).replace("hunter2", "***"))
+
+    trace = Trace.of(told_episode({"cited": ["hunter2"]}, {}))
+    assert trace.without_secrets(redact).recording.accounts == ({"cited": ["***"]}, {})
+
+
+def test_columns_of_before_there_were_accounts_are_read():
+    with zipfile.ZipFile(io.BytesIO(pack_columns(simple_trace()))) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    del members["accounts.npy"]
+    texts = np.load(io.BytesIO(members["texts.npy"])).tobytes()
+    told = json.loads(texts)
+    del told["accounts"]
+    array = np.frombuffer(json.dumps(told).encode(), np.uint8)
+    stream = io.BytesIO()
+    np.lib.format.write_array(stream, array, version=(1, 0))
+    members["texts.npy"] = stream.getvalue()
+    old = io.BytesIO()
+    with zipfile.ZipFile(old, "w") as archive:
+        for name, data in members.items():
+            archive.writestr(name, data)
+    assert same(unpack_columns(old.getvalue()), simple_trace())
+
+
+@pytest.mark.parametrize("text", ["[]", '{"a":' * 50 + "1" + "}" * 50, '{"a":NaN}'])
+def test_an_account_that_no_component_could_have_given_is_damage(text, monkeypatch):
+    trace = simple_trace(recording=Recording(accounts=({"a": 1},) * 3))
+    honest = columns._compact
+    monkeypatch.setattr(columns, "_compact", lambda one: text if one == {"a": 1} else honest(one))
+    data = pack_columns(trace)
+    with pytest.raises(ValueError, match="damaged"):
+        unpack_columns(data)

@@ -51,7 +51,7 @@ class Episode {
     for (const name of ["proposed", "executed", "source"]) {
       this.said[name] = lookup(data.decisions[name]);
     }
-    for (const name of ["explanations", "reasons", "recoveries"]) {
+    for (const name of ["explanations", "reasons", "recoveries", "accounts"]) {
       this.said[name] = lookup(data[name]);
     }
     this.decided = data.decisions.executed.at.length;

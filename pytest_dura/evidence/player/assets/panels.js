@@ -6,6 +6,7 @@ class Decision {
     this.cells = {};
     const pairs = [["proposed", "Proposed"], ["executed", "Executed"], ["source", "In control"],
       ["explanation", "Explanation"], ["reasons", "Doubts"], ["recovery", "Recovery"]];
+    if (episode.accounts.at.length) pairs.push(["account", "Account"]);
     const list = make("dl", {}, pairs.map(([key, label]) => {
       this.cells[key] = make("dd", {class: `dura-said dura-${key}`});
       return make("div", {}, make("dt", {}, label), this.cells[key]);
@@ -33,6 +34,7 @@ class Decision {
     say(this.cells.explanation, told(said.explanations(at)));
     say(this.cells.reasons, told(said.reasons(at)));
     say(this.cells.recovery, told(said.recoveries(at)));
+    if (this.cells.account) say(this.cells.account, told(said.accounts(at)));
   }
 
   /** One sentence, for who cannot see the panel. */
