@@ -37,13 +37,18 @@ def begun(project, *arguments, **environment):
     """A session in a process of its own that is in the middle of its second test."""
     project.write("test_it.py", HOLDS)
     kept = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST")}
-    process = subprocess.Popen(
-        [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "test_it.py", *arguments],
-        cwd=project.path,
-        env=kept | environment,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-    )
+    # What runs in the background of a shell ignores ctrl-C, and so would all that it starts.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "test_it.py", *arguments],
+            cwd=project.path,
+            env=kept | environment,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+        )
+    finally:
+        signal.signal(signal.SIGINT, before)
     deadline = time.monotonic() + WAIT
     while not (project.path / "begun").exists():
         assert process.poll() is None, process.communicate()[0]
