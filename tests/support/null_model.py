@@ -21,6 +21,7 @@ import subprocess
 import sys
 import tempfile
 import threading
+import time
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -250,7 +251,10 @@ def main(arguments=None):
             unfinished.replace(model)
         server = start(model, options.port, cache_prompt=options.cache_prompt)
         print(f"DURA_LLM_BASE_URL={server.listening_address}/v1 DURA_LLM_MODEL={MODEL}", flush=True)  # noqa: T201 - whoever started it waits for this line
-        ended.wait(options.at_most)
+        # A signal may reach a thread of llama.cpp's; Python handles it when this thread wakes up.
+        until = time.monotonic() + options.at_most
+        while not ended.wait(0.1) and time.monotonic() < until:
+            pass
         del server
         gc.collect()
 
