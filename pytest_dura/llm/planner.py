@@ -125,7 +125,8 @@ class LlmGenerator(Generator):
     def time_limit(self, budget: float | None) -> float | None:
         """Enough for all requests of a tick, each within its own deadline, and a second more."""
         deadline = self.settings.deadline(budget)
-        return None if deadline is None else (1 + len(self.settings.variants)) * deadline + 1.0
+        asked = self.settings.samples + len(self.settings.beside)
+        return None if deadline is None else asked * deadline + 1.0
 
     def reset(self, context: RoleContext) -> None:
         """Begin an episode."""
@@ -173,7 +174,7 @@ class LlmGenerator(Generator):
         answer = self._ask(prompt, 0, delivery)
         beside = {}
         if self._asked % self.settings.beside_every == 0:
-            beside = {name: self._beside(name, prompt) for name in self.settings.variants}
+            beside = self._asked_beside(prompt)
         self._asked += 1
         reading = read_answer(answer, self.SCHEMA)
         return Decision(view.index, view.time, reading, answer.seconds, prompt.ids, beside)
@@ -205,13 +206,22 @@ class LlmGenerator(Generator):
             sample=sample,
         )
 
-    def _beside(self, name: str, prompt: Prompt) -> dict[str, str]:
-        """What is answered to a variant of the deciding request."""
-        kind, _, number = name.partition("_")
-        if kind == "again":
-            answer = self._ask(prompt, int(number or 1), Delivery())
-        else:
-            answer = self._ask(self.variant(name, prompt), 0, Delivery())
+    def _asked_beside(self, prompt: Prompt) -> dict[str, dict[str, str]]:
+        """What is answered to the same request once more, and to variants of it, by name.
+
+        A variant that is no other prompt, such as one without pictures where there are none, could
+        show nothing and is left out.
+        """
+        found = {}
+        for number, name in enumerate(self.settings.again, start=1):
+            found[name] = self._said(self._ask(prompt, number, Delivery()))
+        for name in self.settings.beside:
+            variant = self.variant(name, prompt)
+            if variant != prompt:
+                found[name] = self._said(self._ask(variant, 0, Delivery()))
+        return found
+
+    def _said(self, answer: Answer) -> dict[str, str]:
         reading = read_answer(answer, self.SCHEMA)
         said = {key: reading.said[key] for key in ("intent", "maneuver") if reading.said}
         return {"outcome": reading.outcome, **said}

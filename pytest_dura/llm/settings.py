@@ -62,12 +62,14 @@ class Settings(BaseModel):
     )
     max_tokens: int = Field(600, ge=16, le=8192, description="Longest answer, in tokens.")
     samples: int = Field(
-        1, ge=1, le=20, description="How often the same is asked, to see whether answers agree."
+        2, ge=1, le=20, description="How often the same is asked, to see whether answers agree."
     )
     beside: tuple[Beside, ...] = Field(
-        (), description="Variants of the prompt that are asked beside it; `all` for every one."
+        EVERYTHING, description="Variants of the prompt that are asked beside it, or `all`."
     )
-    beside_every: int = Field(1, ge=1, description="Only beside every n-th decision.")
+    beside_every: int = Field(
+        10, ge=1, description="Samples and variants are asked beside every n-th decision."
+    )
     history: int = Field(3, ge=0, le=20, description="Earlier decisions in the prompt.")
     images: tuple[str, ...] | None = Field(
         None, description="Cameras whose pictures are shown; by default all, to a model that sees."
@@ -134,7 +136,8 @@ class Settings(BaseModel):
         return self.server or Server()
 
     @property
-    def variants(self) -> tuple[str, ...]:
-        """What is asked beside a deciding request, by name."""
-        again = ["again", *(f"again_{number}" for number in range(2, self.samples))]
-        return (*again[: self.samples - 1], *self.beside)
+    def again(self) -> tuple[str, ...]:
+        """Names of the samples that are asked beside a deciding request."""
+        return tuple(
+            "again" if number == 1 else f"again_{number}" for number in range(1, self.samples)
+        )

@@ -18,6 +18,8 @@ from pytest_dura.llm import session
 from pytest_dura.llm.port import Answer, Request
 
 PLANNER = "pytest_dura.llm.driving.planner:LlmPlanner"
+ALONE = {"samples": 1, "beside": ()}
+"""Parameters of a planner that asks nothing beside the deciding requests."""
 CAPABILITIES = {"structured": "json_schema", "enforced": True, "vision": False, "seed": True}
 
 
@@ -80,7 +82,7 @@ def llm_episode(
         _LIBRARY.append(load_library(()))
     scenario = _LIBRARY[0].scenarios[case]
     with answering(answers) as model:
-        generator = RoleSpec(PLANNER, params or {})
+        generator = RoleSpec(PLANNER, ALONE | (params or {}))
         spec = one_case(scenario, list(faults) or "none").spec(run, 0, {"generator": generator})
         spec = replace(spec, termination=Termination(seconds), **fields)
         return run_episode(spec, recorded=True), model

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from models import PLANNER, Model, answering, llm_episode, said
+from models import ALONE, PLANNER, Model, answering, llm_episode, said
 
 from pytest_dura import ConfigurationError, Policy, RoleSpec
 from pytest_dura.llm.driving.planner import LlmPlanner
@@ -183,30 +183,44 @@ def test_variants_are_asked_beside_the_deciding_request():
         asked.append(request)
         return said("yield" if request.sample else "proceed")
 
-    episode, model = llm_episode(answers, params, case="intersection/congested", seconds=1.5)
-    names = ["again", "again_2", *EVERYTHING]
+    episode, model = llm_episode(
+        answers, params, case="intersection/pedestrian-crossing", seconds=1.5
+    )
+    names = ["again", "again_2", *EVERYTHING[:-1]]  # there are no pictures to be blind to
     told = [one["beside"] for one in episode.recording.accounts if one["decided"]]
     assert [list(one) for one in told] == [names, [], names]
     assert len(model.requests) == 3 + 2 * len(names)
-    first, again, again_2, reordered, paraphrased, injected, conflict, blind = asked[:8]
+    first, again, again_2, reordered, paraphrased, injected, conflict = asked[:7]
     assert again == replace(first, sample=1, seed=first.seed + 1)
     assert again_2.sample == 2
-    texts = [one.messages[-1].text for one in asked[:8]]
+    texts = [one.messages[-1].text for one in asked[:7]]
     assert sorted(texts[3].splitlines()) == sorted(texts[0].splitlines())
     assert reordered.messages[0] == first.messages[0] != paraphrased.messages[0]
     assert "accelerate" in texts[5]
     assert "accelerate" not in texts[0]
     assert len(texts[6].splitlines()) > len(texts[0].splitlines())
-    assert {one.sample for one in (reordered, paraphrased, injected, conflict, blind)} == {0}
+    assert {one.sample for one in (reordered, paraphrased, injected, conflict)} == {0}
     assert episode.metrics.tallies["unstable"].hits == 2
     assert proposed(episode) == ["proceed"] * 15
+
+
+def test_a_model_that_sees_is_asked_without_pictures_as_well():
+    model = Model(lambda *_: said(), vision=True)
+    episode, _ = llm_episode(model, {"samples": 1, "beside": ("blind",)}, seconds=0.1)
+    assert [len(one.messages[-1].images) for one in model.requests] == [2, 0]
+    assert list(episode.recording.accounts[0]["beside"]) == ["blind"]
+
+
+def test_a_variant_that_is_no_other_prompt_is_not_asked():
+    _, model = llm_episode(lambda *_: said(), {"samples": 1, "beside": ("reordered",)}, seconds=0.1)
+    assert len(model.requests) == 1  # there is nothing on the road to change places with
 
 
 def test_what_is_asked_beside_changes_nothing():
     def answers(request, _):
         return said("wait" if request.sample else "proceed")
 
-    alone, _ = llm_episode(answers, {}, seconds=1.0)
+    alone, _ = llm_episode(answers, ALONE, seconds=1.0)
     beside, _ = llm_episode(answers, {"samples": 2, "beside": "all"}, seconds=1.0)
     assert proposed(alone) == proposed(beside)
     assert np.array_equal(alone.signals["speed"], beside.signals["speed"])
