@@ -6,6 +6,7 @@ import math
 import re
 import unicodedata
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -90,8 +91,11 @@ def percepts(draw: Any) -> dict[str, Any]:
     return made
 
 
+templates = cache(driving_templates)
+
+
 def text_of(prompt: Prompt, wording: str = "") -> str:
-    return driving_templates().messages(replace(prompt, wording=wording))[-1].text
+    return templates().messages(replace(prompt, wording=wording))[-1].text
 
 
 @laws

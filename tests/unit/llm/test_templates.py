@@ -14,11 +14,13 @@ from roads import car, channels_of
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.llm.answers import read_answer
 from pytest_dura.llm.driving.blocks import BLOCKS, percept_prompt
-from pytest_dura.llm.driving.vocabulary import INTENTS, MANEUVERS, SCHEMA
+from pytest_dura.llm.driving.probes import probes
+from pytest_dura.llm.driving.vocabulary import INTENTS, MANEUVERS, SCHEMA, VOCABULARY
 from pytest_dura.llm.driving.wording import OWN, driving_templates
 from pytest_dura.llm.port import Answer
 from pytest_dura.llm.prompts.perceived import PerceivedText
 from pytest_dura.llm.prompts.prompt import Block, Prompt
+from pytest_dura.llm.prompts.sandbox import FILTERS, LONGEST
 from pytest_dura.llm.prompts.sources import Sources
 from pytest_dura.llm.prompts.templates import Templates
 
@@ -239,3 +241,16 @@ def test_another_domain_has_templates_of_its_own(tmp_path) -> None:
     assert system.text == "Hold the pole."
     enclosed = "<perceived_text>(b)</perceived_text>"
     assert user.text == f"[at no data, sign {enclosed}, {enclosed.upper()}{enclosed}1]" * 2
+
+
+def test_the_page_names_all_files_blocks_facts_and_filters() -> None:
+    page = (Path(__file__).parents[3] / "docs" / "prompts.md").read_text("utf-8")
+    for probe in probes():
+        for block in probe.blocks:
+            (row,) = (line for line in page.splitlines() if line.startswith(f"| `{block.name}` |"))
+            keys = [*block.facts]
+            for listed in ("objects", "pictures", "decisions"):
+                keys += [key for one in block.facts.get(listed, ()) for key in one]
+            assert all(f"`{key}`" in row for key in keys), block.name
+    for word in (*FILTERS, *VOCABULARY, "system.j2", "user.j2", "few_shot.yaml", str(LONGEST)):
+        assert f"`{word}`" in page or f" {word} " in page, word
