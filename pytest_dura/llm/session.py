@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from datetime import datetime, timezone
+from importlib.metadata import version
 from pathlib import Path
 from threading import RLock
 from typing import Any, Literal
@@ -215,8 +216,6 @@ class ModelSession:
             return self._servers[model]
 
     def _probed(self, model: str | None) -> ModelDescription:
-        import pytest_dura
-
         server = self._server(model)
         if self.cassette is not None:
             shared = self.cassette.described(server.model, server.base_url, self._session)
@@ -228,7 +227,7 @@ class ModelSession:
             server.base_url,
             fingerprint,
             capabilities,
-            pytest_dura.__version__,
+            version("pytest-dura"),
             _now(),
         ).to_json()
         found = {key: self._scrub(value) for key, value in found.items()}

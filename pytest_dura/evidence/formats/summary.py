@@ -26,7 +26,7 @@ from pytest_dura.evidence.views.failure_modes import (
     percent,
     summed,
 )
-from pytest_dura.evidence.views.replay_command import evidence_option, replay_command
+from pytest_dura.evidence.views.replay_command import evidence_option, model_options, replay_command
 
 FILE = "summary.md"
 LIMIT = 1024 * 1024
@@ -192,7 +192,7 @@ def _counterexample(record: SessionRecord, found: list[Data]) -> str:
 
 def _replay(session: str, episode: str) -> str:
     """The command, where it can be shown as it has to be typed."""
-    command = replay_command(episode, evidence_option(session))
+    command = replay_command(episode, evidence_option(session), model_options(session))
     unchanged = name(command, 400) == command and "\\|" not in command and "  " not in command
     return code(command) if unchanged else ""
 

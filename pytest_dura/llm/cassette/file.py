@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sqlite3
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -59,6 +60,9 @@ class CassetteFile:
             )
         try:
             with self.errors():
+                # Waiting for the disk at each exchange takes longer than many a model. A process
+                # that dies leaves a whole file all the same; a machine without power may not.
+                self._open.execute("PRAGMA synchronous = OFF")
                 self._begin()
         except BaseException:  # also on ctrl-C; it is raised again
             self.close()
@@ -67,6 +71,9 @@ class CassetteFile:
     def close(self) -> None:
         """Let go of the file."""
         self._open.close()
+        if self.writable and self.file.is_file():
+            with self.file.open("rb") as stream:
+                os.fsync(stream.fileno())
 
     def _begin(self) -> None:
         known = self._open.execute("SELECT COUNT(*) FROM sqlite_master").fetchone()[0]

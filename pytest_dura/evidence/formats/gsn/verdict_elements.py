@@ -20,7 +20,7 @@ from pytest_dura.evidence.formats.gsn.wording import (
 from pytest_dura.evidence.formats.report.anchors import verdict_anchor
 from pytest_dura.evidence.record.session_record import SessionRecord
 from pytest_dura.evidence.text import name
-from pytest_dura.evidence.views.replay_command import evidence_option, replay_command
+from pytest_dura.evidence.views.replay_command import evidence_option, model_options, replay_command
 
 Data = Mapping[str, Any]
 
@@ -191,7 +191,8 @@ class _Maker:
         seed = f", seed {known['seed']}" if known else ""
         trace = known.get("trace")
         given = evidence_option(self.record["command"])
-        command = replay_command(name(episode), None if given is None else name(given))
+        models = {key: name(one) for key, one in model_options(self.record["command"]).items()}
+        command = replay_command(name(episode), None if given is None else name(given), models)
         layers = {"replay": command}
         if trace is not None:
             layers["trace"] = name(str(trace["file"]))

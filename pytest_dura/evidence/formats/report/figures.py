@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from pytest_dura.evidence.text import LINE, name, one_line, visible
-from pytest_dura.evidence.views.replay_command import replay_command
+from pytest_dura.evidence.views.replay_command import model_options, replay_command
 
 NONE = "\N{EN DASH}"
 
@@ -56,9 +56,9 @@ def line(text: str, limit: int = LINE) -> str:
     return one_line(text, limit) if len(text) < 50_000 else visible(text, limit)
 
 
-def _replay(episode: str) -> str:
+def _replay(episode: str, session: str) -> str:
     """What runs one episode again, with ``DIR`` for the folder that holds the evidence."""
-    return replay_command(episode, "DIR")
+    return replay_command(episode, "DIR", model_options(session))
 
 
 FILTERS: Mapping[str, Any] = {
