@@ -50,6 +50,7 @@ MOTION_BAND = 0.5
 """m/s2; a car that changes its speed by less keeps it: so much it loses when it coasts."""
 _SAME_TIME = 1e-9
 _SAME_COMMAND = 1e-9
+_DECIMALS = 9
 
 MEANINGS: Mapping[str, str] = {
     "cites_unperceived": "of decisions that cite objects: cites one that it was not shown",
@@ -132,7 +133,8 @@ def ages(ticks: Sequence[Tick], accounts: Sequence[Mapping[str, Any]]) -> Floats
         if one.answered and one.at is not None:
             based_on[one.tick :] = one.at
     time = np.array([tick.time for tick in ticks])
-    found: Floats = time[: len(accounts)] - time[based_on]
+    # 0.4 s after 1 s is 1.4 s, whatever the float rounds to: a bound of 0.4 s holds there.
+    found: Floats = np.round(time[: len(accounts)] - time[based_on], _DECIMALS)
     return found
 
 

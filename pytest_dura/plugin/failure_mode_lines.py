@@ -18,7 +18,7 @@ from pytest_dura.plugin.tables import aligned
 
 COLUMNS = ("decisions", "share %", "null %", "episodes")
 LEGEND = (
-    "decisions: those that showed it, of those that could; episodes: likewise, if it ever showed;",
+    "decisions: those that showed it, of those that could; episodes: those in which it ever did;",
     "null: a component that ignores its input, on the same decisions: what it also reaches says",
     "nothing about the model",
 )

@@ -74,25 +74,16 @@ def percent(part: float | None) -> str:
 
 
 def answers(cases: Sequence[Data]) -> Iterator[tuple[str, str]]:
-    """Each component whose decisions took time, and how much in words; late ones are told."""
+    """Each component whose decisions took time, and how much, in words."""
     times: dict[str, list[Data]] = {}
-    late: dict[str, list[int]] = {}
     for case in told(cases):
-        component, found = case["component"], case["metrics"]["answer_times"]
-        if found is not None:
-            times.setdefault(component, []).append(found)
-        for one in case["metrics"]["failure_modes"]:
-            if one["name"] == "timeout":
-                sums = late.setdefault(component, [0, 0])
-                sums[0], sums[1] = sums[0] + one["hits"], sums[1] + one["of"]
+        if case["metrics"]["answer_times"] is not None:
+            times.setdefault(case["component"], []).append(case["metrics"]["answer_times"])
     for component, spreads in times.items():
         decisions = sum(one["decisions"] for one in spreads)
+        longest = max(one["max"] for one in spreads)
         text = f"{decisions} decisions, {_range('median', 'p50', spreads)}, "
-        text += f"{_range('95th percentile', 'p95', spreads)}, "
-        text += f"longest {max(one['max'] for one in spreads):.2f} s"
-        hits, of = late.get(component, (0, 0))
-        if of:
-            text += f"; {hits} of {of} ({percent(hits / of)} %) past the time budget"
+        text += f"{_range('95th percentile', 'p95', spreads)}, longest {longest:.2f} s"
         yield component, text
 
 
