@@ -169,18 +169,29 @@ class LanguageModels:
                  if name == "--dura-cassette"]  # fmt: skip
         return ["--dura-llm=replay", *given]
 
+    def prepare(self, spec: EpisodeSpec) -> None:
+        """Find the servers of an episode that is run again, before the component's time runs.
+
+        Raises:
+            ConfigurationError: If one does not answer.
+        """
+        models = [stated[0] for role in spec.roles.values() if (stated := _stated(role))]
+        if models and self.session.options.llm != "replay":
+            from pytest_dura.llm.session import current
+
+            for model in models:
+                current().describe(model)
+
     def used(self, spec: EpisodeSpec) -> None:
         """An item looked at an episode: note the models that its settled specs state."""
         if _SESSIONS not in sys.modules:
             return
         for role in spec.roles.values():
-            params = role.params
-            model = params.get("model")
-            fingerprint = params.get("fingerprint", (params.get("server") or {}).get("fingerprint"))
-            if isinstance(model, str) and isinstance(fingerprint, str):
-                key = role.label, model, fingerprint, params.get("prompts")
+            stated = _stated(role)
+            if stated is not None:
+                key = (role.label, *stated, role.params.get("prompts"))
                 self._note(key)
-                self._latest[model, fingerprint] = key
+                self._latest[stated] = key
 
     def take(self) -> list[Data]:
         """What is new of the models that were used: how often they were asked so far, above all.
@@ -241,3 +252,13 @@ class LanguageModels:
         }
         models = [{**one, "cassette": cassette} for one in record["models"]]
         return replace(record, head={**record.head, "models": models})
+
+
+def _stated(role: RoleSpec) -> tuple[str, str] | None:
+    """Model and fingerprint of the server, if the settled parameters of a role state them."""
+    server = role.params.get("server")
+    place = server if isinstance(server, Mapping) else role.params
+    model, fingerprint = role.params.get("model"), place.get("fingerprint")
+    if isinstance(model, str) and isinstance(fingerprint, str):
+        return model, fingerprint
+    return None

@@ -37,6 +37,7 @@ def reduce(session: DuraSession) -> int:
     found.sort(key=lambda one: not one.planned)
     recorded = next((one for one in found if one.violated), found[0])
     _check(recorded, name)
+    session.models.prepare(recorded.spec)
     judged = [one for one in recorded.requirements if one.id in recorded.violated]
     budget = BUDGET if options.runs is None else options.runs
     spec = recorded.spec

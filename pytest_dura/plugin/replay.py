@@ -13,16 +13,14 @@ from pytest_dura.plugin.places import beside
 from pytest_dura.plugin.recorded import Recorded, damage_told, recorded_episodes
 
 if TYPE_CHECKING:
-    import pytest
-
     from pytest_dura.core.episode import Episode
     from pytest_dura.evidence.traces.trace import Trace
-    from pytest_dura.plugin.options import Options
+    from pytest_dura.plugin.session import DuraSession
 
 OPTION = "--dura-replay"
 
 
-def replay(config: pytest.Config, options: Options) -> int:
+def replay(session: DuraSession) -> int:
     """Run the episode again and return the exit code: 0 if the digests are equal, else 1.
 
     A page that plays the replayed episode goes beside the evidence, which stays as it is.
@@ -31,10 +29,12 @@ def replay(config: pytest.Config, options: Options) -> int:
         ConfigurationError: For an unknown episode, one that cannot be built again, and a page that
             cannot be written.
     """
+    config, options = session.config, session.options
     name = str(options.replay)
     _, found = recorded_episodes(config, options, name, OPTION)
     equal = True
     for one in found:
+        session.models.prepare(one.spec)
         with damage_told(options, name, OPTION):
             episode = one.run(recorded=True)
         same, lines = _compared(one, episode, options.evidence)

@@ -90,7 +90,7 @@ class DuraSession:
             from pytest_dura.plugin.replay import replay
 
             with usage_errors(), self.models:
-                return replay(self.config, self.options)
+                return replay(self)
         if self.options.reduce is not None:
             from pytest_dura.plugin.reduce import reduce
 
