@@ -32,8 +32,8 @@ laws = settings(derandomize=True, deadline=None, max_examples=60)
 MARK = "ZQXJ"
 """Stands in every text of the scene, and nowhere else."""
 ENCLOSED = re.compile(r"<perceived_text>[^<>]*</perceived_text>")
-LONGEST_PROMPT = 12_000
-"""Bytes: twelve objects in three blocks, each with texts of the greatest length."""
+LONGEST_PROMPT = 9_000
+"""Characters."""
 
 numbers = st.one_of(
     st.floats(-100.0, 100.0), st.floats(), st.sampled_from([-0.0, 1e300, -1e-9, math.inf])
@@ -113,7 +113,7 @@ def test_any_percept_has_a_bounded_prompt_whose_texts_stay_in_their_tags(
             percept, past, images=["camera_front"], now=now, last=past[-1] if past else None,
             feedback=feedback,
         ), wording), "a pure function"  # fmt: skip
-        assert len(text.encode()) <= LONGEST_PROMPT
+        assert len(text) < LONGEST_PROMPT
         outside = ENCLOSED.sub("", text)
         assert MARK not in outside
         assert "<" not in outside

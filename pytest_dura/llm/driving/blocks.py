@@ -28,6 +28,9 @@ BLOCKS = (
 SIGN_KINDS = ("give_way", "priority_road", POSTER)
 """Kinds that are named as they are; another kind is a text like any other."""
 
+MOST_SIGNS = 6
+"""Signs that are shown, the nearest ones."""
+
 _HALF = CAR_LENGTH / 2
 
 
@@ -144,7 +147,7 @@ def _controls(found: Sequence[Sign] | None, front: float | None) -> dict[str, An
     if found is None:
         return {"missing": 1, "farther": 0, "objects": ()}
     signs = [sign_facts(f"S{count}", sign, front) for count, sign in enumerate(found, start=1)]
-    return {"missing": 0, **nearest(signs)}
+    return {"missing": 0, **nearest(signs, MOST_SIGNS)}
 
 
 def sign_facts(name: str, sign: Sign, front: float | None) -> dict[str, Any]:

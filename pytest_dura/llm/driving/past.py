@@ -71,20 +71,3 @@ def _command(action: object) -> Command | None:
         return Command.of(action)
     except (ActionError, TypeError):  # of another simulator, or a component's nonsense
         return None
-
-
-def decision_points(past: Sequence[PastDecision]) -> list[PastDecision]:
-    """The first of each run of equal entries: where something else was decided or done.
-
-    For a component that does not know at which ticks it decided.
-
-    Args:
-        past: One entry per tick.
-    """
-    return [
-        one for index, one in enumerate(past) if not index or _told(one) != _told(past[index - 1])
-    ]
-
-
-def _told(one: PastDecision) -> tuple[object, ...]:
-    return maneuver(one.proposed), one.explanation, maneuver(one.executed), one.source

@@ -78,14 +78,14 @@ def radar_facts(
     return {"missing": 0, **nearest(objects)}
 
 
-def nearest(objects: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """The nearest objects, sorted by id, and how many others there are."""
+def nearest(objects: Sequence[Mapping[str, Any]], most: int = MOST) -> dict[str, Any]:
+    """The nearest objects, so many at most, sorted by id, and how many others there are."""
 
     def far(one: Mapping[str, Any]) -> tuple[float, Any]:
         distance = one["distance"]
         return math.inf if distance is None else abs(distance), by_id(one)
 
-    kept = sorted(objects, key=far)[:MOST]
+    kept = sorted(objects, key=far)[:most]
     return {"farther": len(objects) - len(kept), "objects": tuple(sorted(kept, key=by_id))}
 
 

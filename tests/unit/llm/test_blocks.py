@@ -15,8 +15,7 @@ from pytest_dura.core.state import PastDecision
 from pytest_dura.driving.bodies import Body, BodyList
 from pytest_dura.driving.maneuvers import Command, Maneuver
 from pytest_dura.driving.sensors import Imu, Odometry, Pose, Sign
-from pytest_dura.llm.driving.blocks import BLOCKS, driving_prompt, percept_prompt
-from pytest_dura.llm.driving.past import decision_points
+from pytest_dura.llm.driving.blocks import BLOCKS, MOST_SIGNS, driving_prompt, percept_prompt
 from pytest_dura.llm.driving.surroundings import MOST, shown_id
 from pytest_dura.llm.driving.wording import driving_templates
 
@@ -202,15 +201,6 @@ def test_history_tells_what_was_chosen_and_what_was_done() -> None:
     assert "because <perceived_text>V3 first</perceived_text>\n1.0 s ago you chose no data" in text
 
 
-def test_decision_points_are_where_something_changes() -> None:
-    go, stop = Command(Maneuver.PROCEED), Command(Maneuver.WAIT)
-    past = [PastDecision(t, go, "free", go, "proposal") for t in range(3)]
-    past += [PastDecision(t, stop, "car", stop, "proposal") for t in range(3, 6)]
-    past += [PastDecision(6, stop, "car", go, "recovery")]
-    assert [one.time for one in decision_points(past)] == [0, 3, 6]
-    assert decision_points([]) == []
-
-
 def test_feedback_is_bounded_and_enclosed() -> None:
     text = text_of(channels_of(), feedback=[f"reason {n} " + "x" * 999 for n in range(9)])
     assert "- <perceived_text>reason 0 xxx" in text
@@ -287,3 +277,18 @@ def test_a_broken_picture_is_left_out_and_told(value) -> None:
 
 def test_pictures_are_not_looked_at_unless_asked_for() -> None:
     percept_prompt(channels_of())  # its cameras raise
+
+
+@pytest.mark.parametrize("wording", ["", "paraphrased"])
+def test_a_prompt_is_bounded_whatever_there_is_to_tell(wording) -> None:
+    bodies = [car(f"LONGEST_NAME_{n:03}", -9999.9, -9999.9 + n, 2.0, 69.9) for n in range(200)]
+    signs = tuple(Sign("k" * 999, 1.0 + n, "text " * 999) for n in range(200))
+    done = PastDecision(0.0, Command(Maneuver.EMERGENCY_BRAKE), "x" * 999, None, "proposal")
+    percept = channels_of() | {
+        "lidar": BodyList.of(bodies), "radar": np.full((200, 3), -99.9), "controls": signs
+    }  # fmt: skip
+    options: dict[str, Any] = {"past": [done] * 99, "feedback": ["y" * 999] * 99, "now": 9999.9}
+    assert len(text_of(percept, wording, images=["x"] * 2, **options)) < 9000
+    found = facts("CONTROLS", percept)
+    assert (len(found["objects"]), found["farther"]) == (MOST_SIGNS, 200 - MOST_SIGNS)
+    assert len(facts("HISTORY", percept, past=[done] * 99)["decisions"]) == 5

@@ -11,7 +11,7 @@ from roads import car, channels_of, walker
 from pytest_dura.core.seeding import stream
 from pytest_dura.driving.faults.signs import PromptTextParameters
 from pytest_dura.driving.sensors import Odometry, Sign
-from pytest_dura.llm.driving.blocks import BLOCKS, percept_prompt
+from pytest_dura.llm.driving.blocks import BLOCKS, MOST_SIGNS, percept_prompt
 from pytest_dura.llm.driving.surroundings import MOST
 from pytest_dura.llm.driving.twins import conflict, injected
 from pytest_dura.llm.driving.vocabulary import MANEUVERS
@@ -114,6 +114,6 @@ def test_a_full_block_takes_one_more() -> None:
     many = [car(f"V{n}", 2.0, 40.0 - n) for n in range(1, MOST + 1)]
     found = conflict(percept_prompt(channels_of(*many)))
     assert f"V{MOST + 1}" in found.ids
-    signs = tuple(Sign("text", 60.0 + n, "x") for n in range(MOST))
+    signs = tuple(Sign("text", 60.0 + n, "x") for n in range(MOST_SIGNS))
     full = percept_prompt(channels_of() | {"controls": signs})
-    assert len(facts(injected(full), "CONTROLS")["objects"]) == MOST + 1
+    assert len(facts(injected(full), "CONTROLS")["objects"]) == MOST_SIGNS + 1

@@ -169,6 +169,7 @@ def test_a_directory_must_be_there(tmp_path) -> None:
         ("user.j2", "{{ 9 ** 9 }}", 1, "'**' not at all"),
         ("user.j2", "{{ 'x'.ljust(9999999999) }}", 1, "not safely callable"),
         ("user.j2", "\n{% for i in range(9) %}{% endfor %}", 2, "not safely callable"),
+        ("user.j2", "{{ lipsum }}", 1, "'lipsum' is undefined"),
         ("user.j2", "{{ ''.__class__.__mro__ }}", 1, "unsafe"),
         ("user.j2", "{% include '/etc/hostname' %}", 1, "/etc/hostname"),
         ("user.j2", "{% include '../system.j2' %}", 1, "../system.j2"),
