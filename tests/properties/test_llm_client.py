@@ -102,6 +102,7 @@ def test_no_form_of_a_key_is_left_in_a_text(key: str, before: str, after: str, s
     endpoint = Endpoint("http://host/v1", "m", key)
     forms = [key, quote(key, safe=""), json.dumps(key)[1:-1]]
     forms.append(base64.b64encode(b"x" * shift + key.encode() + b"yz").decode())
+    forms.append(base64.urlsafe_b64encode(b"x" * shift + key.encode() + b"yz").decode())
     forms.append(base64.b64encode(f"Bearer {key}".encode()).decode())
     for form in forms:
         scrubbed = endpoint.scrub(f"{before}{form}{after}")

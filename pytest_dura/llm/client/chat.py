@@ -113,14 +113,18 @@ class OpenAiClient:
                 body = b"".join(response.iter_bytes())
             if len(body) > limit:
                 return Answer(failure="malformed", detail=f"a body of more than {limit} bytes")
-            return read(body)
+            return read(self._without_key(body))
         except self._openai.APIStatusError as error:
-            told = self.endpoint.scrub(error.response.text)
-            return refusal_of(error.status_code, told.encode())
+            return refusal_of(error.status_code, self._without_key(error.response.content))
         except Exception as error:
             # A call never raises: what is wrong with a request is told where answers are read.
             failure, detail = self._failed(error)
             return Answer(failure=failure, detail=words(self.endpoint.scrub(detail)))
+
+    def _without_key(self, body: bytes) -> bytes:
+        """A body before any of it is cut: half a key is one, too."""
+        text = body.decode(errors="surrogateescape")
+        return self.endpoint.scrub(text).encode(errors="surrogateescape")
 
     def _failed(self, error: Exception) -> tuple[WireFailure, str]:
         """Class and words of an error that came instead of a response, or within it."""

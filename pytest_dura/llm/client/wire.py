@@ -95,7 +95,7 @@ class _Body(httpx2.SyncByteStream):
         try:
             with _translated():
                 for chunk in self._response.iter_stream():
-                    yield chunk[: limit - size + 1]
+                    yield chunk
                     size += len(chunk)
                     if size > limit:
                         return

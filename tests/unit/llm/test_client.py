@@ -159,6 +159,13 @@ def test_an_answer_is_told_with_its_usage_and_the_server_s_word(client) -> None:
     )
 
 
+def test_usage_is_counted_in_whole_tokens(client) -> None:
+    usage = {"prompt_tokens": 3.5, "completion_tokens": True, "total_tokens": 7}
+    assert client(script.answers("x", usage=usage)).ask(REQUEST, BUDGET).usage == {
+        "total_tokens": 7
+    }
+
+
 def choice(**message):
     return {"choices": [{"message": message, "finish_reason": "stop"}]}
 
@@ -188,6 +195,8 @@ CLASSES = {
     "cut without a length": (
         lambda exchange: (exchange.start(), exchange.write(b'{"choices": [{"mess')),
         "truncated", "ends in the middle, at byte 19"),
+    "cut after a brace": (script.sends('{"choices": [{"message": {"content": "{}'), "truncated",
+                          "ends in the middle"),
     "at the limit": (script.truncates("so far"), "truncated", "finish_reason: length"),
     "at the limit without text": (script.truncates(""), "truncated", "finish_reason: length"),
     "no text": (script.answers_nothing(), "empty", "finish_reason: stop"),
@@ -275,10 +284,11 @@ def test_the_key_is_taken_out_of_all_that_comes_back(client) -> None:
         "system_fingerprint": KEY,
     }
     one = client(script.echoes_the_key(), script.sends(leaky),
-                 script.fails(500, "y" * 270 + KEY), script.sends(f"<p>{KEY}"))  # fmt: skip
-    answers = [one.ask(REQUEST, BUDGET) for _ in range(4)]
+                 script.fails(500, "y" * 282 + KEY), script.sends(f"<p>{KEY}"),
+                 script.refuses("y" * 282 + KEY), script.answers("x" * 63_990 + KEY))  # fmt: skip
+    answers = [one.ask(REQUEST, BUDGET) for _ in range(6)]
     assert "HTTP 401: Incorrect API key provided: Bearer [key]" in answers[0].detail
     assert answers[1].text == "key [key]"
-    assert "[key]" in answers[2].detail
+    assert "yyy[key]" in answers[2].detail
     for answer in answers:
         assert KEY[:6] not in json.dumps(answer.to_json()), "cut keys are keys, too"

@@ -94,6 +94,20 @@ def test_a_look_up_that_hangs_ends_with_the_budget(monkeypatch) -> None:
         hangs.set()
 
 
+def test_every_address_of_a_host_is_tried(client, monkeypatch) -> None:
+    one = client(script.answers("ok"))
+    open_port = int(one.server.base_url.rpartition(":")[2].partition("/")[0])
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        closed_port = taken.getsockname()[1]
+    addresses = [
+        (socket.AF_INET, socket.SOCK_STREAM, 6, "", ("127.0.0.1", port))
+        for port in (closed_port, open_port)
+    ]
+    monkeypatch.setattr(socket, "getaddrinfo", lambda *_, **__: addresses)
+    two = OpenAiClient(Endpoint("http://some.host/v1", "m"))
+    assert two.ask(REQUEST, BUDGET).text == "ok"
+
+
 @pytest.mark.parametrize("budget", [0.0, -1.0, float("nan")])
 def test_without_time_nothing_is_sent(client, budget) -> None:
     one = client()
@@ -112,6 +126,10 @@ def test_a_body_without_end_is_left(client) -> None:
     answer = one.ask(REQUEST, BUDGET)
     assert (answer.failure, time.perf_counter() - start < 5.0) == ("malformed", True)
     assert "more than 1000000 bytes" in answer.detail
+    one.server.close()
+    (request,) = one.server.requests
+    assert request.abandoned, "the connection was closed"
+    assert request.sent < 16 * 2**20, "but for what the system's buffers took"
 
 
 def test_a_compressed_body_is_not_blown_up(client) -> None:
@@ -171,6 +189,8 @@ def test_an_injected_failure_needs_no_network(monkeypatch) -> None:
     monkeypatch.setattr(socket, "getaddrinfo", connect)
     one = OpenAiClient(Endpoint("https://host.invalid/v1", "m", KEY))
     found = [one.ask(REQUEST, BUDGET, fault) for fault in RESPONSES]
+    assert found[0].detail.startswith("HTTP 429: ")
+    assert found[1].detail.startswith("HTTP 500: ")
     assert [answer.failure for answer in found] == [
         "unavailable", "unavailable", "truncated", "malformed", "unavailable"
     ]  # fmt: skip
