@@ -9,7 +9,7 @@ from typing import Any
 
 from pytest_dura.core.episode import Episode, EpisodeSpec
 from pytest_dura.core.errors import DuraError
-from pytest_dura.core.metrics import DependabilityMetrics, FaultRecord
+from pytest_dura.core.metrics import DependabilityMetrics, FaultRecord, Tally
 from pytest_dura.evidence.bundle.directory import RECORD
 from pytest_dura.evidence.bundle.manifest import file_entry
 from pytest_dura.evidence.plain import plain
@@ -175,6 +175,7 @@ def _episode(trace: Trace, episode: Data) -> JudgedEpisode:
         FaultRecord(**{key: value for key, value in one.items() if key in names})
         for one in episode["faults"]
     ]
+    tallies = {name: Tally(**one) for name, one in episode["metrics"]["tallies"].items()}
     return JudgedEpisode.of(
         Episode(
             spec=EpisodeSpec.from_json({**episode["spec"], "roles": roles}),
@@ -184,7 +185,7 @@ def _episode(trace: Trace, episode: Data) -> JudgedEpisode:
             events=(),
             faults=tuple(faults),
             termination=episode["termination"],
-            metrics=DependabilityMetrics(),
+            metrics=DependabilityMetrics(tallies=tallies),
             failure=episode["failure"],
         )
     )

@@ -44,7 +44,8 @@ class EpisodeVerdict:
         margin: Robustness; ``None`` where there is no trace to measure it on.
         time: Seconds at which the requirement was violated first, for a violation.
         detail: Why, in words.
-        vacuous: Whether it is satisfied only because its condition never held.
+        vacuous: Whether it is satisfied only because its condition never held, or no decision could
+            have shown the failure mode that it looks at.
         proposals: How often the component was asked.
         valid_proposals: How often it answered with a valid action.
         idle: Ids of planned faults that never manifested. A valid episode has such where hits are
@@ -125,7 +126,8 @@ def _by_formula(formula: Formula, episode: Episode) -> tuple[EpisodeWord, CheckR
     margin = found.margin if math.isfinite(found.margin) else None
 
     def result(detail: str, *, holds: bool = False) -> CheckResult:
-        return CheckResult(holds, margin, found.time, detail, holds and found.vacuous)
+        vacuous = found.vacuous or bool(never_measured(formula, episode))
+        return CheckResult(holds, margin, found.time, detail, holds and vacuous)
 
     if found.status == "violated":
         return "violated", result(found.detail)
@@ -218,6 +220,16 @@ def evaluate_episode(formula: Formula, episode: Episode) -> tuple[Evaluation | N
         time_step=episode.spec.time_step,
     )
     return found, gap
+
+
+def never_measured(formula: Formula, episode: Episode) -> list[str]:
+    """Failure modes in a formula that no decision of the episode could have shown.
+
+    Their signals are 0 throughout. That such a formula holds says nothing.
+    """
+    names = [name.removeprefix(ACCOUNTS) for name in formula.signals if name.startswith(ACCOUNTS)]
+    tallies = episode.metrics.tallies
+    return [name for name in names if name in tallies and tallies[name].of == 0]
 
 
 def untold(formula: Formula, known: Collection[str]) -> list[str]:
