@@ -16,6 +16,7 @@ from pytest_dura.driving.bodies import Body, BodyList
 from pytest_dura.driving.maneuvers import Command, Maneuver
 from pytest_dura.driving.sensors import Imu, Odometry, Pose, Sign
 from pytest_dura.llm.driving.blocks import BLOCKS, MOST_SIGNS, driving_prompt, percept_prompt
+from pytest_dura.llm.driving.readings import shown
 from pytest_dura.llm.driving.surroundings import MOST, shown_id
 from pytest_dura.llm.driving.wording import driving_templates
 
@@ -150,6 +151,15 @@ def test_imu_turns_right_with_growing_headings() -> None:
     assert facts("IMU", percept) == {"acceleration": -1.3, "left": -1.0, "turning": -10}
 
 
+@pytest.mark.parametrize(
+    "value, decimals, left",
+    [(-0.04, 1, "0.0"), (-0.4, 0, "0"), (2.25, 1, "2.2"), (12.0, 1, "12.0"), (12.6, 0, "13"),
+     (math.nan, 1, "None"), (math.inf, 0, "None"), (None, 1, "None")],
+)  # fmt: skip
+def test_numbers_have_so_many_decimals_and_zero_no_sign(value, decimals, left) -> None:
+    assert str(shown(value, decimals)) == left
+
+
 def test_the_goal_and_the_map_come_from_the_route() -> None:
     percept = channels_of(turn="left", s=50.0)
     assert facts("GOAL", percept) == {"missing": 0, "turn": "left", "destination": "west"}
@@ -188,14 +198,14 @@ def test_history_tells_what_was_chosen_and_what_was_done() -> None:
     past = [
         PastDecision(1.0, yielded, "V3 first", Command(Maneuver.EMERGENCY_BRAKE, -8.0), "recovery"),
         PastDecision(2.0, None, "", yielded, "fallback"),
-        PastDecision(2.5, object(), "", {"steer": 1}, "proposal"),
+        PastDecision(2.5, object(), "", {"steer": 1}, "somebody"),
     ]
     found = facts("HISTORY", channels_of(), past=past, now=3.0)["decisions"]
     told = [(one["ago"], one["proposed"], one["executed"], one["source"]) for one in found]
     assert told == [
         (2.0, "yield", "emergency_brake", "recovery"),
         (1.0, None, "yield", "fallback"),
-        (0.5, None, None, "proposal"),
+        (0.5, None, None, None),
     ]
     text = text_of(channels_of(), past=past, now=3.0)
     assert "because <perceived_text>V3 first</perceived_text>\n1.0 s ago you chose no data" in text

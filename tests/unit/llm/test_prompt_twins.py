@@ -91,6 +91,7 @@ def test_conflict_is_a_car_straight_ahead_that_is_hit_within_a_second(speed) -> 
     assert (one["bearing"], one["left"], one["ahead"]) == (0, 0.0, one["distance"])
     gap = one["distance"] - 5.0
     assert 0.0 < gap / one["closing"] < 1.5
+    assert one["speed"] >= 0.0, "it comes nearer, and does not flee"
     assert one["closing"] == pytest.approx(one["speed"] + speed)
     assert (seen["distance"], seen["bearing"], seen["rate"]) == (
         one["distance"], 0, -one["closing"]
