@@ -1,0 +1,393 @@
+"""Sessions with a language model: asked live, recorded, and replayed without it."""
+
+from __future__ import annotations
+
+import gc
+import json
+import sqlite3
+import subprocess
+import sys
+from base64 import b64encode
+from pathlib import Path
+
+import openai.resources.chat  # noqa: F401 - see below
+import pytest
+from corridors import scenario
+from test_fault_campaigns_option import BIAS, NOISE, near_the_wall
+from test_secrets import texts
+
+import pytest_dura.llm.capabilities
+import pytest_dura.llm.client.failing
+import pytest_dura.llm.client.wire  # noqa: F401 - in-process runs forget what they imported
+from pytest_dura.evidence.verifying import verify_bundle
+from pytest_dura.llm import session as sessions
+
+SUPPORT = str(Path(__file__).parents[1] / "support")
+if SUPPORT not in sys.path:
+    sys.path.insert(0, SUPPORT)
+
+from scripted_server import (  # noqa: E402 - support modules lie elsewhere
+    ScriptedServer,
+    answers,
+    answers_by,
+    echoes_the_key,
+)
+
+KEY = "planted-Zx9Q7wert-key"
+TALKER = '''
+"""A component that lets a language model say how fast it goes."""
+
+from pytest_dura import Generator, Proposal
+from pytest_dura.llm import session
+from pytest_dura.llm.port import Message, Request
+
+HIDES = {hides}
+
+
+class Talker(Generator):
+    def __init__(self, model=None, fingerprint=None, capabilities=None, prompts=None):
+        self.model, self.fingerprint = model, fingerprint
+
+    @classmethod
+    def settled(cls, params):
+        if params.get("fingerprint"):
+            return params
+        found = session.current().describe(params.get("model"))
+        return {{
+            **params,
+            "model": found.model,
+            "fingerprint": found.fingerprint,
+            "capabilities": dict(found.capabilities),
+            "prompts": "a" * 64,
+        }}
+
+    def propose(self, view):
+        text = f"SIGHT\\ngap {{view.percept['gap']:.3f}}\\nasked {words}"
+        request = Request(self.model, (Message("user", text),))
+        try:
+            answer = session.current().ask(request, 5.0, fingerprint=self.fingerprint)
+        except Exception:
+            if not HIDES:
+                raise
+            return Proposal(0.5)
+        if answer.failure:
+            return Proposal(0.0, answer.detail, failure=f"{{answer.failure}}: {{answer.detail}}")
+        return Proposal(float(answer.text), answer.text, latency=answer.seconds)
+'''
+CAREFULLY = "2.0 if view.percept['gap'] > 3.0 else 0.0"
+CASES = ("it", "it-too")
+GENERATOR = "--dura-generator=talker:Talker"
+
+
+def talker(*, words="politely", hides=False):
+    return TALKER.format(words=words, hides=hides)
+
+
+def speed(request):
+    """Slower near the wall, and another number for each thing that is asked."""
+    gap = next((word for word in request.prompt.split() if word[:1].isdigit()), "0")
+    return f"{min(2.0, float(gap) / 3 + 0.1):.6f}" if "gap" in request.prompt else "the sea"
+
+
+@pytest.fixture
+def server():
+    with ScriptedServer(otherwise=answers_by(speed)) as found:
+        yield found
+
+
+@pytest.fixture
+def talking(project, server, monkeypatch):
+    for name, value in {**server.environment, "DURA_LLM_API_KEY": KEY}.items():
+        monkeypatch.setenv(name, value)
+    project.write("talker.py", talker())
+    for name in CASES:
+        crossing(project, name)
+    return project
+
+
+def crossing(project, name, **given):
+    """Runs of half a second that differ, and time enough for a server on a busy machine."""
+    spread = "{world.wall: {min: 3.0, max: 5.0}}"
+    scenario(project, name, world="{wall: 4.0}", variation=spread, requirements="[GAP-1]", **given)
+    file = project.path / f"scenarios/corridor/{name}.yaml"
+    file.write_text(file.read_text().replace("time_budget: 0.2", "time_budget: 30.0"))
+
+
+@pytest.fixture
+def cut_off(talking, monkeypatch):
+    """Nothing names the server, and no connection can be made."""
+
+    def alone():
+        for name in ("DURA_LLM_BASE_URL", "DURA_LLM_MODEL", "DURA_LLM_API_KEY"):
+            monkeypatch.delenv(name, raising=False)
+
+        def refuse(*_):
+            raise AssertionError("a replay makes no connection")
+
+        for way in ("connect", "connect_ex"):
+            monkeypatch.setattr(f"socket.socket.{way}", refuse, raising=False)
+
+    return alone
+
+
+def run(project, mode, *more, runs=2):
+    arguments = [GENERATOR, f"--dura-llm={mode}", f"--dura-runs={runs}", *more]
+    return project.scenarios(*arguments, select="corridor/it*")
+
+
+def digests(project, folder="dura-evidence"):
+    return {one["id"]: one["digest"] for one in project.evidence(folder)["episodes"]}
+
+
+def prompts(server):
+    return [one.prompt for one in server.requests if "gap" in one.prompt]
+
+
+def test_what_two_workers_record_one_process_replays_alone(talking, server, cut_off):
+    recorded = run(talking, "record", "-n", "2", "--dura-evidence=one", runs=3)
+    recorded.assert_outcomes(passed=2)
+    asked = prompts(server)
+    assert len(asked) == len(set(asked)) > 20
+    cut_off()
+    before = (talking.path / "dura-cassette.sqlite").read_bytes()
+    replayed = run(talking, "replay", "--dura-evidence=two", runs=3)
+    replayed.assert_outcomes(passed=2)
+    assert digests(talking, "one") == digests(talking, "two")
+    assert len(digests(talking, "two")) == 6
+    assert (talking.path / "dura-cassette.sqlite").read_bytes() == before
+    assert prompts(server) == asked
+    specs = [one["spec"] for one in talking.evidence("two")["episodes"]]
+    params = {json.dumps(one["roles"]["generator"]["params"], sort_keys=True) for one in specs}
+    (told,) = map(json.loads, params)
+    assert told["model"] == server.model
+    assert told["capabilities"]["enforced"] is False
+    assert sorted(told) == ["capabilities", "fingerprint", "model", "prompts"]
+
+
+def test_a_replay_with_workers_gives_the_same_too(talking, cut_off):
+    run(talking, "record", "--dura-cassette=tapes/one.sqlite", "--dura-evidence=one")
+    run(talking, "replay", "--dura-cassette=tapes/one.sqlite", "--dura-evidence=two", "-n", "2")
+    assert digests(talking, "one") == digests(talking, "two")
+    assert (talking.path / "tapes/one.sqlite").is_file()
+    assert not (talking.path / "dura-cassette.sqlite").exists()
+
+
+def test_an_equal_request_is_asked_once_in_record_and_each_time_in_live(talking, server):
+    run(talking, "record")
+    once = len(prompts(server))
+    run(talking, "record")
+    assert len(prompts(server)) == once
+    told = talking.evidence()["models"][0]
+    assert (told["asked"], told["reused"]) == (0, once)
+    run(talking, "live")
+    assert len(prompts(server)) == 2 * once
+
+
+def test_the_evidence_names_model_server_and_cassette(talking, server):
+    result = run(talking, "record")
+    can = "structured output json_schema (not enforced), vision no, seed yes"
+    line = f"dura: language model {server.model} at {server.base_url} (record), {can}"
+    assert line in result.outlines
+    (told,) = talking.evidence()["models"]
+    tape = talking.path / "dura-cassette.sqlite"
+    (stored,) = sqlite3.connect(tape).execute("SELECT COUNT(*) FROM exchanges").fetchone()
+    gc.collect()
+    assert told["cassette"]["file"] == "dura-cassette.sqlite"
+    assert told["cassette"]["exchanges"] == stored == told["asked"] == len(prompts(server))
+    assert (told["reused"], told["injected"], told["missed"]) == (0, 0, 0)
+    assert (told["component"], told["model"], told["mode"]) == ("Talker", server.model, "record")
+    assert told["base_url"] == server.base_url
+    assert told["prompts"] == "a" * 64
+    assert told["capabilities"]["vision"] is False
+    (given,) = [one for one in talking.evidence()["inputs"] if one["kind"] == "cassette"]
+    assert given["path"] == "dura-cassette.sqlite"
+    assert given["sha256"] == told["cassette"]["sha256"]
+    assert not given["changed"]
+    assert verify_bundle(talking.path / "dura-evidence").intact
+    for page in ("report.html", "summary.md"):
+        assert server.base_url in (talking.path / "dura-evidence" / page).read_text()
+
+
+def test_a_replayed_session_tells_what_it_took_from_the_cassette(talking, cut_off):
+    run(talking, "record")
+    before = talking.evidence()["models"][0]
+    cut_off()
+    run(talking, "replay")
+    (told,) = talking.evidence()["models"]
+    assert (told["mode"], told["asked"], told["missed"]) == ("replay", 0, 0)
+    assert told["reused"] == before["asked"] + before["reused"]
+    assert told["cassette"]["exchanges"] == before["cassette"]["exchanges"]
+    for key in ("base_url", "fingerprint", "capabilities", "prompts"):
+        assert told[key] == before[key]
+
+
+@pytest.mark.parametrize("hides", [False, True])
+def test_a_miss_is_no_failure_of_the_component_and_the_gate_fails(talking, cut_off, hides):
+    run(talking, "record", runs=1)
+    talking.write("talker.py", talker(words="rudely", hides=hides))
+    cut_off()
+    result = run(talking, "replay", runs=1)
+    assert result.ret == 1
+    words = "infrastructure: cassette at tick 0 (t = 0.0 s): the cassette dura-cassette.sqlite has "
+    for one in talking.evidence()["episodes"]:
+        assert one["validity"] == "missing"
+        assert one["failure"].startswith(words)
+        differs = "line 3, block SIGHT (recorded 'asked politely', asked 'asked rudely')"
+        assert one["failure"].endswith(differs)
+    assert set(talking.verdicts().values()) == {"undecided"}
+    assert talking.evidence()["gate"]["result"] == "failed"
+    assert talking.evidence()["models"][0]["missed"] == len(talking.evidence()["episodes"])
+
+
+@pytest.mark.parametrize("mode", ["record", "replay"])
+def test_an_episode_is_replayed_from_the_cassette(talking, server, cut_off, mode):
+    run(talking, "record")
+    asked = len(prompts(server))
+    cut_off()
+    if mode == "replay":
+        run(talking, "replay")
+    arguments = ["--dura-replay=corridor/it#1", "--dura-llm=replay"]
+    result = talking.run(*arguments)
+    assert result.ret == 0
+    result.stdout.fnmatch_lines(["corridor/it#1 (Talker, *", "  the same"])
+    assert len(prompts(server)) == asked
+    assert sessions.in_use() is None
+
+
+def test_the_commands_that_are_printed_replay_from_the_same_cassette(talking, cut_off):
+    broken = talker().replace("Proposal(float(answer.text)", "Proposal(50.0")
+    talking.write("talker.py", broken)
+    result = run(talking, "record", "--dura-cassette=my tape.sqlite")
+    (line, *_) = [one for one in result.outlines if "--dura-replay=" in one and "replay:" in one]
+    command = line.partition("pytest ")[2]
+    assert "--dura-llm=replay --dura-cassette='my tape.sqlite'" in command
+    summary = (talking.path / "dura-evidence/summary.md").read_text()
+    assert "--dura-llm=replay --dura-cassette='my tape.sqlite'" in summary
+    reruns = [one for one in result.outlines if "rerun:" in one]
+    assert all("--dura-llm=record --dura-cassette='my tape.sqlite'" in one for one in reruns)
+    assert reruns
+
+
+def test_a_reduction_asks_for_what_is_new_and_can_be_done_again_without_a_server(talking, cut_off):
+    near_the_wall(talking, faults=f"[{NOISE}, {BIAS}]", runs=1)
+    talking.write("talker.py", talker().replace("float(answer.text)", CAREFULLY))
+    arguments = ["--dura-llm=record", "--dura-evidence=out", "--dura-time-budget=30"]
+    assert talking.run("corridor/it", GENERATOR, *arguments).ret == 1
+    told = [talking.run("--dura-reduce=corridor/it#0", *arguments).outlines]
+    cut_off()
+    again = ["--dura-llm=replay", "--dura-evidence=out"]
+    told.append(talking.run("--dura-reduce=corridor/it#0", *again).outlines)
+    assert told[0] == told[1]
+    (smallest,) = [line for line in told[0] if line.startswith("smallest set")]
+    assert smallest.startswith("smallest set that violates GAP-1: bias ")
+    assert any("out-reduced --dura-llm=replay" in line for line in told[0])
+    replayed = talking.run(
+        "--dura-replay=corridor/it+bias#0", "--dura-evidence=out-reduced", *again[:1]
+    )
+    assert "  the same" in replayed.outlines
+    assert sessions.in_use() is None
+
+
+@pytest.mark.parametrize(
+    "arguments, words",
+    [
+        (["--dura-llm=replay"], ["*there is no such cassette", "*--dura-cassette", "*remedy*"]),
+        (["--dura-cassette=tape"], ["*a live session has none", "*--dura-llm=record or*"]),
+        (
+            ["--dura-llm=record", "--dura-cassette=corridor.py"],
+            ["*corridor.py: the cassette cannot be *"],
+        ),
+        (["--dura-llm=sometimes"], ["*invalid choice: 'sometimes'*"]),
+    ],
+)
+def test_what_cannot_be_used_is_one_usage_error(talking, server, arguments, words):
+    result = talking.scenarios(GENERATOR, *arguments)
+    assert result.ret == 4
+    result.stderr.fnmatch_lines(words)
+    assert "Traceback" not in result.stderr.str() + result.stdout.str()
+    assert server.requests == []
+    assert not (talking.path / "dura-evidence").exists()
+
+
+@pytest.mark.parametrize("given", ["option", "scenario"])
+def test_a_server_that_is_not_there_ends_the_session_before_it_begins(talking, monkeypatch, given):
+    monkeypatch.setenv("DURA_LLM_BASE_URL", "http://127.0.0.1:9/v1")
+    arguments = ["--dura-scenarios", "--dura-select=corridor/it"]
+    if given == "option":
+        arguments.append(GENERATOR)
+    else:
+        crossing(talking, "it", generator="talker:Talker")
+    result = talking.run(*arguments)
+    assert result.ret == 4
+    result.stderr.fnmatch_lines(["ERROR: the language model 'scripted' at http://127.0.0.1:9/v1 *"])
+    assert not (talking.path / "dura-evidence").exists()
+
+
+def test_collecting_and_listing_ask_nobody(talking, server):
+    assert talking.scenarios(GENERATOR, "--collect-only").ret == 0
+    assert talking.run("--dura-list", GENERATOR).ret == 0
+    assert server.requests == []
+
+
+def test_what_one_session_found_out_is_forgotten_in_the_next(talking, server):
+    with ScriptedServer(otherwise=answers("0.1")) as other:
+        run(talking, "live", "--dura-evidence=one")
+        first = talking.evidence("one")["models"]
+        talking.pytester._monkeypatch.setenv("DURA_LLM_BASE_URL", other.base_url)
+        run(talking, "live", "--dura-evidence=two")
+        second = talking.evidence("two")["models"]
+    assert [one["base_url"] for one in (*first, *second)] == [server.base_url, other.base_url]
+    assert first[0]["cassette"] is None
+    assert first[0]["reused"] == 0
+    assert sessions.in_use() is None
+
+
+def test_a_session_around_this_one_keeps_its_model(talking, tmp_path_factory):
+    outer = sessions.ModelSession("record", tmp_path_factory.mktemp("outer") / "tape.sqlite")
+    with sessions.using(outer):
+        run(talking, "live")
+        assert sessions.current() is outer
+    assert len(outer.cassette) == 0
+    outer.close()
+
+
+def test_a_key_that_the_server_sends_back_is_in_no_file(talking, server):
+    seen = [0]
+
+    def leak(exchange):
+        seen[0] += 1
+        header = exchange.request.headers["authorization"]
+        if seen[0] % 3 and "gap" in exchange.request.prompt:
+            echoes_the_key(500)(exchange)
+        elif "gap" in exchange.request.prompt:
+            answers(f"your key is {header}")(exchange)
+        else:
+            answers(f"the sea and {header}")(exchange)
+
+    server._otherwise = leak
+    talking.write(
+        "talker.py",
+        talker().replace("float(answer.text)", "1.0 if 'key' in answer.text else 0.9"),
+    )
+    result = run(talking, "record", "--dura-evidence-level=all", "--junit-xml=junit.xml", "-rA")
+    assert any(KEY in one.headers["authorization"] for one in server.requests)
+    told = talking.evidence()
+    assert "Incorrect API key provided" in json.dumps(told["episodes"])
+    assert "your key is" in (talking.path / "dura-cassette.sqlite").read_text("latin-1")
+    assert KEY not in result.stdout.str() + result.stderr.str()
+    for form in (KEY.encode(), b64encode(KEY.encode()).rstrip(b"="), KEY.encode("utf-32-le")):
+        assert [name for name, data in texts(talking.path) if form in data] == []
+
+
+def test_a_session_without_a_language_model_imports_nothing_that_one_needs(project):
+    code = (
+        "import sys, pytest\n"
+        "pytest.main(['--dura-scenarios', '--dura-select=corridor/free', '--dura-runs=1', '-q'])\n"
+        "names = ['pytest_dura.llm.session', 'openai', 'PIL']\n"
+        "print([one for one in names if one in sys.modules])"
+    )
+    told = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=project.path
+    )
+    assert told.stdout.splitlines()[-1] == "[]"
+    assert project.evidence()["models"] == []
