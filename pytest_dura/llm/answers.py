@@ -5,7 +5,10 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import lru_cache
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 
 from pytest_dura.core.state import NOTHING
 from pytest_dura.llm.failures import ANSWERED, Outcome
@@ -96,15 +99,43 @@ def read_answer(answer: Answer, schema: Mapping[str, Any]) -> Reading:
 
 
 def _checked(said: dict[str, Any], schema: Mapping[str, Any]) -> Reading:
-    from jsonschema import Draft202012Validator
-
-    problems = sorted(Draft202012Validator(dict(schema)).iter_errors(said), key=str)
-    if not problems:
+    words = schema["properties"]
+    form = _form(tuple(words["maneuver"]["enum"]), tuple(words["intent"]["enum"]))
+    try:
+        form.model_validate(said)
+    except ValidationError as error:
+        problems = error.errors(include_url=False)
+    else:
         return Reading(ANSWERED, said=said)
-    unknown = all(list(one.path) == ["maneuver"] for one in problems)
+    unknown = all(
+        one["loc"] == ("maneuver",) and one["type"] == "literal_error" for one in problems
+    )
     if unknown and isinstance(said["maneuver"], str):
         return Reading("unknown_action", _short(f"maneuver {said['maneuver']!r}"))
-    return Reading("schema_violation", _short(problems[0].message))
+    first = problems[0]
+    place = ".".join(map(str, first["loc"]))
+    return Reading("schema_violation", _short(f"{_short(place, 60)}: {first['msg']}"))
+
+
+@lru_cache(maxsize=16)
+def _form(actions: tuple[str, ...], intents: tuple[str, ...]) -> type[BaseModel]:
+    """The same as :func:`answer_schema` says, for reading.
+
+    The library jsonschema would say it as well. It takes seconds to import where its optional
+    dependencies are installed.
+    """
+    names = list[Annotated[str, Field(max_length=ID_LENGTH)]]
+    fields: Any = {
+        "observations": Annotated[str, Field(max_length=OBSERVATIONS)],
+        "threat_ids": Annotated[names, Field(max_length=IDS)],
+        "reasoning": Annotated[str, Field(max_length=REASONING)],
+        "intent": Literal[intents],
+        "maneuver": Literal[actions],
+        "confidence": Annotated[float, Field(ge=0, le=1)],
+    }
+    config = ConfigDict(extra="forbid", strict=True)
+    form: type[BaseModel] = create_model("Answer", __config__=config, **fields)
+    return form
 
 
 def _without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -118,5 +149,5 @@ def _no_number(name: str) -> float:
     raise ValueError(f"{name} is no number of JSON")
 
 
-def _short(text: str) -> str:
-    return text if len(text) <= 200 else text[:197] + "..."
+def _short(text: str, most: int = 200) -> str:
+    return text if len(text) <= most else text[: most - 3] + "..."
