@@ -44,7 +44,7 @@ def _percept(along: float) -> dict[str, Any]:
     return {
         "lidar": BodyList.of([car, broken, *crowd]),
         "radar": np.array([[11.3, 0.8, -3.0], [30.0, 0.0, np.nan]]),
-        "camera_front": np.zeros((8, 8, 3), np.uint8),
+        **dict.fromkeys(VIEWS, np.zeros((8, 8, 3), np.uint8)),
         "imu": Imu(0.1, 0.0, 0.0),
         "odometry": Odometry(8.0),
         "localisation": Pose(x, y, heading),

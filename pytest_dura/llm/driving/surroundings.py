@@ -73,7 +73,7 @@ def radar_facts(
         name = _at(row, found or (), pose) or f"R{index}"
         objects.append({
             "id": name, "label": label(name), "distance": shown(distance),
-            "bearing": degrees(azimuth), "direction": direction(azimuth), "rate": shown(rate),
+            "bearing": degrees(azimuth), "rate": shown(rate),
         })  # fmt: skip
     return {"missing": 0, **nearest(objects)}
 

@@ -50,10 +50,9 @@ def conflict(prompt: Prompt) -> Prompt:
     distance = CAR_LENGTH + TIME_TO_COLLISION * closing
     taken = _numbers(prompt, "V")
     name = f"V{next(one for one in range(1, len(taken) + 2) if one not in taken)}"
-    common = {"id": name, "label": label(name), "distance": shown(distance), "bearing": 0,
-              "direction": "ahead"}  # fmt: skip
+    common = {"id": name, "label": label(name), "distance": shown(distance), "bearing": 0}
     body = {
-        **common, "kind": "car", "ahead": shown(distance), "left": 0.0,
+        **common, "kind": "car", "direction": "ahead", "ahead": shown(distance), "left": 0.0,
         "speed": shown(closing - speed), "closing": shown(closing), "heading": 180,
         "course": "oncoming",
     }  # fmt: skip
