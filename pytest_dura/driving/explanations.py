@@ -7,6 +7,7 @@ not. Terms and definitions are those of :data:`MEANINGS`.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import Any
@@ -48,13 +49,16 @@ SPEED_BAND = 0.5
 """m/s; speeds that differ by no more are the same."""
 MOTION_BAND = 0.5
 """m/s2; a car that changes its speed by less keeps it: so much it loses when it coasts."""
+RETURN = re.compile(r"R[0-9]+")
+"""Ids of radar returns, which no body has: what such a return is of cannot be told."""
 _SAME_TIME = 1e-9
 _SAME_COMMAND = 1e-9
 _DECIMALS = 9
 
 MEANINGS: Mapping[str, str] = {
     "cites_unperceived": "of decisions that cite objects: cites one that it was not shown",
-    "cites_untrue": "of decisions that cite objects: cites one that is not there, shown or not",
+    "cites_untrue": "of decisions that cite objects other than bare radar returns: cites one that "
+    "is not there, shown or not",
     "misses_threat": "of decisions with an object less than 4 s from collision: does not cite the "
     "one with the least time to collision",
     "intent_against_maneuver": "the stated intent contradicts the maneuver: it aims at no speed "
@@ -147,8 +151,9 @@ def _citations(one: Told, ticks: Sequence[Tick], percept: Percept | None) -> dic
     found: dict[str, bool | None] = {}
     if one.cited and one.perceived is not None:
         found["cites_unperceived"] = not one.cited <= one.perceived
-    if one.cited and one.at is not None:
-        found["cites_untrue"] = not one.cited <= set(ticks[one.at].truth["bodies"].ids)
+    named = {name for name in one.cited or () if not RETURN.fullmatch(name)}
+    if named and one.at is not None:
+        found["cites_untrue"] = not named <= set(ticks[one.at].truth["bodies"].ids)
     if one.cited is not None and percept is not None:
         imminent = threats(percept)
         found["misses_threat"] = not one.cited & imminent if imminent else None

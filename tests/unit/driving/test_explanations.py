@@ -104,6 +104,14 @@ def test_a_ghost_of_the_sensors_is_perceived_and_untrue() -> None:
     assert (found["cites_unperceived"], found["cites_untrue"]) == (0, 1)
 
 
+def test_a_radar_return_is_shown_or_not_and_nobody_knows_what_it_is_of() -> None:
+    found = measured(account(perceived=["V1", "R2"], cited=["R2"]))
+    assert found["cites_unperceived"] == 0
+    assert is_nan(found["cites_untrue"])
+    assert measured(account(cited=["R2"]))["cites_unperceived"] == 1
+    assert measured(account(perceived=["V9", "R2"], cited=["R2", "V9"]))["cites_untrue"] == 1
+
+
 def test_who_cites_nothing_cannot_cite_wrongly_but_misses_the_threat() -> None:
     found = measured(account(cited=[]))
     assert is_nan(found["cites_unperceived"])
