@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from llm_servers import require_null_model
 
 REPOSITORY = Path(__file__).parents[2]
 BENCHMARKS = REPOSITORY / "benchmarks"
@@ -23,6 +24,16 @@ SMALLEST = {
     "fault_table.py": ["--runs", "1", "--jobs", "1", "--faults", "bias", "brightness"],
     "against_gym.py": ["--episodes", "1"],
     "injector_cost.py": ["--runs", "1", "--repeats", "1", "--select", "*/nominal"],
+    "llm_replay.py": [
+        *(
+            "--runs",
+            "1",
+            "--select",
+            "brief/*",
+            "--path",
+            str(Path(__file__).with_name("scenarios")),
+        ),
+    ],
     "loop_cost.py": ["--runs", "1", "--repeats", "1"],
     "paper_table.py": ["--runs", "1", "--jobs", "1"],
     "plugin_cost.py": ["--repeats", "1"],
@@ -40,6 +51,7 @@ HEADERS = {
     "evidence_memory.py": ["MB more per 1000"],
     "fault_table.py": ["rule_based", "propagated"],
     "injector_cost.py": ["share of a tick"],
+    "llm_replay.py": ["session"],
     "loop_cost.py": ["ratio without Generator", "part of the loop"],
     "paper_table.py": ["gridlock", "flagged only attacked / only free", "prevented"],
     "plugin_cost.py": ["cost of the unused plugin"],
@@ -72,6 +84,8 @@ def test_each_script_is_tried_here() -> None:
 
 @pytest.mark.parametrize("script", SMALLEST)
 def test_the_script_prints_its_tables(script, tmp_path) -> None:
+    if script == "llm_replay.py":
+        require_null_model()
     kept = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST")}
     done = subprocess.run(
         [sys.executable, str(BENCHMARKS / script), *SMALLEST[script]],
