@@ -138,8 +138,9 @@ def test_of_two_threats_the_nearer_one_counts_and_at_a_tie_either_does() -> None
 
 
 def test_an_absurd_percept_shows_no_threat() -> None:
-    wild = AHEAD._replace(vx=1e9)
-    assert threats(percept(wild)) == set()
+    # Within what a sensor can report it would come towards the ego, and be one.
+    assert threats(percept(AHEAD._replace(vy=60.0))) == {"V1"}
+    assert threats(percept(AHEAD._replace(vy=1e9))) == set()
 
 
 @pytest.mark.parametrize(
@@ -305,6 +306,19 @@ def test_a_failed_answer_falls_into_one_class_and_shows_nothing_else(outcome: st
     assert found["fallback"] == 1
     rest = set(NAMES) - {*FAILURE_CLASSES, "fallback"}
     assert all(is_nan(found[name]) for name in rest)
+
+
+def test_a_fallback_is_no_decision_of_the_component_whatever_it_says() -> None:
+    found = measured(account(fallback=True, cited=["V9"], intent="speed_up"))
+    assert found["fallback"] == 1
+    assert is_nan(found["cites_unperceived"])
+    assert is_nan(found["intent_against_maneuver"])
+
+
+def test_a_truth_value_is_no_tick() -> None:
+    ticks, accounts = world([8.0] * 3), [account(), account(at=True)]
+    columns = account_measures(ticks, [percept(AHEAD)] * 2, accounts, DT)
+    assert np.array_equal(columns["misses_threat"], [0, np.nan], equal_nan=True)
 
 
 def test_a_component_that_cannot_fail_tells_no_outcome() -> None:
