@@ -250,6 +250,7 @@ def test_capabilities_are_plain_data_and_come_back() -> None:
         ({"structured": "yaml"}, "structured"),
         ({"enforced": 1}, "enforced"),
         ({"context": "4096"}, "context"),
+        ({"attempts": True}, "attempts"),
         ({"words": {"seed": 3}}, "words"),
         ({"colour": "red"}, "colour"),
         ({"model": None}, "model"),

@@ -8,10 +8,12 @@ import pytest
 
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.roles import RoleContext
+from pytest_dura.core.seeding import stream
 from pytest_dura.driving.sensors import CHANNELS
 from pytest_dura.faults.catalogue import default_fault, load_fault, parse_fault
 from pytest_dura.faults.channels import check_target
 from pytest_dura.faults.injector import CampaignInjector
+from pytest_dura.faults.model import Moment
 from pytest_dura.llm.client import OpenAiClient
 from pytest_dura.llm.endpoint import Endpoint
 from pytest_dura.llm.faults.model import How
@@ -57,7 +59,10 @@ def test_delays_add_up_and_none_changes_nothing() -> None:
     ((found, tampered),) = delivered(*late)
     assert (found, tampered) == (Delivery(delay=1.75), ("model-delay", "more"))
     sent = Delivery(delay=0.5)
-    ((found, tampered),) = delivered(fault("model-delay", seconds=0.0), sent=sent)
+    none = fault("model-delay", seconds=0.0)
+    moment = Moment(0.0, 0.1, 0.0, {}, (), lambda: stream(0, "law"))
+    assert load_fault(none).apply(True, sent, moment) is sent
+    ((found, tampered),) = delivered(none, sent=sent)
     assert found is sent
     assert tampered == ()
 
