@@ -40,6 +40,7 @@ def test_it_ends_at_the_first_violation() -> None:
         "always[0:3.5] (temperature < 1000)",
         "always (percept.temperature < 18)",
         "always (loop.recovering < 1)",
+        "always (proposal.fallback < 1)",
         "",
     ],
 )
