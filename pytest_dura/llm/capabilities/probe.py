@@ -45,7 +45,8 @@ def probe(
         endpoint: Names the model; its public URL stands in the message of an error.
         budget: Seconds for each request.
         pause: Seconds before the first request is tried again; it is tried three times.
-        schema: Of the structured answers that are asked for.
+        schema: Of the structured answers that are asked for, as
+            :func:`~pytest_dura.llm.answers.read_answer` reads it.
 
     Raises:
         ConfigurationError: If the server gives no answer at all.
