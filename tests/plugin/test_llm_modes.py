@@ -19,7 +19,11 @@ from test_secrets import texts
 import pytest_dura.llm.capabilities
 import pytest_dura.llm.client.failing
 import pytest_dura.llm.client.wire  # noqa: F401 - in-process runs forget what they imported
+from pytest_dura.evidence.bundle.directory import read_record
+from pytest_dura.evidence.record.counts import Counts
+from pytest_dura.evidence.record.session_record import SessionRecord
 from pytest_dura.evidence.verifying import verify_bundle
+from pytest_dura.evidence.verifying.sums import record_problems
 from pytest_dura.llm import session as sessions
 
 SUPPORT = str(Path(__file__).parents[1] / "support")
@@ -203,7 +207,13 @@ def test_the_evidence_names_model_server_and_cassette(talking, server):
     assert given["path"] == "dura-cassette.sqlite"
     assert given["sha256"] == told["cassette"]["sha256"]
     assert not given["changed"]
-    assert verify_bundle(talking.path / "dura-evidence").intact
+    bundle = talking.path / "dura-evidence"
+    assert verify_bundle(bundle).intact
+    record = read_record(bundle)
+    record["models"][0]["cassette"]["sha256"] = "0" * 64
+    forged = SessionRecord.of(record, bundle)
+    (why,) = record_problems(forged, Counts.of(forged))
+    assert "the cassette dura-cassette.sqlite is not among them" in why
     for page in ("report.html", "summary.md"):
         assert server.base_url in (talking.path / "dura-evidence" / page).read_text()
 

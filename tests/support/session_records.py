@@ -114,6 +114,8 @@ def session_record(directory=Path("nowhere"), **changes):
              "changed": False},
             {"path": "scenarios/requirements.yaml", "kind": "requirements", "sha256": "2" * 64,
              "changed": False},
+            {"path": "dura-cassette.sqlite", "kind": "cassette", "sha256": "b" * 64,
+             "changed": False},
         ],
         "component_under_test": {"name": "C", "path": "m:G", "params": {}, "version": "1.2",
                                  "digest": "d" * 64, "opaque": False, "distribution": "m",

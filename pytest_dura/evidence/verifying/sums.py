@@ -74,6 +74,9 @@ def _session(record: SessionRecord, counts: Counts) -> Iterator[str]:
     for file in (file for one in _components(record) for file in one.get("files") or ()):
         if (file["path"], file["sha256"]) not in hashed:
             yield f"inputs: {file['path']} of the component is not among them"
+    for tape in (one["cassette"] for one in record["models"] if one["cassette"]):
+        if (tape["file"], tape["sha256"]) not in hashed:
+            yield f"inputs: the cassette {tape['file']} is not among them as it was replayed"
     if record["timings"]["evidence_seconds"] > record["timings"]["wall_seconds"]:
         yield "timings: the evidence took longer than the session"
 

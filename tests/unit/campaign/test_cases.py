@@ -222,10 +222,10 @@ def test_short_names_of_roles(role: str) -> None:
     names = DOMAINS["driving"].short_names[role]
     assert len(names) >= 4
     for name, path in names.items():
-        given = only(make()).spec(0, 1, {role: RoleSpec(name)})
-        assert given.roles[role].path == path
-        in_a_file = only(make(roles={role: name})).spec(0, 1)
-        assert in_a_file.roles[role].path == path
+        given = only(make()).roles({role: RoleSpec(name)})
+        assert given[role].path == path
+        in_a_file = only(make(roles={role: name})).roles({})
+        assert in_a_file[role].path == path
 
 
 @pytest.mark.parametrize(

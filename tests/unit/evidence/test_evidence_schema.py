@@ -59,6 +59,7 @@ def steps(data, path=()):
 
 
 OPEN = {
+    "capabilities",
     "params", "world", "parameters", "data", "packages", "activation", "duration", "choice",
     "redacted", "user", "violations", "processing_us", "processing_seconds", "robustness_min",
 }  # fmt: skip
