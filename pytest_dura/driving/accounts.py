@@ -23,6 +23,8 @@ FAILURE_CLASSES = (
 """Ways in which no decision came of an answer."""
 AGAIN = re.compile(r"again(_\d+)?")
 """Variants that ask the very same once more."""
+_GREATEST = 1e6
+"""m/s2, either way."""
 _MANEUVERS = {one.value: one for one in Maneuver}
 _Value = TypeVar("_Value")
 
@@ -68,6 +70,18 @@ def told_decisions(accounts: Sequence[Mapping[str, Any]]) -> list[Told]:
         for tick, account in enumerate(accounts)
         if account.get(DECIDED) is True
     ]
+
+
+def accelerations(accounts: Sequence[Mapping[str, Any]]) -> list[float | None]:
+    """The accelerations in m/s2 that proposals ask for beside their maneuver, where they do."""
+    return [_number(account.get("acceleration")) for account in accounts]
+
+
+def _number(told: Any) -> float | None:
+    if isinstance(told, bool) or not isinstance(told, (int, float)):
+        return None
+    # No ego comes near the ends, beyond which a whole number need not be a float.
+    return float(told) if -_GREATEST <= told <= _GREATEST else None
 
 
 def _told(account: Mapping[str, Any], tick: int) -> Told:

@@ -17,7 +17,12 @@ from numpy.typing import NDArray
 
 from pytest_dura.core.state import Percept, Tick
 from pytest_dura.driving import geometry
-from pytest_dura.driving.accounts import FAILURE_CLASSES, Told, told_decisions
+from pytest_dura.driving.accounts import (
+    FAILURE_CLASSES,
+    Told,
+    accelerations,
+    told_decisions,
+)
 from pytest_dura.driving.bodies import (
     CAR_LENGTH,
     CAR_WIDTH,
@@ -115,7 +120,9 @@ def account_measures(
         percept = None if one.at is None else percepts[one.at]
         shown = {
             **_citations(one, ticks, percept),
-            **_contradictions(one, ticks[one.tick : end + 1], percept, dt),
+            **_contradictions(
+                one, ticks[one.tick : end + 1], accelerations(accounts[one.tick : end]), percept, dt
+            ),
             **_variants(one, percept),
         }
         if one.outcome is not None:
@@ -180,7 +187,11 @@ def threats(percept: Percept) -> frozenset[str]:
 
 
 def _contradictions(
-    one: Told, ticks: Sequence[Tick], percept: Percept | None, dt: float
+    one: Told,
+    ticks: Sequence[Tick],
+    asked: Sequence[float | None],
+    percept: Percept | None,
+    dt: float,
 ) -> dict[str, bool | None]:
     """Its intent beside its maneuver, and beside what the car did; ``ticks`` are from it on."""
     if one.intent is None or one.maneuver is None:
@@ -188,7 +199,7 @@ def _contradictions(
     found = {}
     if percept is not None:
         found["intent_against_maneuver"] = contradicts(one.intent, one.maneuver, own_speed(percept))
-    moved = _acceleration(ticks, one.maneuver, dt)
+    moved = _acceleration(ticks, one.maneuver, asked, dt)
     if moved is not None:
         changed = abs(moved) > MOTION_BAND
         if one.intent == 0 or changed:
@@ -212,16 +223,19 @@ def contradicts(intent: int, maneuver: Maneuver, speed: float) -> bool:
     return low > speed + SPEED_BAND or high < speed - SPEED_BAND
 
 
-def _acceleration(ticks: Sequence[Tick], maneuver: Maneuver, dt: float) -> float | None:
+def _acceleration(
+    ticks: Sequence[Tick], maneuver: Maneuver, asked: Sequence[float | None], dt: float
+) -> float | None:
     """Mean acceleration in m/s2 while a maneuver was carried out; ``None`` if it never was.
 
-    From the first tick until recovery, a command fault or a collision intervenes.
+    From the first tick until recovery, a command fault or a collision intervenes. ``asked`` are the
+    accelerations that go with it, tick by tick; ``None`` leaves that to the maneuver.
     """
-    command, lasted = Command(maneuver), 0
-    for before, after in pairwise(ticks):
+    lasted = 0
+    for (before, after), own in zip(pairwise(ticks), asked, strict=False):
         ego = before.truth["ego"]
-        asked = acceleration_for(command, ego.speed, ARM_LENGTH - ego.front)
-        same = abs(after.truth["ego"].commanded - asked) <= _SAME_COMMAND
+        wanted = acceleration_for(Command(maneuver, own), ego.speed, ARM_LENGTH - ego.front)
+        same = abs(after.truth["ego"].commanded - wanted) <= _SAME_COMMAND
         if not same or after.truth["contact"]:
             break
         lasted += 1

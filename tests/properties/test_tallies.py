@@ -38,7 +38,7 @@ plain = st.recursive(
     max_leaves=6,
 )  # fmt: skip
 KEYS = ("decided", "at", "age", "outcome", "fallback", "perceived", "cited", "intent", "maneuver",
-        "beside", "seconds", "null")  # fmt: skip
+        "beside", "seconds", "null", "acceleration")  # fmt: skip
 anything = st.dictionaries(st.sampled_from(KEYS), plain, max_size=8)
 
 maneuvers = st.sampled_from([one.value for one in Maneuver])

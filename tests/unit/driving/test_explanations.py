@@ -240,6 +240,18 @@ def test_what_recovery_did_is_not_held_against_the_component() -> None:
     assert motion(told, (5.0, 5.2, 4.4, 3.6), commanded=commanded)[0] == 0
 
 
+def test_an_acceleration_of_its_own_is_carried_out_as_it_is_told() -> None:
+    speeds, commanded = (5.0, 5.1, 5.2, 5.3), [1.0, 1.0, 1.0]
+    told = account(intent="slow_down", maneuver="proceed")
+    assert all(map(is_nan, motion(told, speeds, commanded=commanded)))
+    assert motion({**told, "acceleration": 1.0}, speeds, commanded=commanded) == [1, 1, 1]
+    absurd: list[Any] = [True, "1", [1.0], 10**400, -1e300]
+    for one in absurd:
+        assert all(map(is_nan, motion({**told, "acceleration": one}, speeds, commanded=commanded)))
+    beyond = motion({**told, "acceleration": 99.0}, speeds, commanded=[4.0, 4.0, 4.0])
+    assert beyond == [1, 1, 1], "as far as the vehicle's envelope goes"
+
+
 def test_a_collision_ends_what_is_held_against_the_component() -> None:
     told, speeds = account(intent="speed_up", maneuver="proceed"), (5.0, 5.2, 0.0, 0.0)
     assert motion(told, speeds, contact=(0, 0, 1, 1)) == [0, 0, 0]
