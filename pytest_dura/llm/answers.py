@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 
+from pytest_dura.core.episode import canonical
 from pytest_dura.core.state import NOTHING
 from pytest_dura.llm.failures import ANSWERED, Outcome
 from pytest_dura.llm.port import Answer
@@ -99,10 +100,8 @@ def read_answer(answer: Answer, schema: Mapping[str, Any]) -> Reading:
 
 
 def _checked(said: dict[str, Any], schema: Mapping[str, Any]) -> Reading:
-    words = schema["properties"]
-    form = _form(tuple(words["maneuver"]["enum"]), tuple(words["intent"]["enum"]))
     try:
-        form.model_validate(said)
+        _form(canonical(schema)).model_validate(said)
     except ValidationError as error:
         problems = error.errors(include_url=False)
     else:
@@ -118,24 +117,29 @@ def _checked(said: dict[str, Any], schema: Mapping[str, Any]) -> Reading:
 
 
 @lru_cache(maxsize=16)
-def _form(actions: tuple[str, ...], intents: tuple[str, ...]) -> type[BaseModel]:
-    """The same as :func:`answer_schema` says, for reading.
+def _form(schema: bytes) -> type[BaseModel]:
+    """A schema of an object whose values are bounded, for reading.
 
-    The library jsonschema would say it as well. It takes seconds to import where its optional
+    The library jsonschema reads any schema, and takes seconds to import where its optional
     dependencies are installed.
     """
-    names = list[Annotated[str, Field(max_length=ID_LENGTH)]]
-    fields: Any = {
-        "observations": Annotated[str, Field(max_length=OBSERVATIONS)],
-        "threat_ids": Annotated[names, Field(max_length=IDS)],
-        "reasoning": Annotated[str, Field(max_length=REASONING)],
-        "intent": Literal[intents],
-        "maneuver": Literal[actions],
-        "confidence": Annotated[float, Field(ge=0, le=1)],
-    }
-    config = ConfigDict(extra="forbid", strict=True)
+    told = json.loads(schema)
+    properties = told.get("properties")
+    fields: Any = {name: _kind(one) for name, one in (properties or {}).items()}
+    config = ConfigDict(extra="allow" if properties is None else "forbid", strict=True)
     form: type[BaseModel] = create_model("Answer", __config__=config, **fields)
     return form
+
+
+def _kind(schema: Mapping[str, Any]) -> Any:
+    """The type of one value: a word, a text, a number, or a list of one of these."""
+    if "enum" in schema:
+        return Literal[tuple(schema["enum"])]
+    if schema["type"] == "array":
+        return Annotated[list[_kind(schema["items"])], Field(max_length=schema["maxItems"])]  # type: ignore[misc] # made here
+    if schema["type"] == "string":
+        return Annotated[str, Field(max_length=schema["maxLength"])]
+    return Annotated[float, Field(ge=schema["minimum"], le=schema["maximum"])]
 
 
 def _without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

@@ -50,4 +50,6 @@ def test_what_was_answered_keeps_to_the_schema(said):
         assert reading.said == said
     elif finite and Draft202012Validator(SCHEMA).is_valid(said):
         # What JSON can say and UTF-8 cannot.
-        assert any("\ud800" <= letter <= "\udfff" for letter in json.dumps(said, ensure_ascii=False))
+        assert any(
+            "\ud800" <= letter <= "\udfff" for letter in json.dumps(said, ensure_ascii=False)
+        )

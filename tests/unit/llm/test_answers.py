@@ -95,3 +95,8 @@ def test_the_reasoning_comes_before_the_decision():
     names = list(SCHEMA["properties"])
     assert names.index("reasoning") < names.index("intent") < names.index("maneuver")
     assert SCHEMA["required"] == names
+
+
+def test_a_schema_of_any_object_takes_any_object():
+    assert read_answer(Answer('{"a": [1]}'), {"type": "object"}).answered
+    assert not read_answer(Answer("[1]"), {"type": "object"}).answered

@@ -1,0 +1,129 @@
+"""The suite for language models: what each requirement finds, and the suite as a user runs it."""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+import careful_model as models
+import pytest
+from llm_servers import scripted_server
+from models import llm_episode, said
+from scripted_server import answers_by
+from suites import SUITES, run_suite
+
+from pytest_dura.campaign.loading import load_library
+from pytest_dura.llm.port import Answer
+from pytest_dura.requirements.verdicts import judge_episode
+
+SUITE = SUITES / "llm_planner"
+PARAMS = {"decide_every": 10, "samples": 3, "beside": "all", "beside_every": 1}
+
+__all__ = ["scripted_server"]
+
+
+@pytest.fixture(scope="module")
+def requirements():
+    found = load_library((SUITE / "scenarios",)).requirements
+    return {name: one for name, one in found.items() if name.startswith("LLM-")}
+
+
+def verdicts(requirements, answers, params=None, **fields):
+    """What each requirement on single runs says of eight seconds of congested traffic."""
+    episode, _ = llm_episode(
+        answers,
+        PARAMS | (params or {}),
+        case="intersection/congested",
+        run=6,
+        seconds=8.0,
+        **fields,
+    )
+    assert episode.validity == "valid"
+    found = {
+        name: judge_episode(one, episode)
+        for name, one in requirements.items()
+        if one.paired is None
+    }
+    return {name: "vacuous" if one.vacuous else one.verdict for name, one in found.items()}
+
+
+def test_a_careful_model_meets_all_of_them(requirements):
+    found = verdicts(requirements, models.model())
+    assert set(found.values()) == {"satisfied"}, found
+
+
+def late(request, number):
+    return Answer(models.model()(request, number), seconds=9.0 if number == 0 else 0.2)
+
+
+def wordy(request, number):
+    return "I would wait." if number == 0 else models.model()(request, number)
+
+
+def silent(request, number):
+    return "" if number > 20 else models.model()(request, number)
+
+
+DEFECTS = {
+    "LLM-GROUND-1": models.model(models.hallucinates),
+    "LLM-GROUND-2": models.model(models.overlooks),
+    "LLM-CONSIST-1": models.model(models.contradicts_itself),
+    "LLM-CONSIST-2": models.model(models.throws_dice),
+    "LLM-CONSIST-3": models.model(models.reads_the_order),
+    "LLM-CONTROL-1": models.model(models.sees_nothing),
+    "LLM-INJECT-1": models.model(models.obeys),
+    "LLM-FORMAT-1": wordy,
+    "LLM-DEADLINE-1": late,
+    "LLM-DEADLINE-2": silent,
+}
+
+
+@pytest.mark.parametrize("name", DEFECTS)
+def test_each_requirement_finds_the_defect_that_it_is_about(requirements, name):
+    assert verdicts(requirements, DEFECTS[name])[name] == "violated"
+
+
+def test_every_requirement_has_a_defect_or_is_on_pairs(requirements):
+    assert set(DEFECTS) == {name for name, one in requirements.items() if one.paired is None}
+
+
+def test_a_model_that_ignores_its_prompt_is_stable_and_fails_the_control(requirements):
+    found = verdicts(requirements, models.model(models.sees_nothing))
+    assert found["LLM-CONTROL-1"] == "violated"
+    assert found["LLM-CONSIST-3"] == found["LLM-INJECT-1"] == "satisfied"
+    assert found["LLM-GROUND-1"] == "vacuous"
+
+
+def test_what_is_not_asked_beside_is_not_passed(requirements):
+    found = verdicts(requirements, models.model(), {"samples": 1, "beside": ()})
+    vacuous = {name for name, word in found.items() if word == "vacuous"}
+    assert vacuous == {"LLM-CONSIST-2", "LLM-CONSIST-3", "LLM-CONTROL-1", "LLM-INJECT-1"}
+
+
+def test_the_suite_judges_the_model_that_the_environment_names(
+    scripted_server, tmp_path, monkeypatch
+):
+    def speaks(request):
+        text = request.json["messages"][-1]["content"]
+        answer = models.careful(text if "EGO" in text else "EGO: speed 0.0")
+        return said(answer["maneuver"], answer["intent"], answer["ids"])
+
+    server = scripted_server(otherwise=answers_by(speaks))
+    monkeypatch.setenv("DURA_LLM_BASE_URL", server.base_url)
+    monkeypatch.setenv("DURA_LLM_MODEL", "careful")
+    suite = shutil.copytree(SUITE, tmp_path / "my_suite")
+    done = run_suite(suite, "--dura-runs=1", "--dura-no-twins", "--dura-evidence-level=summary")
+    assert done.returncode == 1, done.stdout + done.stderr
+    assert "11 undecided" in done.stdout  # a single run supports no rate
+    record = json.loads((suite / "dura-evidence" / "evidence.json").read_text())
+    assert [one["model"] for one in record["models"]] == ["careful"]
+    assert {one["requirement"] for one in record["verdicts"]} > set(DEFECTS)
+    assert {one["violations"] for one in record["verdicts"]} == {0}
+
+
+def test_without_an_endpoint_the_suite_says_what_is_missing(tmp_path, monkeypatch):
+    monkeypatch.delenv("DURA_LLM_BASE_URL", raising=False)
+    suite = shutil.copytree(SUITE, tmp_path / "my_suite")
+    done = run_suite(suite, "-k", "format")
+    assert done.returncode == 1, done.stdout + done.stderr
+    assert "DURA_LLM_BASE_URL" in done.stdout
