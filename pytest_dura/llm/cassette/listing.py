@@ -33,5 +33,4 @@ def listing(file: Path) -> Iterator[str]:
 
 
 def _line(value: Any) -> str:
-    # DEL is the one control character that JSON leaves as it is.
-    return json.dumps(value, sort_keys=True).replace("\x7f", "\\u007f")
+    return json.dumps(value, sort_keys=True)
