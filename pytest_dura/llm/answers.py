@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, create_model
 
 from pytest_dura.core.episode import canonical
 from pytest_dura.core.state import NOTHING
@@ -41,7 +41,8 @@ def answer_schema(actions: Sequence[str], intents: Sequence[str]) -> dict[str, A
         "reasoning": {"type": "string", "maxLength": REASONING},
         "intent": {"type": "string", "enum": list(intents)},
         "maneuver": {"type": "string", "enum": list(actions)},
-        "confidence": {"type": "number", "minimum": 0, "maximum": 1},
+        # Grammars of servers bound whole numbers; llama.cpp's lets any other number pass.
+        "confidence": {"type": "integer", "minimum": 0, "maximum": 100},
     }
     return {
         "type": "object",
@@ -139,7 +140,15 @@ def _kind(schema: Mapping[str, Any]) -> Any:
         return Annotated[list[_kind(schema["items"])], Field(max_length=schema["maxItems"])]  # type: ignore[misc] # made here
     if schema["type"] == "string":
         return Annotated[str, Field(max_length=schema["maxLength"])]
-    return Annotated[float, Field(ge=schema["minimum"], le=schema["maximum"])]
+    bounds = Field(ge=schema["minimum"], le=schema["maximum"])
+    if schema["type"] == "integer":
+        return Annotated[int, bounds, BeforeValidator(_whole)]
+    return Annotated[float, bounds]
+
+
+def _whole(value: Any) -> Any:
+    """50 for 50.0, which is the same number in JSON."""
+    return int(value) if isinstance(value, float) and value.is_integer() else value
 
 
 def _without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

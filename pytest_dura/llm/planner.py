@@ -122,6 +122,10 @@ class LlmGenerator(Generator):
         """
         return self.command(maneuver)
 
+    def told(self, action: Any) -> Mapping[str, Any]:  # noqa: ARG002 - for those who override it
+        """What an account tells of an extrapolated action, beside the maneuver that it serves."""
+        return {}
+
     def time_limit(self, budget: float | None) -> float | None:
         """Enough for all requests of a tick, each within its own deadline, and a second more."""
         deadline = self.settings.deadline(budget)
@@ -246,6 +250,7 @@ class LlmGenerator(Generator):
         said = decision.reading.said
         if self.settings.between == "extrapolate":
             action = self.extrapolated(said["maneuver"], view, fresh=fresh)
+            account |= self.told(action)
         else:
             action = self.command(said["maneuver"])
         return Proposal(action, said["reasoning"], account=account)

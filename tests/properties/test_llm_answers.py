@@ -25,7 +25,7 @@ NEARLY = st.fixed_dictionaries(
         "reasoning": st.text(max_size=20),
         "intent": st.sampled_from(["slow_down", "hold", "speed_up", "panic"]),
         "maneuver": st.sampled_from(["wait", "proceed", "fly"]) | JSON,
-        "confidence": st.floats() | st.integers(0, 1),
+        "confidence": st.floats() | st.integers(-1, 101),
     }
 )
 TEXTS = st.text(max_size=50) | JSON.map(json.dumps) | NEARLY.map(json.dumps)

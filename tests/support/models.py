@@ -31,7 +31,7 @@ def said(maneuver="proceed", intent="hold", ids=(), **changes):
         "reasoning": "because",
         "intent": intent,
         "maneuver": maneuver,
-        "confidence": 0.5,
+        "confidence": 50,
     }
     return json.dumps(answer | changes)
 

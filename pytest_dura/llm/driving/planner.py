@@ -106,6 +106,10 @@ class LlmPlanner(LlmGenerator):
         value = last + slope * min(view.time - time, time - before)
         return Command(command.maneuver, max(-MAX_BRAKING, min(MAX_ACCELERATION, value)))
 
+    def told(self, action: Command) -> Mapping[str, Any]:
+        """Its acceleration, where it has one of its own."""
+        return {} if action.acceleration is None else {"acceleration": action.acceleration}
+
 
 def _templates(settings: Settings) -> Templates:
     return driving_templates(None if settings.templates is None else Path(settings.templates))

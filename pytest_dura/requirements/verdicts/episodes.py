@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_dura.core.accounts import PREFIX as ACCOUNTS
 from pytest_dura.core.episode import Episode
 from pytest_dura.core.errors import ConfigurationError, describe_error
 from pytest_dura.core.loop_signals import PREFIX, loop_signals
@@ -27,6 +26,7 @@ from pytest_dura.requirements.stl.language.formula import Formula, unknown_signa
 from pytest_dura.requirements.stl.language.nodes import conjuncts
 from pytest_dura.requirements.stl.language.parsing import parse
 from pytest_dura.requirements.stl.offline.evaluation import Evaluation, evaluate
+from pytest_dura.requirements.verdicts.accounts import never_measured, untold
 from pytest_dura.requirements.verdicts.sealed import SealedColumns
 
 EpisodeWord = Literal["satisfied", "violated", "invalid", "missing"]
@@ -220,23 +220,6 @@ def evaluate_episode(formula: Formula, episode: Episode) -> tuple[Evaluation | N
         time_step=episode.spec.time_step,
     )
     return found, gap
-
-
-def never_measured(formula: Formula, episode: Episode) -> list[str]:
-    """Failure modes in a formula that no decision of the episode could have shown.
-
-    Their signals are 0 throughout. That such a formula holds says nothing.
-    """
-    names = [name.removeprefix(ACCOUNTS) for name in formula.signals if name.startswith(ACCOUNTS)]
-    tallies = episode.metrics.tallies
-    return [name for name in names if name in tallies and tallies[name].of == 0]
-
-
-def untold(formula: Formula, known: Collection[str]) -> list[str]:
-    """The signals of a formula that only accounts give, of an episode that has none."""
-    if any(name.startswith(ACCOUNTS) for name in known):
-        return []
-    return [name for name in formula.signals if name.startswith(ACCOUNTS)]
 
 
 def _without_account(

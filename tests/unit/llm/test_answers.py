@@ -16,7 +16,7 @@ GOOD = {
     "reasoning": "it arrives before I have crossed",
     "intent": "slow_down",
     "maneuver": "wait",
-    "confidence": 0.75,
+    "confidence": 75,
 }
 
 
@@ -58,7 +58,9 @@ def test_what_failed_on_the_wire_is_not_read(failure):
         (of(observations="\ud800"), "malformed"),
         (of(confidence=float("nan")), "malformed"),
         (of(confidence=float("inf")), "malformed"),
-        (of(confidence=1.5), "schema_violation"),
+        (of(confidence=0.5), "schema_violation"),
+        (of(confidence=101), "schema_violation"),
+        (of(confidence=-1), "schema_violation"),
         (of(confidence="high"), "schema_violation"),
         (of(confidence=True), "schema_violation"),
         (of(observations="x" * 161), "schema_violation"),
@@ -95,6 +97,10 @@ def test_the_reasoning_comes_before_the_decision():
     names = list(SCHEMA["properties"])
     assert names.index("reasoning") < names.index("intent") < names.index("maneuver")
     assert SCHEMA["required"] == names
+
+
+def test_a_whole_number_may_be_written_as_a_fraction():
+    assert read(of(confidence=50.0)).answered
 
 
 def test_a_schema_of_any_object_takes_any_object():

@@ -105,7 +105,7 @@ FAILING = {
     "refused": Answer(failure="refused", detail="I cannot help with that"),
     "truncated": Answer('{"observ', failure="truncated", detail="length"),
     "malformed": Answer("I would wait."),
-    "schema_violation": Answer(said(confidence=7)),
+    "schema_violation": Answer(said(confidence=700)),
     "unknown_action": Answer(said("fly")),
 }
 
