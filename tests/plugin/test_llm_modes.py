@@ -165,6 +165,9 @@ def test_what_two_workers_record_one_process_replays_alone(talking, server, cut_
     (told,) = map(json.loads, params)
     assert told["model"] == server.model
     assert told["capabilities"]["enforced"] is False
+    # The controller alone asked what the server can do, and then for the list of its models.
+    probing = [one for one in server.requests if "gap" not in one.prompt]
+    assert len(probing) == told["capabilities"]["requests"] - 1
     assert sorted(told) == ["capabilities", "fingerprint", "model", "prompts"]
 
 
@@ -262,6 +265,25 @@ def test_an_episode_is_replayed_from_the_cassette(talking, server, cut_off, mode
     result.stdout.fnmatch_lines(["corridor/it#1 (Talker, *", "  the same"])
     assert len(prompts(server)) == asked
     assert sessions.in_use() is None
+
+
+def test_a_component_of_a_conftest_is_replayed_with_what_it_was_settled_to(talking, cut_off):
+    talking.write(
+        "conftest.py",
+        "import pytest\n"
+        "from talker import Talker\n"
+        "class Local(Talker): pass\n"
+        "@pytest.fixture(scope='session')\n"
+        "def generator(): return Local\n",
+    )
+    talking.scenarios("--dura-llm=record", select="corridor/it")
+    role = talking.evidence()["episodes"][0]["spec"]["roles"]["generator"]
+    assert role["path"] == "conftest.py:Local"
+    assert role["params"]["model"] == "scripted"
+    assert talking.evidence()["models"][0]["component"] == "Local"
+    cut_off()
+    result = talking.run("--dura-replay=corridor/it#1", "--dura-llm=replay")
+    assert "  the same" in result.outlines
 
 
 def test_the_commands_that_are_printed_replay_from_the_same_cassette(talking, cut_off):
