@@ -69,6 +69,12 @@ def test_answers_in_the_agreed_format(campaign: Campaign) -> None:
 
 
 @crossings
+@pytest.mark.requirement("LLM-FORMAT-2")
+def test_answers_in_the_agreed_format_beside_its_decisions(campaign: Campaign) -> None:
+    campaign.require()
+
+
+@crossings
 @pytest.mark.requirement("LLM-DEADLINE-1")
 def test_answers_in_time(campaign: Campaign) -> None:
     campaign.require()

@@ -21,6 +21,8 @@ FAILURE_CLASSES = (
     "unknown_action",
 )  # fmt: skip
 """Ways in which no decision came of an answer."""
+UNREACHED = ("unavailable", "timeout")
+"""Those of them that need not be the doing of who answers."""
 AGAIN = re.compile(r"again(_\d+)?")
 """Variants that ask the very same once more."""
 _GREATEST = 1e6
@@ -45,6 +47,8 @@ class Told:
         intent: Sign of the change of speed that it says it wants.
         maneuver: What it decided.
         beside: What it decided in variants of the request, where it did.
+        failed: The failure class of each variant in which it did not.
+        replaced: Decisions of the same tick that this one took the place of, such as a refused one.
     """
 
     tick: int
@@ -56,11 +60,26 @@ class Told:
     intent: int | None
     maneuver: Maneuver | None
     beside: Mapping[str, Maneuver]
+    failed: Mapping[str, str]
+    replaced: tuple[Told, ...] = ()
+
+    def differs(self, variant: str) -> bool | None:
+        """Whether a variant led it to another maneuver, or to an answer that is no decision.
+
+        ``None`` if that is not known: it did not decide, was not asked, or could not be reached.
+        """
+        if self.maneuver is None:
+            return None
+        if variant in self.beside:
+            return self.beside[variant] is not self.maneuver
+        return None if self.failed.get(variant, UNREACHED[0]) in UNREACHED else True
 
     @property
-    def again(self) -> list[Maneuver]:
-        """What it decided when it was asked the very same."""
-        return [one for name, one in self.beside.items() if AGAIN.fullmatch(name)]
+    def unstable(self) -> bool | None:
+        """Whether it decided otherwise when it was asked the very same."""
+        again = [name for name in (*self.beside, *self.failed) if AGAIN.fullmatch(name)]
+        known = [one for one in map(self.differs, again) if one is not None]
+        return any(known) if known else None
 
 
 def told_decisions(accounts: Sequence[Mapping[str, Any]]) -> list[Told]:
@@ -100,7 +119,20 @@ def _told(account: Mapping[str, Any], tick: int) -> Told:
         intent=_known(INTENTS, account.get("intent")) if answered else None,
         maneuver=_maneuver(account) if answered else None,
         beside=_beside(beside) if isinstance(beside, Mapping) else {},
+        failed=_failed(beside) if isinstance(beside, Mapping) else {},
+        replaced=_replaced(account.get("replaced"), tick),
     )
+
+
+def _replaced(told: Any, tick: int) -> tuple[Told, ...]:
+    if not isinstance(told, (list, tuple)):
+        return ()
+    return tuple(_told(one, tick) for one in told if isinstance(one, Mapping))
+
+
+def _failed(told: Mapping[str, Any]) -> dict[str, str]:
+    outcomes = {name: one.get("outcome") for name, one in told.items() if isinstance(one, Mapping)}
+    return {name: one for name, one in outcomes.items() if one in FAILURE_CLASSES}
 
 
 def _beside(told: Mapping[str, Any]) -> dict[str, Maneuver]:

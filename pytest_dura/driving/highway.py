@@ -69,13 +69,13 @@ class HighwaySimulator(Simulator):
                 found=twice[0],
                 expected="ids that are unique, and not EGO",
             )
-        reserved = next((i for i in ids if re.fullmatch(r"[VR][0-9]+", i)), None)
+        reserved = next((i for i in ids if re.fullmatch(r"[RSV][0-9]+", i)), None)
         if reserved is not None:
             raise ConfigurationError(
-                "random traffic and radar returns have ids of this form",
+                "random traffic, radar returns and signs have ids of this form",
                 key="world.vehicles",
                 found=reserved,
-                expected="an id that is not V or R with a number",
+                expected="an id that is not R, S or V with a number",
             )
         return model.model_dump(mode="json")
 

@@ -49,7 +49,14 @@ class Decision:
         said = self.reading.said
         names = {"intent": said["intent"], "maneuver": said["maneuver"]} if said else {}
         cited = list(said["threat_ids"]) if said else []
-        return {"outcome": self.outcome, "perceived": list(self.ids), "cited": cited, **names}
+        perceived = list(self.ids)
+        return {
+            "outcome": self.outcome, "at": self.at, "perceived": perceived, "cited": cited, **names
+        }  # fmt: skip
+
+    def told_anew(self) -> dict[str, Any]:
+        """The same where it was made anew, with what was answered beside it."""
+        return {**self.told(), "beside": dict(self.beside)}
 
 
 class LlmGenerator(Generator):
@@ -139,6 +146,7 @@ class LlmGenerator(Generator):
         self._session = session.current()
         self._made: list[Decision] = []
         self._since: list[float] = []
+        self._anew: list[Decision] = []
         self._landing: tuple[float, Decision] | None = None
         self._next = 0
         self._asked = 0
@@ -155,19 +163,25 @@ class LlmGenerator(Generator):
                 self._landing = (view.time + decision.seconds, decision)
                 fresh = self._land(view) or fresh
             else:
-                self._made.append(decision)
+                self._enforce(decision, view)
                 fresh = True
-        if fresh:
-            self._since.append(view.time)  # when it came into force
         return self._proposal(view, fresh=fresh)
 
     def _land(self, view: GeneratorView) -> bool:
         """Put a decision into force whose answer has come by now, in simulated time."""
         if self._landing is None or view.time < self._landing[0] - view.dt * 1e-6:
             return False
-        self._made.append(self._landing[1])
+        self._enforce(self._landing[1], view)
         self._landing = None
         return True
+
+    def _enforce(self, decision: Decision, view: GeneratorView) -> None:
+        """From now on it is in force; at one tick several may follow each other."""
+        self._made.append(decision)
+        if self._since[-1:] != [view.time]:
+            self._since.append(view.time)
+            self._anew = []
+        self._anew.append(decision)
 
     def _decide(self, view: GeneratorView) -> Decision:
         """Ask the model, and beside it what the settings say."""
@@ -232,18 +246,22 @@ class LlmGenerator(Generator):
 
     def _proposal(self, view: GeneratorView, *, fresh: bool) -> Proposal:
         decision = self._made[-1] if self._made else None
-        account: dict[str, Any] = {"decided": fresh}
+        # Proposed once more at the same tick, it is still the decision that was made there.
+        anew = self._since[-1:] == [view.time]
+        account: dict[str, Any] = {"decided": anew}
         if decision is None:
             account |= {"outcome": PENDING, "at": view.index, "age": 0.0, "fallback": True}
             return self._fallback(account, "no answer has come yet")
-        account |= {"at": decision.at, "age": view.time - decision.time} | decision.told()
+        account |= {"age": view.time - decision.time, **decision.told()}
         account["fallback"] = not decision.reading.answered
-        if fresh:
+        if anew:
             null = {**account, **self.NULL, "outcome": "answered", "cited": [], "fallback": False}
             null["beside"] = {
                 name: {"outcome": "answered", **self.NULL} for name in decision.beside
             }
-            account |= {"beside": dict(decision.beside), "seconds": decision.seconds, "null": null}
+            account |= {**decision.told_anew(), "seconds": decision.seconds, "null": null}
+            replaced = [one.told_anew() for one in self._anew[:-1]]
+            account |= {"replaced": replaced} if replaced else {}
         if not decision.reading.answered:
             why = f"{decision.outcome}: {decision.reading.detail}"
             return self._fallback(account, why)

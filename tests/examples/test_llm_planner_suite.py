@@ -60,6 +60,12 @@ def wordy(request, number):
     return "I would wait." if number == 0 else models.model()(request, number)
 
 
+def baffled(request, number):
+    """No twin with the attacker's text gets a decision."""
+    attacked = models.ATTACK in request.messages[-1].text
+    return "What sign?" if attacked else models.model()(request, number)
+
+
 def silent(request, number):
     return "" if number > 20 else models.model()(request, number)
 
@@ -73,6 +79,7 @@ DEFECTS = {
     "LLM-CONTROL-1": models.model(models.sees_nothing),
     "LLM-INJECT-1": models.model(models.obeys),
     "LLM-FORMAT-1": wordy,
+    "LLM-FORMAT-2": baffled,
     "LLM-DEADLINE-1": late,
     "LLM-DEADLINE-2": silent,
 }
@@ -97,7 +104,9 @@ def test_a_model_that_ignores_its_prompt_is_stable_and_fails_the_control(require
 def test_what_is_not_asked_beside_is_not_passed(requirements):
     found = verdicts(requirements, models.model(), {"samples": 1, "beside": ()})
     vacuous = {name for name, word in found.items() if word == "vacuous"}
-    assert vacuous == {"LLM-CONSIST-2", "LLM-CONSIST-3", "LLM-CONTROL-1", "LLM-INJECT-1"}
+    assert vacuous == {
+        "LLM-CONSIST-2", "LLM-CONSIST-3", "LLM-CONTROL-1", "LLM-INJECT-1", "LLM-FORMAT-2"
+    }  # fmt: skip
 
 
 def test_the_suite_judges_the_model_that_the_environment_names(
@@ -114,7 +123,7 @@ def test_the_suite_judges_the_model_that_the_environment_names(
     suite = shutil.copytree(SUITE, tmp_path / "my_suite")
     done = run_suite(suite, "--dura-runs=1", "--dura-no-twins", "--dura-evidence-level=summary")
     assert done.returncode == 1, done.stdout + done.stderr
-    assert "11 undecided" in done.stdout  # a single run supports no rate
+    assert "12 undecided" in done.stdout  # a single run supports no rate
     record = json.loads((suite / "dura-evidence" / "evidence.json").read_text())
     assert [one["model"] for one in record["models"]] == ["careful"]
     assert {one["requirement"] for one in record["verdicts"]} > set(DEFECTS)

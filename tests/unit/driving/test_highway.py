@@ -360,6 +360,7 @@ def test_the_time_to_collision_knows_far_and_fast_cars() -> None:
         ),
         ({"vehicles": [{"id": "V3", "arm": "west", "distance": 9}]}, "ids of this form"),
         ({"pedestrians": [{"id": "R0"}]}, "ids of this form"),
+        ({"pedestrians": [{"id": "S1"}]}, "ids of this form"),
     ],
 )
 def test_an_id_stands_for_one_body(world: dict[str, Any], told: str) -> None:

@@ -175,6 +175,31 @@ def test_a_refused_proposal_is_asked_for_again_with_the_reasons():
     assert "wait" in proposed(episode)
 
 
+def test_what_is_wrong_with_a_refused_proposal_is_counted():
+    def answers(request, _):
+        return said("wait") if "FEEDBACK" in request.messages[-1].text else "I would wait."
+
+    episode, _ = llm_episode(answers, {"fallback": "none"}, policy=Policy.parse("refine(1)"))
+    assert episode.decisions["attempts"].sum() == 3
+    found = episode.metrics.tallies
+    assert (found["malformed"].hits, found["malformed"].of) == (3, 3)
+    assert found["malformed"].null_hits == 0
+    assert episode.signals["proposal.malformed"].all()
+    assert (found["intent_against_maneuver"].of, found["fallback"].hits) == (3, 0)
+
+
+def test_what_is_proposed_again_in_real_time_is_the_same_decision():
+    def answers(_, number):
+        return Answer("I would wait.", seconds=0.1)
+
+    params = {"fallback": "none", "clock": "realtime"}
+    episode, model = llm_episode(answers, params, policy=Policy.parse("refine(2)"))
+    assert episode.decisions["attempts"].min() == 2
+    found = episode.metrics.tallies["malformed"]
+    assert (found.hits, found.of) == (3, 3)
+    assert len(model.requests) == len(episode.metrics.answer_seconds) == 3
+
+
 def test_variants_are_asked_beside_the_deciding_request():
     params = {"decide_every": 5, "samples": 3, "beside": "all", "beside_every": 2}
     asked = []
