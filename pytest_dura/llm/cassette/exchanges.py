@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from pytest_dura.core.episode import canonical
 from pytest_dura.llm.cassette.file import CassetteFile
+from pytest_dura.llm.cassette.stored import answer_of, check_description, check_request
 from pytest_dura.llm.port import Answer
 
 Data = Mapping[str, Any]
@@ -116,7 +117,7 @@ class Cassette(CassetteFile):
             _json(base_url),
             session,
         )
-        return self.object(found[0][0]) if found else None
+        return self._description(found[0][0]) if found else None
 
     def descriptions(self) -> list[Data]:
         """What is stored of all models, in the order in which it was.
@@ -125,7 +126,7 @@ class Cassette(CassetteFile):
             ConfigurationError: If the file cannot be read.
         """
         rows = self.rows("SELECT description FROM models ORDER BY id")
-        return [self.object(row[0]) for row in rows]
+        return [self._description(row[0]) for row in rows]
 
     def __len__(self) -> int:
         return int(self.rows("SELECT COUNT(*) FROM exchanges")[0][0])
@@ -151,7 +152,7 @@ class Cassette(CassetteFile):
                 yield Exchange(
                     str(key),
                     str(self.value(fingerprint)),
-                    self._with_texts(self.object(request)),
+                    self._with_texts(self._checked(self.object(request), check_request)),
                     self._answer(answer),
                     str(created),
                 )
@@ -168,20 +169,23 @@ class Cassette(CassetteFile):
         return self.value(found[0][0])
 
     def _with_texts(self, request: Data) -> Data:
+        messages = [{**one, "text": self.text(one["text"])} for one in request["messages"]]
+        found = {**request, "messages": messages, "schema": self.text(request["schema"])}
+        return self._checked(found, check_request)
+
+    def _description(self, text: Any) -> Data:
+        return self._checked(self.object(text), check_description)
+
+    def _checked(self, data: Data, check: Callable[[Data], Any]) -> Data:
+        """The same data, seen to be what it should be."""
         try:
-            messages = [
-                {**{key: one[key] for key in ("role", "images")}, "text": self.text(one["text"])}
-                for one in request["messages"]
-            ]
-            return {**request, "messages": messages, "schema": self.text(request["schema"])}
-        except (LookupError, TypeError, AttributeError) as error:
+            check(data)
+        except ValueError as error:
             raise self.damaged(str(error)) from None
+        return data
 
     def _answer(self, text: Any) -> Answer:
-        try:
-            return Answer.from_json(self.object(text))
-        except TypeError as error:
-            raise self.damaged(str(error)) from None
+        return answer_of(self._checked(self.object(text), answer_of))
 
 
 def text_digest(value: Any) -> str:

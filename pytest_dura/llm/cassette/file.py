@@ -6,7 +6,7 @@ import json
 import os
 import sqlite3
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from threading import RLock
 from typing import Any
@@ -25,6 +25,7 @@ CREATE TABLE exchanges (id INTEGER PRIMARY KEY, key TEXT NOT NULL UNIQUE, model 
 CREATE TABLE models (id INTEGER PRIMARY KEY, model TEXT NOT NULL, base_url TEXT NOT NULL,
     session TEXT NOT NULL, description TEXT NOT NULL, UNIQUE (model, base_url, session))
 """
+_MADE_OF = "SELECT type, name, sql FROM sqlite_master WHERE sql IS NOT NULL ORDER BY name"
 
 
 class CassetteFile:
@@ -33,7 +34,7 @@ class CassetteFile:
     Args:
         file: Where it is.
         writable: Whether it is recorded into; it is made if it is missing. Else nothing about the
-            file is changed.
+            file is changed, but that a write is undone in whose middle its process was ended.
 
     Raises:
         ConfigurationError: If it is missing, damaged, another program's or a newer version's.
@@ -53,11 +54,9 @@ class CassetteFile:
         with self.errors():
             if writable:
                 file.parent.mkdir(parents=True, exist_ok=True)
-            # Letters of a file's name may mean something in a URI.
-            uri = file.absolute().as_uri() + ("?mode=rwc" if writable else "?mode=ro")
-            self._open = sqlite3.connect(
-                uri, timeout=PATIENCE, isolation_level=None, check_same_thread=False, uri=True
-            )
+            else:
+                self._undo_half_a_write()
+            self._open = self._connected("rwc" if writable else "ro")
         try:
             with self.errors():
                 # Waiting for the disk at each exchange takes longer than many a model. A process
@@ -74,6 +73,29 @@ class CassetteFile:
         if self.writable and self.file.is_file():
             with self.file.open("rb") as stream:
                 os.fsync(stream.fileno())
+
+    def _connected(self, mode: str) -> sqlite3.Connection:
+        # Letters of a file's name may mean something in a URI.
+        return sqlite3.connect(
+            f"{self.file.absolute().as_uri()}?mode={mode}",
+            timeout=PATIENCE, isolation_level=None, check_same_thread=False, uri=True,
+        )  # fmt: skip
+
+    def _undo_half_a_write(self) -> None:
+        """Let SQLite put right what a process left that was ended while it wrote, if one was."""
+        journal = Path(f"{self.file.resolve()}-journal")
+        if not journal.is_file() or not journal.stat().st_size:
+            return
+        try:
+            with closing(self._connected("rw")) as opened:
+                opened.execute("SELECT COUNT(*) FROM sqlite_master")
+        except sqlite3.OperationalError as error:
+            raise self._error(
+                f"the session that recorded it was ended while it wrote, which cannot be undone"
+                f" here: {error}",
+                expected="the right to write the cassette and its folder",
+                remedy=f"copy it and {journal.name} to where they can be written, and name that",
+            ) from None
 
     def _begin(self) -> None:
         known = self._open.execute("SELECT COUNT(*) FROM sqlite_master").fetchone()[0]
@@ -99,6 +121,11 @@ class CassetteFile:
                 expected=f"version {VERSION}",
                 remedy="use the version of pytest-dura that recorded it, or record it again",
             )
+        # What only bears a table's name may do anything, such as never end.
+        with closing(sqlite3.connect(":memory:")) as usual:
+            usual.executescript(_TABLES)
+            if self._open.execute(_MADE_OF).fetchall() != usual.execute(_MADE_OF).fetchall():
+                raise self.damaged("it is made of other tables than a cassette")
         sound = self._open.execute("PRAGMA quick_check(1)").fetchone()[0]
         if sound != "ok":
             raise self.damaged(str(sound))
@@ -107,8 +134,8 @@ class CassetteFile:
     def transaction(self) -> Iterator[Callable[..., Any]]:
         """Context in which all is written or nothing; gives what carries out a statement."""
         with self._lock:
-            self._open.execute("BEGIN IMMEDIATE")
             try:
+                self._open.execute("BEGIN IMMEDIATE")
                 yield self._open.execute
                 self._open.execute("COMMIT")
             except BaseException:  # also where a time limit ends it; it is raised again
@@ -133,7 +160,7 @@ class CassetteFile:
         """
         try:
             return json.loads(text)
-        except (TypeError, ValueError) as error:
+        except (TypeError, ValueError, RecursionError) as error:
             raise self.damaged(str(error)) from None
 
     def object(self, text: Any) -> Mapping[str, Any]:

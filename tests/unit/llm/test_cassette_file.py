@@ -175,9 +175,24 @@ def test_a_directory_is_refused(tmp_path):
         "UPDATE exchanges SET request = '{\"messages\": 7}'",
         "UPDATE texts SET text = 'x'",
         "DELETE FROM texts",
-        "DROP TABLE texts",
+        *(
+            f"UPDATE exchanges SET answer = json_set(answer, '$.{change})"
+            for change in (
+                "text', 5", "detail', NULL", "failure', 'banana'", "seconds', 'x'",
+                "seconds', -1.0", "seconds', 9e999", "usage', json('[1]')", "usage.a', 'x'",
+            )
+        ),
+        f"UPDATE exchanges SET answer = '{'[' * 100_000}'",
+        *(
+            f"UPDATE exchanges SET request = json_{change})"
+            for change in (
+                "remove(request, '$.seed'", "set(request, '$.messages[0]', 1",
+                "set(request, '$.messages[0].images', 5", "remove(request, '$.messages[0].role'",
+            )
+        ),
+        "UPDATE texts SET text = '5'",
     ],
-)
+)  # fmt: skip
 def test_what_somebody_changed_by_hand_is_one_error(recorded, statement):
     by_hand = sqlite3.connect(recorded)
     by_hand.execute(statement)
@@ -186,6 +201,100 @@ def test_what_somebody_changed_by_hand_is_one_error(recorded, statement):
     cassette = Cassette(recorded, writable=False)
     with pytest.raises(ConfigurationError, match="the cassette cannot be read"):
         list(cassette.exchanges())
+
+
+@pytest.mark.parametrize(
+    "change",
+    ["'$.model', 5", "'$.capabilities', json('[]')", "'$.fingerprint', NULL"],
+)
+def test_a_description_that_somebody_changed_is_one_error(recorded, change):
+    by_hand = sqlite3.connect(recorded)
+    by_hand.execute(f"UPDATE models SET description = json_set(description, {change})")
+    by_hand.commit()
+    by_hand.close()
+    with pytest.raises(ConfigurationError, match="of a model is no"):
+        Cassette(recorded, writable=False).descriptions()
+
+
+ENDLESS = (
+    "WITH RECURSIVE r(n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM r)"
+    " SELECT 'a' AS sha256, COUNT(*) AS text FROM r"
+)
+
+
+@pytest.mark.parametrize("writable", [False, True])
+@pytest.mark.parametrize(
+    "statements",
+    [
+        "DROP TABLE texts",
+        f"ALTER TABLE texts RENAME TO t; CREATE VIEW texts AS {ENDLESS}",
+        "CREATE TRIGGER t AFTER INSERT ON exchanges BEGIN DELETE FROM texts; END",
+    ],
+)
+def test_what_only_bears_the_names_of_a_cassettes_tables_is_refused(recorded, statements, writable):
+    by_hand = sqlite3.connect(recorded)
+    by_hand.executescript(statements)
+    by_hand.close()
+    refused(recorded, "it is made of other tables than a cassette", writable=writable)
+
+
+HALF = """
+import os, sqlite3, sys
+by_hand = sqlite3.connect(sys.argv[1], isolation_level=None)
+by_hand.execute("PRAGMA cache_size = 1")
+by_hand.execute("BEGIN")
+by_hand.execute("UPDATE exchanges SET answer = 'half'")
+by_hand.executemany("INSERT INTO texts VALUES (?, ?)", [(str(i), "x" * 3000) for i in range(99)])
+os.kill(os.getpid(), 9)
+"""
+
+
+def killed_in_the_middle_of_a_write(tape):
+    subprocess.run([sys.executable, "-c", HALF, tape], check=False)
+    journal = tape.with_name(tape.name + "-journal")
+    assert journal.stat().st_size
+    return journal
+
+
+def test_a_write_in_whose_middle_a_process_was_killed_is_undone(recorded, tmp_path):
+    journal = killed_in_the_middle_of_a_write(recorded)
+    link = tmp_path / "link"
+    link.symlink_to(recorded)
+    assert Cassette(link, writable=False).find(exchange().key) == exchange().answer
+    assert not journal.exists()
+
+
+def test_where_such_a_write_cannot_be_undone_the_error_says_how(recorded, monkeypatch):
+    killed_in_the_middle_of_a_write(recorded)
+    connect = sqlite3.connect
+    monkeypatch.setattr(
+        "sqlite3.connect", lambda name, **more: connect(name.replace("=rw", "=ro"), **more)
+    )
+    told = refused(recorded, "was ended while it wrote, which cannot be undone here")
+    assert "tape?mode=rw#1.sqlite-journal to where they can be written" in told
+
+
+def test_what_ends_a_process_as_a_transaction_begins_leaves_none_open(tape):
+    cassette = Cassette(tape, writable=True)
+    real = cassette._open
+
+    class Ended(BaseException):
+        pass
+
+    class Interrupted:
+        in_transaction = property(lambda _: real.in_transaction)
+
+        def execute(self, statement, *values):
+            found = real.execute(statement, *values)
+            if statement == "BEGIN IMMEDIATE":
+                raise Ended  # as a time limit does between two lines
+            return found
+
+    cassette._open = Interrupted()
+    with pytest.raises(Ended):
+        cassette.add(exchange())
+    cassette._open = real
+    assert cassette.add(exchange()) == exchange().answer
 
 
 def test_a_text_is_found_by_what_it_is(recorded):
