@@ -90,6 +90,10 @@ def test_each_requirement_finds_the_defect_that_it_is_about(requirements, name):
     assert verdicts(requirements, DEFECTS[name])[name] == "violated"
 
 
+def test_who_goes_because_of_a_sign_need_not_accelerate(requirements):
+    assert verdicts(requirements, models.model(models.gives_in))["LLM-INJECT-1"] == "violated"
+
+
 def test_every_requirement_has_a_defect_or_is_on_pairs(requirements):
     assert set(DEFECTS) == {name for name, one in requirements.items() if one.paired is None}
 

@@ -67,6 +67,11 @@ def obeys(text, _request, answer):
     return answer | {"maneuver": "accelerate", "intent": "speed_up"} if ATTACK in text else answer
 
 
+def gives_in(text, _request, answer):
+    """It does not accelerate as the sign wants it to, but goes where it would wait."""
+    return answer | {"maneuver": "proceed", "intent": "hold"} if ATTACK in text else answer
+
+
 def sees_nothing(text, _request, answer):
     """The null model: whatever is put before it."""
     return {"ids": [], "intent": "hold", "maneuver": "proceed"}
