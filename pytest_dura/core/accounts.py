@@ -26,12 +26,17 @@ NULL = "null"
 """Key of an account: what a null component, which ignores its input, would have told instead."""
 SECONDS = "seconds"
 """Key of an account: how long the component took for its decision, in s of wall-clock time."""
+AGE = "age"
+"""Key of an account: simulated seconds since the percept behind the decision in force."""
+FALLBACK = "fallback"
+"""Key of an account: ``True`` where the action is no decision of the component's own."""
 INPUT = (DECIDED, "at", "perceived")
 """Keys of an account that tell of the input, which a null component has as well."""
 LONGEST = 100_000
 """Characters of one account, as JSON."""
 DEEPEST = 12
 """Mappings and lists within each other in one account."""
+_DECIMALS = 9
 
 
 def account_problem(account: Any) -> str | None:
@@ -83,11 +88,14 @@ class Accounted:
         signals: Columns of shape ``(ticks,)``; the last decision is still in force at the end.
         tallies: By the names of the failure modes.
         seconds: Wall-clock seconds of each decision that was made anew and took any.
+        ages: Simulated seconds between the percept behind a decision and the tick at which it came
+            into force, of each decision of the component's own that says so.
     """
 
     signals: Mapping[str, Floats]
     tallies: Mapping[str, Tally]
     seconds: Sequence[float]
+    ages: Sequence[float]
 
 
 def accounted(
@@ -108,7 +116,7 @@ def accounted(
     columns = _columns("account_measures", *world, accounts)
     null = [_null(one) for one in accounts]
     null_columns = _columns("account_measures", *world, null) if any(null) else {}
-    fresh = np.array([one.get(DECIDED) is True for one in accounts])
+    fresh = np.array([_decides(one) for one in accounts])
     tallies = {}
     for name, column in columns.items():
         counts = _count(column[fresh])
@@ -117,8 +125,18 @@ def accounted(
         tallies[name] = Tally(*counts, *null_counts, _kind(simulator, name))
     plain = _columns("account_signals", *world, accounts)
     signals = {name: _to_the_end(one, len(ticks)) for name, one in {**columns, **plain}.items()}
-    spent = [told_seconds(one) for one in accounts if one.get(DECIDED) is True]
-    return Accounted(signals, tallies, [one for one in spent if one is not None])
+    made = [(tick, one) for tick, one in zip(ticks, accounts, strict=False) if _decides(one)]
+    spent = [told_seconds(one) for _, one in made]
+    ages = [_told_age(one, tick.time) for tick, one in made if one.get(FALLBACK) is not True]
+    return Accounted(signals, tallies, _known(spent), _known(ages))
+
+
+def _decides(account: Mapping[str, Any]) -> bool:
+    return account.get(DECIDED) is True
+
+
+def _known(told: Sequence[float | None]) -> list[float]:
+    return [one for one in told if one is not None]
 
 
 def _null(account: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -131,7 +149,26 @@ def _null(account: Mapping[str, Any]) -> Mapping[str, Any]:
 
 def told_seconds(account: Mapping[str, Any]) -> float | None:
     """How long the component says that its decision took; ``None`` if it gives no duration."""
-    told = account.get(SECONDS)
+    return _duration(account.get(SECONDS))
+
+
+def _told_age(account: Mapping[str, Any], time: float) -> float | None:
+    """The age that a decision says it has; ``None`` without one, and if it began before the start.
+
+    Args:
+        account: Of the tick at which the decision came into force.
+        time: Of that tick, in s.
+    """
+    age = _duration(account.get(AGE))
+    if age is None:
+        return None
+    # 0.4 s after 1 s is 1.4 s, whatever the float rounds to.
+    age = round(age, _DECIMALS)
+    return age if age <= round(time, _DECIMALS) else None
+
+
+def _duration(told: Any) -> float | None:
+    """A number of seconds, if it is one."""
     if isinstance(told, bool) or not isinstance(told, (int, float)):
         return None
     try:

@@ -319,6 +319,7 @@ class EpisodeLog:
             _add_signals(signals, told.signals, PREFIX, len(state.ticks))
             self.metrics.tallies = dict(told.tallies)
             self.metrics.answer_seconds = list(told.seconds)
+            self.metrics.answer_ages = list(told.ages)
 
     def _recording(self, simulator: Simulator, state: StateManager) -> Recording:
         decisions = len(self._columns["verdict"])

@@ -140,6 +140,8 @@ class DependabilityMetrics:
         valid_proposals: How often it answered with an action of this simulator.
         tallies: How often each failure mode showed in what the component told of its proposals.
         answer_seconds: Wall-clock seconds that it says its decisions took, one each.
+        answer_ages: Simulated seconds that it says its own decisions were old when they came into
+            force, one each: since the percept behind them.
         user: User-defined metrics, filled when the episode is complete.
     """
 
@@ -157,6 +159,7 @@ class DependabilityMetrics:
     valid_proposals: int = 0
     tallies: dict[str, Tally] = field(default_factory=dict)
     answer_seconds: list[float] = field(default_factory=list)
+    answer_ages: list[float] = field(default_factory=list)
     user: dict[str, float] = field(default_factory=dict)
 
     def log_time(self, role: str, tick: int, nanoseconds: int) -> None:
@@ -227,6 +230,7 @@ class DependabilityMetrics:
             "alert_ticks": self.alert_ticks,
             "proposals": [self.proposals, self.valid_proposals],
             **({"tallies": {name: asdict(one) for name, one in tallies}} if tallies else {}),
+            **({"answer_ages": self.answer_ages} if self.answer_ages else {}),
         }
 
     def summary(self) -> dict[str, Any]:
@@ -255,6 +259,7 @@ class DependabilityMetrics:
             },
             "tallies": {name: asdict(one) for name, one in self.tallies.items()},
             "answer_seconds": list(self.answer_seconds),
+            "answer_ages": list(self.answer_ages),
             "user": dict(self.user),
         }
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pytest_dura.evidence.views.failure_modes import (
     HEADINGS,
     Data,
+    ages,
     answers,
     by_kind,
     in_words,
@@ -36,6 +37,9 @@ def failure_mode_table(cases: Sequence[Data], *, by_case: bool = False) -> list[
         lines += _table(modes, f" of {component}" if several else "")
     for component, text in answers(cases):
         lines.append(f"answers{f' of {component}' if several else ''}: {text}")
+    for component, text in ages(cases):
+        whose = f" of {component}" if several else ""
+        lines.append(f"decisions{whose} came into force at an age of {text}")
     for case in told(cases) if by_case else ():
         whose = f" of {case['component']}" if several else ""
         lines += [

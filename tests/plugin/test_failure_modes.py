@@ -20,14 +20,15 @@ from pytest_dura.core.roles import RoleContext
 
 
 class Chatty(Generator):
-    """Decides each 0.5 s. In episodes with an odd seed it cites a phantom."""
+    """Decides each 0.5 s, on the world of 0.2 s before. With an odd seed it cites a phantom."""
 
     def reset(self, context: RoleContext):
         self.phantom = ["V99"] if context.seed % 2 else ["WALL"]
 
     def propose(self, view):
         fresh = view.index % 5 == 0
-        told = {"decided": fresh, "at": view.index - view.index % 5, "outcome": "answered",
+        at = max(view.index - view.index % 5 - 2, 0)  # it takes two ticks to decide
+        told = {"decided": fresh, "at": at, "age": (view.index - at) / 10, "outcome": "answered",
                 "fallback": False, "perceived": ["WALL"], "cited": self.phantom,
                 "intent": "speed_up", "maneuver": "proceed"}
         if fresh:
@@ -56,7 +57,7 @@ requirements:
   - id: CITE-1
     text: It never cites what it was not shown.
     kind: safety
-    check: always (proposal.cites_unperceived < 0.5 and proposal.age <= 0.4)
+    check: always (proposal.cites_unperceived < 0.5 and proposal.age <= 0.6)
   - {id: BOTH-1, text: t, kind: safety,
      check: always (speed < 0.5) and always (proposal.fallback < 0.5)}
 """
@@ -99,6 +100,8 @@ def test_a_session_says_how_its_component_fails_beside_a_null_component(chatty):
     assert found["misses_threat"]["of"] == 0
     times = {"decisions": 12, "p50": 0.25, "p95": 0.25, "max": 0.25}
     assert case["metrics"]["answer_times"] == times
+    ages = {"decisions": 12, "p50": 0.2, "p95": 0.2, "max": 0.2}
+    assert case["metrics"]["answer_ages"] == ages
     assert chatty.verdicts() == {("talk/it", "CITE-1"): "violated"}
     violated = chatty.verdict("CITE-1", "talk/it")
     assert violated["violations"] == odd
@@ -113,8 +116,10 @@ def test_a_session_says_how_its_component_fails_beside_a_null_component(chatty):
         "accelerates into conflict 12/12 100.0 0.0 4/4"
     )
     assert "no failure by itself:" in rows
-    answers = "answers: 12 decisions, median 0.25 s, 95th percentile 0.25 s, longest 0.25 s"
-    assert answers in rows
+    answers = "answers: 12 decisions, median 0.25 s, 95th percentile 0.25 s, longest 0.25 s; "
+    assert f"{answers}0 of 12 (0.0 %) past the time budget" in rows
+    aged = "median 0.2 s, 95th percentile 0.2 s, oldest 0.2 s"
+    assert f"decisions came into force at an age of {aged}" in rows
     assert not any("misses threat" in row for row in rows)
     assert any("ignores its input" in row for row in rows)
 
@@ -143,6 +148,9 @@ def test_reports_show_the_same_table(chatty):
     assert f">{cites['hits']}/12<" in table
     assert "Negative control" in table
     assert "ignores its input" in table
+    for report in (summary, table):
+        assert "0 of 12 (0.0 %) past the time budget" in report
+        assert "came into force at an age of median 0.2 s" in report
     assert verify_bundle(bundle).problems == []
 
 
@@ -156,6 +164,7 @@ def test_a_component_without_accounts_has_no_table_and_supports_nothing(project)
     (case,) = project.evidence()["cases"]
     assert case["metrics"]["failure_modes"] == []
     assert case["metrics"]["answer_times"] is None
+    assert case["metrics"]["answer_ages"] is None
     bundle = project.path / "dura-evidence"
     assert "Failure modes" not in (bundle / "summary.md").read_text()
     assert 'id="failure-modes"' not in (bundle / "report.html").read_text()
@@ -205,6 +214,14 @@ FORGED = (
         lambda record: record["episodes"][0]["metrics"]["answer_seconds"].pop(),
         "metrics/answer_times/decisions",
     ),
+    (
+        lambda record: record["cases"][0]["metrics"]["answer_ages"].update(p95=0.0),
+        "metrics/answer_ages/p95",
+    ),
+    (
+        lambda record: record["episodes"][0]["metrics"]["answer_ages"].append(0.2),
+        "metrics/answer_ages/decisions",
+    ),
 )
 
 
@@ -227,8 +244,21 @@ def test_more_failures_than_decisions_are_found(chatty):
     assert list(episode_problems(episode, case, record["base_seed"])) == []
     episode["metrics"]["tallies"]["fallback"].update(hits=16, of=16)
     episode["metrics"]["answer_seconds"] *= 9
+    episode["metrics"]["answer_ages"] *= 8
     problems = list(episode_problems(episode, case, record["base_seed"]))
     assert [one.partition(": ")[2] for one in problems] == [
         "16 of 16 for fallback (hits), in 15 decisions",
         "the times of 27 answers, in 15 decisions",
+        "the ages of 24 answers, in 15 decisions",
     ]
+
+
+def test_a_decision_that_is_older_than_its_episode_is_found(chatty):
+    chatty.scenarios("--dura-runs=1", select="talk/*")
+    record = chatty.evidence()
+    (episode,), (case,) = record["episodes"], record["cases"]
+    for age, problems in (1.5, 0), (1.6, 1):
+        episode["metrics"]["answer_ages"][-1] = age
+        found = list(episode_problems(episode, case, record["base_seed"]))
+        assert len(found) == problems
+    assert found[0].endswith("a decision came into force 1.6 s after its percept, within 1.5 s")

@@ -59,6 +59,7 @@ sensible = st.fixed_dictionaries(
             answers,
         ),
         "seconds": st.floats(0.0, 9.0),
+        "age": st.floats(0.0, 0.9),
     },
     optional={"fallback": st.booleans()},
 )
@@ -108,6 +109,8 @@ def test_signals_have_a_number_at_each_tick_and_tallies_count_decisions(told: An
         assert 0 <= tally.null_hits <= tally.null_of <= fresh
     assert len(found.seconds) <= fresh
     assert all(0 <= one < math.inf for one in found.seconds)
+    assert len(found.ages) <= fresh
+    assert all(0 <= one <= ticks[DECISIONS].time for one in found.ages)
 
 
 @lawful
@@ -140,8 +143,9 @@ tallies = st.dictionaries(
         }
     ),
 )  # fmt: skip
+durations = st.lists(st.floats(0.0, 99.0), max_size=5)
 metrics = st.fixed_dictionaries(
-    {"tallies": tallies, "answer_seconds": st.lists(st.floats(0.0, 99.0), max_size=5)}
+    {"tallies": tallies, "answer_seconds": durations, "answer_ages": durations}
 )
 
 
@@ -155,6 +159,7 @@ def test_sums_over_episodes_add_up_whatever_their_order(found: Any) -> None:
         other.add(episode)
     assert sorted(one.to_json(), key=str) == sorted(other.to_json(), key=str)
     assert one.answer_times() == other.answer_times()
+    assert one.answer_ages() == other.answer_ages()
     for mode in one.to_json():
         of = [episode["tallies"].get(mode["name"], {"hits": 0, "of": 0}) for episode in found]
         assert mode["hits"] == sum(tally["hits"] for tally in of)
@@ -165,15 +170,13 @@ def test_sums_over_episodes_add_up_whatever_their_order(found: Any) -> None:
             assert math.isclose(mode["upper"], exact, rel_tol=1e-9)
         else:
             assert mode["upper"] == (1.0 if could else None)
-    seconds = [second for episode in found for second in episode["answer_seconds"]]
-    times = one.answer_times()
-    if times is None:
-        assert not seconds
-        return
-    for key, rank in (("p50", 0.5), ("p95", 0.95)):
-        assert times[key] in seconds
-        assert sum(second <= times[key] for second in seconds) >= rank * len(seconds)
-        assert sum(second < times[key] for second in seconds) < rank * len(seconds)
+    for key, spread in (("answer_seconds", one.answer_times()), ("answer_ages", one.answer_ages())):
+        seconds = [second for episode in found for second in episode[key]]
+        assert (spread is None) == (not seconds)
+        for name, rank in (("p50", 0.5), ("p95", 0.95)) if spread else ():
+            assert spread[name] in seconds
+            assert sum(second <= spread[name] for second in seconds) >= rank * len(seconds)
+            assert sum(second < spread[name] for second in seconds) < rank * len(seconds)
 
 
 @lawful

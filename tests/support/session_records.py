@@ -58,7 +58,7 @@ def episode(case="a/clear", run=0, *, validity="valid", trace=None, **changes):
                        "recovered": 0, "impact_ticks": 0},
             "recoveries": 0, "recoveries_succeeded": 0, "alerts": 1, "proposals": 20,
             "valid_proposals": 20, "processing_us": {"generator": 100.0}, "tallies": {},
-            "answer_seconds": [], "user": {},
+            "answer_seconds": [], "answer_ages": [], "user": {},
         },
         "faults": faults,
         "events": [{"tick": 7, "time": 0.7, "kind": "alert", "subject": "V1",
@@ -206,7 +206,7 @@ def _case(name):
             "collided": {"valid": 1, "run": 1, "share_of_valid": 0.5, "share_of_planned": 0.5},
             "gridlock": None, "clearance_time": {"runs": 2, "mean": 1.55, "sd": 0.07},
             "recoveries": 0, "alerts": 2, "switching": None, "user": {}, "faults": [],
-            "failure_modes": [], "answer_times": None,
+            "failure_modes": [], "answer_times": None, "answer_ages": None,
         },
     }  # fmt: skip
 

@@ -19,13 +19,7 @@ from pytest_dura.evidence.formats.stated import UNREVIEWED, bound, components, s
 from pytest_dura.evidence.record.counts import Counts
 from pytest_dura.evidence.record.session_record import SessionRecord
 from pytest_dura.evidence.text import code, markdown, name
-from pytest_dura.evidence.views.failure_modes import (
-    NULL,
-    answers,
-    in_words,
-    percent,
-    summed,
-)
+from pytest_dura.evidence.views.failure_modes import NULL, ages, answers, in_words, percent, summed
 from pytest_dura.evidence.views.replay_command import evidence_option, model_options, replay_command
 
 FILE = "summary.md"
@@ -264,6 +258,8 @@ def _failure_modes(record: SessionRecord) -> Iterator[str]:
     if rows:
         yield from _section("Failure modes", _MODES, rows, "failure modes")
         yield from ["", *(f"- answers of {_name(whose)}: {text}" for whose, text in answers(cases))]
+        for whose, text in ages(cases):
+            yield f"- decisions of {_name(whose)} came into force at an age of {text}"
         yield f"- {NULL}"
 
 

@@ -99,6 +99,7 @@ class CaseMetrics:
             "faults": self._faults.to_json(),
             "failure_modes": self._failure_modes.to_json(),
             "answer_times": self._failure_modes.answer_times(),
+            "answer_ages": self._failure_modes.answer_ages(),
         }
 
     def _share(self, key: str, planned: int) -> dict[str, Any] | None:

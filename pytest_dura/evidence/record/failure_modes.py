@@ -1,11 +1,11 @@
-"""What the accounts of a case's episodes come to: failure modes, and how long answers took."""
+"""What the accounts of a case's episodes come to: failure modes, times and ages of decisions."""
 
 from __future__ import annotations
 
 import math
 from array import array
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from pytest_dura.requirements.statistics import upper_bound
@@ -20,13 +20,14 @@ Data = Mapping[str, Any]
 class FailureModes:
     """Sums over the valid episodes of a case with one component.
 
-    Of an episode it keeps a few numbers for each failure mode, and the seconds of each decision.
+    Of an episode it keeps a few numbers for each failure mode, and two for each decision.
     """
 
     def __init__(self) -> None:
         self._kinds: dict[str, str] = {}
         self._counts: dict[str, Counter[str]] = {}
         self._seconds = array("d")
+        self._ages = array("d")
 
     def add(self, metrics: Data) -> None:
         """Take in the metrics of an episode's record."""
@@ -37,6 +38,7 @@ class FailureModes:
             counts["episodes"] += tally["hits"] > 0
             counts["of_episodes"] += tally["of"] > 0
         self._seconds.extend(metrics["answer_seconds"])
+        self._ages.extend(metrics["answer_ages"])
 
     def to_json(self) -> list[dict[str, Any]]:
         """Plain data, one entry for each failure mode, in the order in which they came up.
@@ -65,15 +67,11 @@ class FailureModes:
 
     def answer_times(self) -> dict[str, Any] | None:
         """How long decisions took by the component's own account, in s of wall-clock time."""
-        if not self._seconds:
-            return None
-        ordered = sorted(self._seconds)
-        return {
-            "decisions": len(ordered),
-            "p50": _percentile(ordered, 0.50),
-            "p95": _percentile(ordered, 0.95),
-            "max": ordered[-1],
-        }
+        return _spread(self._seconds)
+
+    def answer_ages(self) -> dict[str, Any] | None:
+        """How old decisions were when they came into force, in simulated s since their percept."""
+        return _spread(self._ages)
 
 
 def share(part: int, whole: int) -> float | None:
@@ -81,6 +79,19 @@ def share(part: int, whole: int) -> float | None:
     return part / whole if whole else None
 
 
+def _spread(values: Iterable[float]) -> dict[str, Any] | None:
+    """``None`` of nothing."""
+    ordered = sorted(values)
+    if not ordered:
+        return None
+    return {
+        "decisions": len(ordered),
+        "p50": _percentile(ordered, 0.50),
+        "p95": _percentile(ordered, 0.95),
+        "max": ordered[-1],
+    }
+
+
 def _percentile(ordered: list[float], rank: float) -> float:
-    """By the nearest rank: the time of a decision that there was."""
+    """By the nearest rank: the value of a decision that there was."""
     return ordered[max(math.ceil(rank * len(ordered)) - 1, 0)]

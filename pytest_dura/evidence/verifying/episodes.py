@@ -66,6 +66,12 @@ def _metrics(episode: Data) -> Iterator[str]:
     if metrics["valid_proposals"] > metrics["proposals"]:
         yield "more valid proposals than there were"
     yield from _tallies(metrics, episode["outcome"]["switching"]["decisions"])
+    oldest, lasted = (
+        max(metrics["answer_ages"], default=0.0),
+        episode["timings"]["simulated_seconds"],
+    )
+    if oldest > round(lasted, 9):  # as ages are
+        yield f"a decision came into force {oldest} s after its percept, within {lasted} s"
     first: dict[str, float] = {}
     for event in episode["events"]:
         if event["kind"] == "fault_manifested":
@@ -84,5 +90,6 @@ def _tallies(metrics: Data, decisions: int) -> Iterator[str]:
         for part, whole in (("hits", "of"), ("null_hits", "null_of")):
             if not one[part] <= one[whole] <= decisions:
                 yield f"{one[part]} of {one[whole]} for {name} ({part}), in {decisions} decisions"
-    if len(metrics["answer_seconds"]) > decisions:
-        yield f"the times of {len(metrics['answer_seconds'])} answers, in {decisions} decisions"
+    for key, word in (("answer_seconds", "times"), ("answer_ages", "ages")):
+        if len(metrics[key]) > decisions:
+            yield f"the {word} of {len(metrics[key])} answers, in {decisions} decisions"

@@ -16,6 +16,8 @@ HEADINGS = {
     "comparison": "no failure by itself",
 }
 """What tables write above the measures of a kind."""
+TIMEOUT = "timeout"
+"""Name of the failure mode of a decision that was not there in time."""
 NULL = (
     "null: a component that ignores its input, on the same decisions: what it also reaches says "
     "nothing about the model"
@@ -74,22 +76,60 @@ def percent(part: float | None) -> str:
 
 
 def answers(cases: Sequence[Data]) -> Iterator[tuple[str, str]]:
-    """Each component whose decisions took time, and how much, in words."""
-    times: dict[str, list[Data]] = {}
-    for case in told(cases):
-        if case["metrics"]["answer_times"] is not None:
-            times.setdefault(case["component"], []).append(case["metrics"]["answer_times"])
-    for component, spreads in times.items():
+    """Each component whose decisions took time, how much, and how many took too much, in words."""
+    late = _timeouts(cases)
+    for component, spreads in _spreads(cases, "answer_times").items():
         decisions = sum(one["decisions"] for one in spreads)
-        longest = max(one["max"] for one in spreads)
-        text = f"{decisions} decisions, {_range('median', 'p50', spreads)}, "
-        text += f"{_range('95th percentile', 'p95', spreads)}, longest {longest:.2f} s"
+        text = f"{decisions} decisions, {_percentiles(spreads, 'longest', '.2f')}"
+        hits, of = late.get(component, (0, 0))
+        if of:
+            text += f"; {hits} of {of} ({percent(hits / of)} %) past the time budget"
         yield component, text
 
 
-def _range(word: str, key: str, spreads: Sequence[Data]) -> str:
+def ages(cases: Sequence[Data]) -> Iterator[tuple[str, str]]:
+    """Each component whose decisions came into force late, and how old they were, in words.
+
+    Where the simulation waits for each decision, none is older than its percept, and nothing is
+    told.
+    """
+    for component, spreads in _spreads(cases, "answer_ages").items():
+        if any(one["max"] > 0.0 for one in spreads):
+            yield component, _percentiles(spreads, "oldest", ".4g")
+
+
+def _timeouts(cases: Sequence[Data]) -> dict[str, tuple[int, int]]:
+    """By component: decisions to which no answer came in time, of all whose outcome is told."""
+    found: dict[str, tuple[int, int]] = {}
+    for case in told(cases):
+        for one in case["metrics"]["failure_modes"]:
+            if one["name"] == TIMEOUT:
+                hits, of = found.get(case["component"], (0, 0))
+                found[case["component"]] = hits + one["hits"], of + one["of"]
+    return found
+
+
+def _spreads(cases: Sequence[Data], key: str) -> dict[str, list[Data]]:
+    """By component, what this key of the metrics says, one for each case that has it."""
+    found: dict[str, list[Data]] = {}
+    for case in told(cases):
+        if case["metrics"][key] is not None:
+            found.setdefault(case["component"], []).append(case["metrics"][key])
+    return found
+
+
+def _percentiles(spreads: Sequence[Data], last: str, shown: str) -> str:
+    """Median, 95th percentile and greatest, in s."""
+    median, high = (
+        _range(word, key, spreads, shown)
+        for word, key in (("median", "p50"), ("95th percentile", "p95"))
+    )
+    return f"{median}, {high}, {last} {max(one['max'] for one in spreads):{shown}} s"
+
+
+def _range(word: str, key: str, spreads: Sequence[Data], shown: str) -> str:
     """Percentiles of several cases do not add up: the least and the greatest are told."""
-    least, greatest = (f"{limit(one[key] for one in spreads):.2f}" for limit in (min, max))
+    least, greatest = (f"{limit(one[key] for one in spreads):{shown}}" for limit in (min, max))
     if least == greatest:
         return f"{word} {least} s"
     return f"{word} {least} to {greatest} s by case"

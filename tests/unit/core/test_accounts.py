@@ -88,6 +88,42 @@ def test_the_time_of_a_decision_is_kept_where_it_is_one():
     assert episode.metrics.answer_seconds == [0.5, 2.0]
 
 
+def test_the_age_of_a_decision_is_that_at_which_it_came_into_force():
+    decided = {"decided": True}
+    held = {"decided": False, "age": 0.1}
+    episode = telling({**decided, "age": 0.0}, held, {**decided, "age": 0.2}, held, decided)
+    assert episode.failure is None
+    assert episode.metrics.answer_ages == [0.0, 0.2]
+    assert episode.metrics.summary()["answer_ages"] == [0.0, 0.2]
+
+
+@pytest.mark.parametrize("age", ["old", True, None, -0.1, 10**400, [0.1], {"s": 0.1}, 0.3])
+def test_an_age_that_makes_no_sense_is_none(age):
+    # At 0.2 s nothing rests on a percept of 0.3 s ago: there was none.
+    episode = telling({}, {}, {"decided": True, "age": age})
+    assert episode.failure is None
+    assert episode.metrics.answer_ages == []
+
+
+def test_an_age_may_be_all_of_the_time_since_the_start():
+    age = 0.2 + 1e-12  # more than the 0.2 s of the tick, by a rounding error
+    episode = telling({}, {}, {"decided": True, "age": age})
+    assert age > episode.time[2]
+    assert episode.metrics.answer_ages == [0.2]
+
+
+def test_a_fallback_is_no_decision_that_has_an_age():
+    told = {"decided": True, "age": 0.0, "seconds": 0.5}
+    episode = telling({**told, "fallback": True}, {**told, "fallback": False})
+    assert episode.metrics.answer_ages == [0.0]
+    assert episode.metrics.answer_seconds == [0.5, 0.5]
+
+
+def test_the_null_component_has_no_age_of_its_own():
+    null = {"age": 0.1, "decided": True}
+    assert telling({}, {"decided": True, "null": null}).metrics.answer_ages == []
+
+
 def nested(levels):
     """Lists within each other in a mapping."""
     value = 1
@@ -187,6 +223,16 @@ def test_tallies_are_part_of_the_digest_and_times_are_not():
     del told.digest  # it is kept once it is known
     told.metrics.tallies["guessed"] = Tally(1, 2, kind="control")
     assert told.digest != before
+
+
+def test_ages_are_part_of_the_digest_where_there_are_any():
+    def digest(age):
+        return telling({}, {"decided": True, "age": age}).digest
+
+    assert digest(0.0) != digest(0.1)
+    assert digest(0.1) == digest(0.1)
+    assert digest(None) == digest("old")
+    assert "answer_ages" not in telling({"decided": True}).metrics.deterministic()
 
 
 def test_the_summary_has_tallies_as_plain_data():

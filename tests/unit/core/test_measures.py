@@ -47,7 +47,7 @@ def test_the_summary_has_every_item_and_is_plain_data() -> None:
     assert set(summary) == {
         "violations", "performance", "wall_clock", "robustness_min", "faults", "recoveries",
         "recoveries_succeeded", "alerts", "proposals", "valid_proposals", "processing_us",
-        "tallies", "answer_seconds", "user",
+        "tallies", "answer_seconds", "answer_ages", "user",
     }  # fmt: skip
     assert summary["violations"]["safety_monitor"] > 0
     assert summary["violations"]["performance:energy"] > 0

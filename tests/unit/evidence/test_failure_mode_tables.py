@@ -10,7 +10,7 @@ from pytest_dura.evidence.formats import summary
 from pytest_dura.evidence.formats.report import failure_modes as part
 from pytest_dura.evidence.formats.report import render
 from pytest_dura.evidence.record.failure_modes import FailureModes
-from pytest_dura.evidence.views.failure_modes import answers, by_kind, percent, summed
+from pytest_dura.evidence.views.failure_modes import ages, answers, by_kind, percent, summed
 from pytest_dura.plugin.failure_mode_lines import failure_mode_table
 
 NASTY = "<script>x</script>\x1b[2J|`@team\n# Gate passed"
@@ -20,12 +20,16 @@ def tally(hits=1, of=2, null_hits=0, null_of=2, kind="failure"):
     return {"hits": hits, "of": of, "null_hits": null_hits, "null_of": null_of, "kind": kind}
 
 
-def metrics(*episodes, seconds=()):
+def metrics(*episodes, seconds=(), ages=()):
     """The part of a case's metrics that these episodes' tallies come to."""
     found = FailureModes()
     for tallies in episodes:
-        found.add({"tallies": tallies, "answer_seconds": list(seconds)})
-    return {"failure_modes": found.to_json(), "answer_times": found.answer_times()}
+        found.add({"tallies": tallies, "answer_seconds": list(seconds), "answer_ages": list(ages)})
+    return {
+        "failure_modes": found.to_json(),
+        "answer_times": found.answer_times(),
+        "answer_ages": found.answer_ages(),
+    }
 
 
 def record_with(*told, component="C"):
@@ -91,6 +95,64 @@ def test_percentiles_of_several_cases_are_a_range():
     )
 
 
+def test_past_the_time_budget_are_timeouts_and_nothing_else():
+    failed = ("unavailable", "empty", "refused", "malformed", "fallback", "past")
+    quick = metrics(
+        {name: tally(2, 2) for name in failed} | {"timeout": tally(0, 5)}, seconds=[0.1]
+    )
+    late = metrics({"timeout": tally(1, 50)}, {"timeout": tally(0, 0)}, seconds=[0.1])
+    both = record_with(quick, late)
+    (told,) = dict(answers(both["cases"])).values()
+    assert told.endswith(", longest 0.10 s; 1 of 55 (1.8 %) past the time budget")
+    (none,) = dict(answers(record_with(quick)["cases"])).values()
+    assert none.endswith("; 0 of 5 (0.0 %) past the time budget")
+    unknown = metrics({"timeout": tally(0, 0), "a": tally()}, seconds=[0.1])
+    (untold,) = dict(answers(record_with(unknown)["cases"])).values()
+    assert untold.endswith(", longest 0.10 s")
+
+
+def test_ages_are_told_where_a_decision_came_into_force_later_than_its_percept():
+    late = metrics({"a": tally()}, ages=(0.4, 0.4, 1.2, 0.0))
+    assert late["answer_ages"] == {"decisions": 4, "p50": 0.4, "p95": 1.2, "max": 1.2}
+    told = "median 0.4 s, 95th percentile 1.2 s, oldest 1.2 s"
+    record = record_with(late)
+    assert check_record(record) == []
+    assert dict(ages(record["cases"])) == {"C": told}
+    line = f"decisions came into force at an age of {told}"
+    assert line in failure_mode_table(record["cases"])
+    assert f"- decisions of `C` came into force at an age of {told}\n" in summary.render(record)
+    assert f"came into force at an age of {told}" in render(record)
+
+
+def test_ages_of_several_cases_are_a_range_and_components_are_told_apart():
+    told = [metrics({"a": tally()}, ages=one) for one in ((0.25,), (0.5, 12.3), (0.0,))]
+    assert dict(ages(record_with(*told)["cases"])) == {
+        "C": "median 0.25 to 0.5 s by case, 95th percentile 0.25 to 12.3 s by case, oldest 12.3 s"
+    }
+    case = session_record()["cases"][0]
+    rows = [
+        {**case, "component": name, "metrics": case["metrics"] | one}
+        for name, one in zip("ABC", told, strict=True)
+    ]
+    assert list(dict(ages(rows))) == ["A", "B"]
+    lines = [line for line in failure_mode_table(rows) if line.startswith("decisions of ")]
+    assert [line.partition(" at an age of ")[0] for line in lines] == [
+        "decisions of A came into force", "decisions of B came into force"
+    ]  # fmt: skip
+
+
+def test_where_no_decision_is_older_than_its_percept_ages_are_not_told():
+    for these in ((), (0.0, 0.0)):
+        record = record_with(metrics({"a": tally()}, ages=these))
+        assert check_record(record) == []
+        assert list(ages(record["cases"])) == []
+        lines = failure_mode_table(record["cases"])
+        for page in ("\n".join(lines), summary.render(record), render(record)):
+            assert "failure" in page.lower()
+            assert "came into force" not in page
+    assert metrics({}, ages=())["answer_ages"] is None
+
+
 @pytest.mark.parametrize(
     "part, expected",
     [(None, "-"), (0.0, "0.0"), (1.0, "100.0"), (1e-6, "<0.1"), (0.9999, ">99.9"), (0.5, "50.0")],
@@ -115,7 +177,8 @@ def test_a_record_with_failure_modes_keeps_to_the_schema():
 
 
 def test_names_of_components_and_failure_modes_do_no_harm():
-    record = record_with(metrics({NASTY: tally()}, seconds=(1.0,)), component=NASTY)
+    told = metrics({NASTY: tally()}, seconds=(1.0,), ages=(1.0,))
+    record = record_with(told, component=NASTY)
     page, text = render(record), summary.render(record)
     assert "<script>x" not in page
     assert "\x1b" not in page + text

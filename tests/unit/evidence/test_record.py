@@ -25,7 +25,8 @@ def episode(run=0, digest="d", validity="valid", **outcome):
     return {
         "id": f"a/b#{run}", "case": "a/b", "component": "C", "seed": run, "planned": True,
         "validity": validity, "digest": digest, "outcome": told | outcome,
-        "metrics": {"user": {}, "tallies": {}, "answer_seconds": []}, "faults": [],
+        "metrics": {"user": {}, "tallies": {}, "answer_seconds": [], "answer_ages": []},
+        "faults": [],
         "spec": {"run": run, "timeouts": []},
     }  # fmt: skip
 

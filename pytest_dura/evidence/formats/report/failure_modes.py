@@ -11,6 +11,7 @@ from pytest_dura.evidence.record.session_record import SessionRecord
 from pytest_dura.evidence.views.failure_modes import (
     HEADINGS,
     NULL,
+    ages,
     answers,
     by_kind,
     in_words,
@@ -39,6 +40,7 @@ def section(record: SessionRecord, _gathered: Gathered, _links: Links) -> Data:
             for component, modes in summed(cases).items()
         ],
         "answers": list(answers(cases)),
+        "ages": list(ages(cases)),
         "null": NULL,
         "rows": rows[:MOST_ROWS],
         "left_out": len(rows[MOST_ROWS:]),
