@@ -33,21 +33,39 @@ def hostile(tmp_path_factory):
     return record, next(one for one in found if len(one.time) > 2)
 
 
-def opened_wide(page):
-    """Each part of the page unfolded, its players opened, and its links followed."""
-    page.evaluate("() => document.querySelectorAll('details').forEach(one => { one.open = true })")
-    for button in page.get_by_role("button", name="Open the episode player").all():
-        button.click()
-    for link in page.locator("a[href^='#']").all()[:20]:
-        link.evaluate("one => one.click()")
+def unfolded(page):
+    """Opens each folded part of the page; how many there were."""
+    return page.evaluate("""() => {
+      const folded = [...document.querySelectorAll("details:not([open])")];
+      for (const one of folded) one.open = true;
+      return folded.length;
+    }""")
+
+
+def pressed(page, buttons):
+    """Presses each of these buttons; how many there were."""
+    found = page.locator(buttons).all()
+    for one in found:
+        one.evaluate("one => one.click()")
     page.wait_for_timeout(100)
-    return page
+    return len(found)
 
 
 def test_the_report_of_a_hostile_session_runs_nothing(opened, hostile):
-    page = opened_wide(opened(render(hostile[0])))
+    page = opened(render(hostile[0]))
+    slots = page.locator("details.player .slot").all()
+    assert len(slots) >= 2
+    assert page.locator(".dura-player").count() == 0
+    assert unfolded(page) > len(slots)
+    for (
+        slot
+    ) in slots:  # a player is made when its episode is unfolded, and has its own folded parts
+        slot.locator(".dura-player").wait_for()
+        assert "The episode cannot be shown" not in slot.inner_text()
+    assert unfolded(page) >= len(slots)
+    assert pressed(page, ".dura-player button") > len(slots)
+    assert pressed(page, "a[href^='#']") > 20
     assert page.evaluate(PWNED) == []
-    assert page.locator(".dura-player").count() >= 2
     assert page.locator("script").count() == 2 + page.locator("details.player").count()
     assert "<img src=x onerror=window.pwned=1>" in page.locator("main").inner_text()
     page.get_by_label("Filter", exact=True).fill("<img src=x onerror=window.pwned=1>")
@@ -60,7 +78,8 @@ def test_the_player_of_a_hostile_episode_runs_nothing(opened, hostile):
     page = opened(player_page(replace(hostile[1], about=about), verdicts))
     page.locator(".dura-player").wait_for()
     assert FIRST[0] in page.title()
-    opened_wide(page)
+    assert unfolded(page) > 0
+    assert pressed(page, ".dura-player button") > 0
     for key in ("ArrowRight", "ArrowRight", "End", "Home", " ", " "):
         page.keyboard.press(key)
     assert page.evaluate(PWNED) == []
