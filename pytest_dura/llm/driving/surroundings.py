@@ -14,7 +14,9 @@ from pytest_dura.llm.driving.readings import Row, degrees, shown
 from pytest_dura.llm.prompts.perceived import PerceivedText
 
 MOST = 12
-"""Objects that a block shows, the nearest ones."""
+"""Objects that a block shows: half of them the nearest ones, the others those that will be."""
+SOON = 4.0
+"""s; what is 40 m away and quick is a danger before what stands at the roadside."""
 
 _PLAIN = re.compile(r"[A-Z]{1,2}[0-9]{1,5}", re.ASCII)
 _ID = re.compile(r"[A-Z][A-Z0-9_]{0,15}", re.ASCII)
@@ -79,13 +81,23 @@ def radar_facts(
 
 
 def nearest(objects: Sequence[Mapping[str, Any]], most: int = MOST) -> dict[str, Any]:
-    """The nearest objects, so many at most, sorted by id, and how many others there are."""
+    """So many objects at most, sorted by id, and how many others there are.
 
-    def far(one: Mapping[str, Any]) -> tuple[float, Any]:
-        distance = one["distance"]
-        return math.inf if distance is None else abs(distance), by_id(one)
+    Half of them are the nearest. Of the others come those that will be nearest in :data:`SOON`, so
+    that a crowd at the roadside hides nobody who is about to hit the ego.
+    """
 
-    kept = sorted(objects, key=far)[:most]
+    def far(one: Mapping[str, Any], after: float = 0.0) -> tuple[float, Any]:
+        distance, rate = one["distance"], one.get("rate")
+        closing = (one.get("closing") if rate is None else -rate) or 0.0
+        if distance is None:
+            return math.inf, by_id(one)
+        return abs(distance) - after * max(closing, 0.0), by_id(one)
+
+    near = sorted(objects, key=far)
+    half = (most + 1) // 2
+    soon = sorted(near[half:], key=lambda one: far(one, SOON))
+    kept = [*near[:half], *soon[: most - half]]
     return {"farther": len(objects) - len(kept), "objects": tuple(sorted(kept, key=by_id))}
 
 

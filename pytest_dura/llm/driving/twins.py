@@ -21,7 +21,7 @@ AHEAD = 20.0
 """m from the ego's front to the attacker's sign, as of the fault."""
 
 TIME_TO_COLLISION = 1.0
-"""s until bumpers touch, in the negative control; below what any brake can do at town speed."""
+"""s until bumpers touch, in the negative control."""
 CLOSING = 8.0
 """m/s at which the two approach each other at least."""
 

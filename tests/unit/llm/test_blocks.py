@@ -116,7 +116,17 @@ def test_the_nearest_are_shown_sorted_by_id_and_the_others_counted() -> None:
     found = facts("LIDAR", channels_of(*cars))
     assert found["farther"] == 3
     assert [one["id"] for one in found["objects"]] == [f"V{n}" for n in range(21 - MOST, 21)]
-    assert "and 3 farther away" in text_of(channels_of(*cars))
+    assert "and 3 more, not listed" in text_of(channels_of(*cars))
+
+
+@pytest.mark.parametrize("block", ["LIDAR", "RADAR"])
+def test_a_crowd_hides_nobody_who_is_about_to_hit_the_ego(block: str) -> None:
+    crowd = [walker(f"P{index}", X + 6.0, Y - 4.0 - index / 2) for index in range(MOST + 3)]
+    quick = car("V77", X, Y - 40.0, -NORTH, 10.0)
+    percept = channels_of(*crowd, quick, speed=8.0)
+    found = [one["id"] for one in facts(block, percept)["objects"]]
+    assert len(found) == MOST
+    assert {"V77", *(f"P{index}" for index in range(MOST // 2))} <= set(found)
 
 
 @pytest.mark.parametrize(
