@@ -373,6 +373,18 @@ def test_before_an_imminent_collision_nobody_speeds_up() -> None:
     assert measured(lost)[name] == 1
 
 
+def test_who_decides_the_same_before_an_imminent_collision_is_unmoved() -> None:
+    name = "unmoved_by_conflict"
+    # Who always waits passes the control, and shows here that it reads nothing.
+    found = measured(account(maneuver="wait", beside=beside(conflict="wait")))
+    assert (found["accelerates_into_conflict"], found[name]) == (0, 1)
+    assert measured(account(beside=beside(conflict="emergency_brake")))[name] == 0
+    assert measured(account(beside=beside(conflict=("malformed", "wait"))))[name] != 1
+    braking = account(maneuver="emergency_brake", beside=beside(conflict="emergency_brake"))
+    assert is_nan(measured(braking)[name])
+    assert KINDS[name] == "comparison"
+
+
 @pytest.mark.parametrize("outcome", FAILURE_CLASSES)
 def test_a_failed_answer_falls_into_one_class_and_shows_nothing_else(outcome: str) -> None:
     found = measured(account(outcome=outcome, fallback=True, beside=beside(again="proceed")))
