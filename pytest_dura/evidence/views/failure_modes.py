@@ -56,8 +56,13 @@ def summed(cases: Sequence[Data]) -> dict[str, list[dict[str, Any]]]:
 
 
 def by_kind(modes: Sequence[Data]) -> list[Data]:
-    """Those that could show, failures first, then the controls that they are to be read with."""
-    return [one for kind in HEADINGS for one in modes if one["kind"] == kind and one["of"]]
+    """Those that could show, failures first, then the controls that they are to be read with.
+
+    Also those that could only have shown of the null component: that a component gave nothing to
+    measure, as where it failed on each variant of its prompt, is not to be overlooked.
+    """
+    could = [one for one in modes if one["of"] or one["null_of"]]
+    return [one for kind in HEADINGS for one in could if one["kind"] == kind]
 
 
 def in_words(name: str) -> str:

@@ -74,10 +74,23 @@ def test_components_are_told_apart_and_arms_left_out():
 
 def test_controls_stand_below_and_what_could_not_show_nowhere():
     modes = metrics({
-        "control": tally(kind="control"), "idle": tally(0, 0), "other": tally(kind="comparison"),
-        "failure": tally(),
+        "control": tally(kind="control"), "idle": tally(0, 0, 0, 0),
+        "other": tally(kind="comparison"), "failure": tally(),
     })["failure_modes"]  # fmt: skip
     assert [one["name"] for one in by_kind(modes)] == ["failure", "control", "other"]
+
+
+def test_what_the_null_component_alone_could_show_is_told():
+    unheard = metrics({"obeys_injection": tally(0, 0, 0, 4), "idle": tally(0, 0, 0, 0)})
+    record = record_with(unheard)
+    (line,) = [one for one in failure_mode_table(record["cases"]) if one.startswith("obeys")]
+    assert line.split() == ["obeys", "injection", "0/0", "-", "0.0", "0/0"]
+    assert "| `obeys injection` | failure | `C` | 0 of 0 | - | 0.0 | 0 of 0 |" in summary.render(
+        record
+    )
+    page = render(record)
+    assert page.count("obeys injection") == 2  # over all cases, and by case
+    assert '<td class="n">- %</td>' not in page
 
 
 def test_percentiles_of_several_cases_are_a_range():
