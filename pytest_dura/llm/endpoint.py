@@ -49,6 +49,14 @@ class Endpoint:
                 expected="a name such as `llama3.1:8b`",
             )
         _check_key(self.key)
+        for name, value in ((URL, self.base_url), (MODEL, self.model)):
+            if self.scrub(value) != value:
+                raise ConfigurationError(
+                    f"{name} holds the key, and stands in many a file",
+                    key=name,
+                    expected=f"the key in {KEY} alone",
+                    remedy=f"take it out of {name}; revoke it where it was shown",
+                )
 
     @classmethod
     def from_environment(cls, environ: Mapping[str, str]) -> Endpoint:

@@ -24,6 +24,8 @@ BLANK = "[key]"
 class Scrubber:
     """Takes a key out of texts: as it is, percent-encoded, escaped in JSON, and in base64.
 
+    In JSON any of its characters may be written by its number.
+
     Base64 of a longer text has the key at one of three offsets; the characters that depend on the
     key alone are looked for, which covers ``Bearer <key>`` and ``user:<key>`` too. Keys that are
     shorter than :data:`SHORTEST` are no secrets, and are left.
@@ -31,7 +33,8 @@ class Scrubber:
 
     def __init__(self, key: str) -> None:
         forms = sorted(set(_forms(key)), key=len, reverse=True) if len(key) >= SHORTEST else []
-        self._pattern = re.compile("|".join(map(re.escape, forms))) if forms else None
+        spelt = "".join(rf"(?:{re.escape(one)}|\\u(?i:{ord(one):04x}))" for one in key)
+        self._pattern = re.compile("|".join([*map(re.escape, forms), spelt])) if forms else None
 
     def scrub(self, text: str) -> str:
         """The text without the key."""

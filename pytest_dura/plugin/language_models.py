@@ -182,6 +182,15 @@ class LanguageModels:
             for model in models:
                 current().describe(model)
 
+    def asked_anew(self) -> list[str]:
+        """A line, if a server was asked in this process, that its answers may be others now."""
+        session = self._in_use
+        counts = {} if session is None else session.counts
+        if not any(count for (*_, deed), count in counts.items() if deed == "asked"):
+            return []
+        advice = "--dura-llm=replay repeats what --dura-llm=record kept"
+        return [f"  a language model was asked anew and may have answered otherwise; {advice}"]
+
     def used(self, spec: EpisodeSpec) -> None:
         """An item looked at an episode: note the models that its settled specs state."""
         if _SESSIONS not in sys.modules:

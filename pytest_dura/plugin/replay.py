@@ -39,6 +39,7 @@ def replay(session: DuraSession) -> int:
             episode = one.run(recorded=True)
         same, lines = _compared(one, episode, options.evidence)
         equal &= same
+        lines += [] if same else session.models.asked_anew()
         say([*lines, f"  player: {_page(one, episode, options.evidence)}"])
     return 0 if equal else 1
 

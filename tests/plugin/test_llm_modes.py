@@ -267,6 +267,24 @@ def test_an_episode_is_replayed_from_the_cassette(talking, server, cut_off, mode
     assert sessions.in_use() is None
 
 
+@pytest.mark.parametrize("mode", ["live", "record"])
+def test_a_model_that_answers_otherwise_is_told_where_a_replay_differs(talking, server, mode):
+    numbers = iter(range(1, 10_000))
+    server._otherwise = answers_by(
+        lambda request: f"{1 / next(numbers):.6f}" if "gap" in request.prompt else "the sea"
+    )
+    run(talking, "live")
+    told = "  a language model was asked anew and may have answered otherwise; *"
+    arguments = ["--dura-replay=corridor/it#1", f"--dura-llm={mode}"]
+    result = talking.run(*arguments)
+    assert result.ret == 1
+    result.stdout.fnmatch_lines(["  DIFFERENT: *", told])
+    if mode == "record":  # it is all in the cassette by now, and the code is to blame
+        result = talking.run(*arguments)
+        result.stdout.fnmatch_lines(["  DIFFERENT: *"])
+        result.stdout.no_fnmatch_line(told)
+
+
 def test_a_component_of_a_conftest_is_replayed_with_what_it_was_settled_to(talking, cut_off):
     talking.write(
         "conftest.py",

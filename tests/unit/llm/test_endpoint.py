@@ -104,6 +104,23 @@ def test_a_key_too_short_to_be_kept_out_of_texts_is_refused_but_dummies_are_not(
     assert Endpoint("http://host/v1", "m", "sk-local").scrub("a local ask") == "a local ask"
 
 
+@pytest.mark.parametrize(
+    "name, value",
+    [
+        ("DURA_LLM_BASE_URL", f"http://10.0.0.7/{quote(SECRET, safe='')}/v1"),
+        ("DURA_LLM_MODEL", f"llama-{SECRET}"),
+    ],
+)
+def test_a_key_in_what_is_shown_everywhere_is_refused_without_being_told(
+    name: str, value: str
+) -> None:
+    with pytest.raises(ConfigurationError, match=f"{name} holds the key") as caught:
+        Endpoint.from_environment({**GIVEN, name: value})
+    assert caught.value.key == name
+    assert SECRET not in str(caught.value)
+    assert quote(SECRET, safe="") not in str(caught.value)
+
+
 def test_no_repr_shows_the_key() -> None:
     found = Endpoint.from_environment(GIVEN)
     assert SECRET not in repr(found)
@@ -119,6 +136,10 @@ FORMS = {
     "json": json.dumps(SECRET),
     "json in json": json.dumps(json.dumps(SECRET)),
     "json with escaped slashes": json.dumps(SECRET).replace("/", "\\/"),
+    "json with every character escaped": "".join(f"\\u{ord(one):04X}" for one in SECRET),
+    "json with some characters escaped": "".join(
+        f"\\u{ord(one):04x}" if one in 'sr\\"' else one for one in SECRET
+    ),
     "base64": base64.b64encode(SECRET.encode()).decode(),
     "base64 of the header": base64.b64encode(f"Bearer {SECRET}".encode()).decode(),
     "base64 of user and password": base64.b64encode(f"user:{SECRET}".encode()).decode(),
