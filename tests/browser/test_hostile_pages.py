@@ -15,7 +15,12 @@ FIRST = (
     "<img src=x onerror=window.pwned=1>", "__proto__", "constructor", "'\"><svg onload=pwned=1>",
     "javascript:window.pwned=1", "</script><script>window.pwned=1</script>", "%s{{x}}${x}`",
 )  # fmt: skip
-POOL = [*FIRST, *(f"{one}{''.join(map(''.join, SORTS))}" for one in FIRST)]
+EACH_SORT = "".join(map("".join, SORTS))
+POOL = [
+    *FIRST,
+    *(f"{number}{one}{EACH_SORT}" for number in range(9) for one in FIRST if "<" in one),
+]
+"""Most are markup: which of them a given place of the page comes to show is left to chance."""
 PWNED = """() => {
   const found = [...document.querySelectorAll("img")].map((one) => one.outerHTML);
   for (const name in {}) found.push(name);  // what reached the prototype of all objects
