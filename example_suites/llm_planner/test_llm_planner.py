@@ -45,6 +45,12 @@ def test_decides_the_same_however_it_is_told(campaign: Campaign) -> None:
 
 
 @crossings
+@pytest.mark.requirement("LLM-CONSIST-4")
+def test_moves_as_it_says(campaign: Campaign) -> None:
+    campaign.require()
+
+
+@crossings
 @pytest.mark.requirement("LLM-CONTROL-1")
 def test_does_not_accelerate_into_a_collision(campaign: Campaign) -> None:
     campaign.require()

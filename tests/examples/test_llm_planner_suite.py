@@ -76,6 +76,7 @@ DEFECTS = {
     "LLM-CONSIST-1": models.model(models.contradicts_itself),
     "LLM-CONSIST-2": models.model(models.throws_dice),
     "LLM-CONSIST-3": models.model(models.reads_the_order),
+    "LLM-CONSIST-4": models.model(models.says_the_opposite),
     "LLM-CONTROL-1": models.model(models.sees_nothing),
     "LLM-INJECT-1": models.model(models.obeys),
     "LLM-FORMAT-1": wordy,
@@ -127,7 +128,7 @@ def test_the_suite_judges_the_model_that_the_environment_names(
     suite = shutil.copytree(SUITE, tmp_path / "my_suite")
     done = run_suite(suite, "--dura-runs=1", "--dura-no-twins", "--dura-evidence-level=summary")
     assert done.returncode == 1, done.stdout + done.stderr
-    assert "12 undecided" in done.stdout  # a single run supports no rate
+    assert "13 undecided" in done.stdout  # a single run supports no rate
     record = json.loads((suite / "dura-evidence" / "evidence.json").read_text())
     assert [one["model"] for one in record["models"]] == ["careful"]
     assert {one["requirement"] for one in record["verdicts"]} > set(DEFECTS)

@@ -52,6 +52,11 @@ def contradicts_itself(text, _request, answer):
     return answer | {"intent": "speed_up"} if answer["maneuver"] == "wait" else answer
 
 
+def says_the_opposite(text, _request, answer):
+    slower = answer["maneuver"] == "wait"
+    return answer | {"intent": "speed_up" if slower else "slow_down"}
+
+
 def throws_dice(text, request, answer):
     return answer | {"maneuver": "yield" if request.sample % 2 else "wait"}
 

@@ -98,12 +98,14 @@ class LlmPlanner(LlmGenerator):
             scene = Scene.of(view.percept)
             asked = acceleration_for(command, scene.speed, scene.to_stop_line)
             if math.isfinite(asked):
-                self._accelerations = [*self._accelerations[-1:], (view.time, asked)]
+                # What was refused at this very tick is no decision to go on from.
+                before = [one for one in self._accelerations if one[0] < view.time]
+                self._accelerations = [*before[-1:], (view.time, asked)]
         if not self._accelerations:
             return command
-        (before, first), (time, last) = self._accelerations[0], self._accelerations[-1]
-        slope = (last - first) / (time - before) if time > before else 0.0
-        value = last + slope * min(view.time - time, time - before)
+        (earlier, first), (time, last) = self._accelerations[0], self._accelerations[-1]
+        slope = (last - first) / (time - earlier) if time > earlier else 0.0
+        value = last + slope * min(view.time - time, time - earlier)
         return Command(command.maneuver, max(-MAX_BRAKING, min(MAX_ACCELERATION, value)))
 
     def told(self, action: Command) -> Mapping[str, Any]:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from models import ALONE, PLANNER, Model, answering, llm_episode, said
+from roads import channels_of
 
 from pytest_dura import ConfigurationError, Policy, RoleSpec
+from pytest_dura.core.roles import RoleContext
 from pytest_dura.llm.driving.planner import LlmPlanner
 from pytest_dura.llm.port import Answer
 from pytest_dura.llm.settings import EVERYTHING
@@ -275,6 +278,22 @@ def test_between_decisions_the_acceleration_goes_on_along_the_line_through_the_l
     assert second < first - 0.5
     line = second + (second - first) / 5 * np.arange(5)
     assert asked[5:10] == pytest.approx(np.clip(line, -8.0, 4.0), abs=1e-4)
+
+
+def test_what_was_refused_is_no_point_of_the_line():
+    planner = LlmPlanner(**ALONE, between="extrapolate")
+    planner.reset(RoleContext(0, 0.1, {}))
+
+    def asked(maneuver, time, speed, *, fresh):
+        view = SimpleNamespace(time=time, percept=channels_of(speed=speed))
+        return planner.extrapolated(maneuver, view, fresh=fresh).acceleration
+
+    first = asked("proceed", 0.0, 7.0, fresh=True)
+    refused = asked("accelerate", 1.0, 8.0, fresh=True)
+    second = asked("proceed", 1.0, 8.0, fresh=True)
+    assert (first, second) == (pytest.approx(2.0), pytest.approx(1.0))
+    assert refused > second
+    assert asked("proceed", 1.5, 8.0, fresh=False) == pytest.approx(0.5)
 
 
 def test_an_extrapolated_acceleration_stays_within_the_envelope():
