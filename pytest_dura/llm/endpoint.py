@@ -55,7 +55,7 @@ class Endpoint:
                     f"{name} holds the key, and stands in many a file",
                     key=name,
                     expected=f"the key in {KEY} alone",
-                    remedy=f"take it out of {name}; revoke it where it was shown",
+                    remedy=f"take it out of {name}, or {_LOCAL_REMEDY}",
                 )
 
     @classmethod
