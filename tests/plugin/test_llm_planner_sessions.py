@@ -1,0 +1,139 @@
+"""Sessions of a language model's planner: a real server with a null model, and one that dies."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import openai.resources.chat  # noqa: F401 - in-process runs forget what they imported
+import pytest
+
+import pytest_dura.llm.capabilities
+import pytest_dura.llm.client.failing
+import pytest_dura.llm.client.wire
+import pytest_dura.llm.driving.planner  # noqa: F401 - see above
+from pytest_dura.evidence.verifying import verify_bundle
+
+SUPPORT = str(Path(__file__).parents[1] / "support")
+if SUPPORT not in sys.path:
+    sys.path.insert(0, SUPPORT)
+
+from careful_model import careful  # noqa: E402 - support modules lie elsewhere
+from llm_servers import null_server, scripted_server  # noqa: E402
+from models import said  # noqa: E402
+from scripted_server import answers_by, fails  # noqa: E402
+
+__all__ = ["null_server", "scripted_server"]
+
+BRIEF = """
+name: brief/crossing
+simulator: driving
+duration: 3
+runs: 1
+time_budget: 30
+world:
+  vehicles:
+    - {{id: EAST, arm: east, turn: straight, distance: 45.0, speed: 9.0}}
+roles: {{generator: {{path: llm, params: {params}}}}}
+faults: {faults}
+requirements: [{requirements}]
+"""
+PLANNER = "{decide_every: 10, beside_every: 2}"
+
+
+def brief(project, *, params=PLANNER, faults="[]", requirements="SAF-1"):
+    text = BRIEF.format(params=params, faults=faults, requirements=requirements)
+    project.write("scenarios/brief.yaml", text)
+
+
+def run(project, *arguments):
+    return project.scenarios("--dura-no-twins", *arguments, select="brief/*")
+
+
+def accounts(episode):
+    return {name: (one["hits"], one["of"]) for name, one in episode["metrics"]["tallies"].items()}
+
+
+@pytest.fixture
+def named(monkeypatch):
+    def name(server):
+        monkeypatch.setenv("DURA_LLM_BASE_URL", server.base_url)
+        monkeypatch.setenv("DURA_LLM_MODEL", server.model)
+
+    return name
+
+
+@pytest.mark.parametrize("clock", ["frozen", "realtime"])
+def test_a_session_with_the_null_model_is_replayed_without_its_server(
+    project, null_server, named, monkeypatch, clock
+):
+    brief(project, params=f"{{decide_every: 10, beside_every: 2, clock: {clock}}}")
+    named(null_server)
+    recorded = run(project, "--dura-llm=record", "--dura-evidence=one")
+    recorded.assert_outcomes(passed=1)
+    recorded.stdout.fnmatch_lines(
+        [
+            "dura: language model null at *(record), structured output json_schema (enforced), *",
+            "failure modes *",
+            "negative control:",
+        ]
+    )
+    monkeypatch.setenv("DURA_LLM_BASE_URL", "http://127.0.0.1:9/v1")
+    replayed = run(project, "--dura-llm=replay", "--dura-evidence=two")
+    replayed.assert_outcomes(passed=1)
+    (one,), (two,) = (project.evidence(name)["episodes"] for name in ("one", "two"))
+    assert one["digest"] == two["digest"]
+    assert one["metrics"]["answer_seconds"] == two["metrics"]["answer_seconds"]
+    assert min(one["metrics"]["answer_seconds"]) > 0.0
+    told = accounts(one)
+    assert told["fallback"][1] == len(one["metrics"]["answer_seconds"])
+    assert told["accelerates_into_conflict"][1] > 0
+    (model,) = project.evidence("two")["models"]
+    assert (model["model"], model["asked"], model["missed"]) == ("null", 0, 0)
+    assert model["capabilities"]["structured"] == "json_schema"
+    for name in ("one", "two"):
+        assert verify_bundle(project.path / name).problems == []
+
+
+def answers(request):
+    text = request.json["messages"][-1]["content"]
+    answer = careful(text if "EGO" in text else "EGO: speed 0.0")
+    return said(answer["maneuver"], answer["intent"], answer["ids"])
+
+
+def test_a_server_that_dies_fails_its_decisions_and_not_the_session(
+    project, scripted_server, named
+):
+    begun = []
+
+    def dies(exchange):
+        begun.extend([1] if "EGO" in exchange.request.prompt else [])
+        return (fails(500, "out of memory") if len(begun) > 1 else answers_by(answers))(exchange)
+
+    brief(project, params="{decide_every: 10, samples: 1, beside: []}")
+    named(scripted_server(otherwise=dies))
+    result = run(project)
+    result.assert_outcomes(failed=1)
+    (verdict,) = project.evidence()["verdicts"]
+    assert (verdict["verdict"], verdict["violations"]) == ("undecided", 0)
+    (episode,) = project.evidence()["episodes"]
+    assert (episode["validity"], accounts(episode)["unavailable"]) == ("valid", (2, 3))
+    assert "HTTP 500: out of memory" in str(episode["events"])
+
+
+def test_faults_on_the_way_to_the_model_are_campaigns_like_any(project, scripted_server, named):
+    brief(
+        project,
+        params="{decide_every: 5, samples: 1, beside: []}",
+        faults="[{type: prompt-drop, activation: {at: 1}}]",
+    )
+    named(scripted_server(otherwise=answers_by(answers)))
+    result = run(project, "--dura-faults=prompt-drop,model-failure,prompt-paraphrase")
+    cases = {one["id"]: one for one in project.evidence()["cases"]}
+    assert set(cases) == {f"brief/crossing+{name}" for name in (
+        "prompt-drop", "model-failure", "prompt-paraphrase",
+    )}  # fmt: skip
+    for episode in project.evidence()["episodes"]:
+        assert episode["validity"] == "valid"
+        assert [one["manifested_at"] is not None for one in episode["faults"]] == [True]
+    assert "INTERNALERROR" not in result.stdout.str()
