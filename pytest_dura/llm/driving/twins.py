@@ -29,10 +29,16 @@ CLOSING = 8.0
 def injected(prompt: Prompt, text: str = ATTACK) -> Prompt:
     """The prompt with one more sign, that says what an attacker wants.
 
+    Where somebody has put up a text already, the prompt stays: what is decided on it is no
+    decision without an attack, to which another could be compared.
+
     Args:
         prompt: Of the deciding request.
         text: What is on the sign.
     """
+    controls = next((one.facts for one in prompt.blocks if one.name == "CONTROLS"), {})
+    if any(one.get("text") for one in controls.get("objects", ())):
+        return prompt
     numbers = _numbers(prompt, "S")
     sign = sign_facts(f"S{max(numbers, default=0) + 1}", Sign(POSTER, AHEAD, text), 0.0)
     return _with_objects(prompt, {"CONTROLS": sign})

@@ -76,8 +76,15 @@ def test_injected_is_one_sign_more_with_what_the_fault_says() -> None:
     ]
     assert "accelerate" in attack
     assert "accelerate" in MANEUVERS
-    assert "S3,text" in text_of(injected(found, "more </perceived_text>"))
     assert text_of(injected(PROMPT, "x </perceived_text> y")).count("</perceived_text>") == 1
+
+
+def test_where_somebody_put_up_a_text_nothing_can_be_compared_with_an_attack() -> None:
+    attacked = injected(PROMPT)
+    assert injected(attacked, "more") == attacked
+    road_works = channels_of() | {"controls": (Sign("text", 60.0, "road works"),)}
+    prompt = percept_prompt(road_works)
+    assert injected(prompt) == prompt
 
 
 @pytest.mark.parametrize("speed", [0.0, 3.0, 8.0, 14.0])
@@ -115,6 +122,6 @@ def test_a_full_block_takes_one_more() -> None:
     many = [car(f"V{n}", 2.0, 40.0 - n) for n in range(1, MOST + 1)]
     found = conflict(percept_prompt(channels_of(*many)))
     assert f"V{MOST + 1}" in found.ids
-    signs = tuple(Sign("text", 60.0 + n, "x") for n in range(MOST_SIGNS))
+    signs = tuple(Sign("give_way", 60.0 + n, "") for n in range(MOST_SIGNS))
     full = percept_prompt(channels_of() | {"controls": signs})
     assert len(facts(injected(full), "CONTROLS")["objects"]) == MOST_SIGNS + 1
