@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sqlite3
+import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -12,12 +13,15 @@ from threading import RLock
 from typing import Any
 
 from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.outside import OutsideError, told
 
 APPLICATION = 0x44555241
 """``DURA`` in ASCII: what tells a cassette from other SQLite files."""
 VERSION = 1
 PATIENCE = 60.0
 """Seconds for which a process waits until another one has written."""
+LONG = 0.5
+"""Seconds after which what is done with the file was held up by others."""
 _TABLES = """
 CREATE TABLE texts (sha256 TEXT PRIMARY KEY, text TEXT NOT NULL) WITHOUT ROWID;
 CREATE TABLE exchanges (id INTEGER PRIMARY KEY, key TEXT NOT NULL UNIQUE, model TEXT NOT NULL,
@@ -178,18 +182,23 @@ class CassetteFile:
     def errors(self) -> Iterator[None]:
         """Context in which what SQLite and the system say against the file is one error of ours.
 
+        A wait for other processes takes the component's time, too: where that ends meanwhile, it is
+        not the component that was slow.
+
         Raises:
             ConfigurationError: In place of theirs.
         """
+        start = time.monotonic()
         try:
             yield
         except (sqlite3.Error, OSError, ValueError) as error:
             if isinstance(error, sqlite3.OperationalError) and "locked" in str(error):
-                raise self._error(
-                    "other processes have kept the cassette locked for too long",
-                    remedy="let one session at a time record into it",
-                ) from None
+                raise self._locked() from None
             raise self.damaged(str(error)) from None
+        except BaseException:  # it is raised again
+            if time.monotonic() - start > LONG:
+                told(OutsideError("cassette", str(self._locked())))
+            raise
 
     def damaged(self, what: str) -> ConfigurationError:
         """The error for a file that is not as it was written, or cannot be got at."""
@@ -198,6 +207,12 @@ class CassetteFile:
             f"the cassette cannot be {deed}: {what[:200]}",
             expected="a file that --dura-llm=record wrote, and the right to use it",
             remedy="restore it, or record it again into another file",
+        )
+
+    def _locked(self) -> ConfigurationError:
+        return self._error(
+            "other processes have kept the cassette locked for too long",
+            remedy="let one session at a time record into it",
         )
 
     def _error(self, problem: str, **more: Any) -> ConfigurationError:

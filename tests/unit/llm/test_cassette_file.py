@@ -11,6 +11,8 @@ import pytest
 
 from pytest_dura.__main__ import main
 from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.limits import TimeBudgetExceeded, call_within
+from pytest_dura.core.outside import listening
 from pytest_dura.llm.cassette.exchanges import Cassette, Exchange, text_digest
 from pytest_dura.llm.port import Answer, Message, Request
 
@@ -295,6 +297,22 @@ def test_what_ends_a_process_as_a_transaction_begins_leaves_none_open(tape):
         cassette.add(exchange())
     cassette._open = real
     assert cassette.add(exchange()) == exchange().answer
+
+
+def test_a_component_is_not_slow_whose_time_ends_while_the_cassette_is_locked(tape, monkeypatch):
+    monkeypatch.setattr("pytest_dura.llm.cassette.file.PATIENCE", 0.3)
+    monkeypatch.setattr("pytest_dura.llm.cassette.file.LONG", 0.1)
+    cassette = Cassette(tape, writable=True)
+    other = sqlite3.connect(tape, isolation_level=None)
+    other.execute("BEGIN EXCLUSIVE")
+    with listening() as heard, pytest.raises(TimeBudgetExceeded):
+        call_within(0.15, cassette.find, exchange().key)
+    assert [one.source for one in heard] == ["cassette"]
+    assert "kept the cassette locked for too long" in str(heard[0])
+    other.execute("ROLLBACK")
+    with listening() as heard:
+        assert call_within(5.0, cassette.find, exchange().key) is None
+    assert heard == []
 
 
 def test_a_text_is_found_by_what_it_is(recorded):
