@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import secrets
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from datetime import datetime, timezone
@@ -110,6 +110,10 @@ class ModelSession:
             raise known.with_traceback(None)
         return known
 
+    def know(self, described: Iterable[Mapping[str, Any]]) -> None:
+        """Take over what another process of this session found out, instead of asking again."""
+        self._described |= {one["model"]: self._description(one) for one in described}
+
     @property
     def descriptions(self) -> list[ModelDescription]:
         """Every model that was described in this process, by name."""
@@ -199,10 +203,8 @@ class ModelSession:
     def _asked(self, server: Server, request: Request, limit: float, fingerprint: str) -> Answer:
         self._count(request, fingerprint, "asked")
         answer = server.ask(request, limit)
-        texts = {
-            name: self._scrub(server.scrub(getattr(answer, name)))
-            for name in ("text", "detail", "finish", "fingerprint")
-        }
+        names = ("text", "detail", "finish", "fingerprint")
+        texts = {name: self._scrub(server.scrub(getattr(answer, name))) for name in names}
         return replace(answer, **texts)
 
     def _count(self, request: Request, fingerprint: str, deed: str) -> None:
@@ -217,6 +219,9 @@ class ModelSession:
 
     def _probed(self, model: str | None) -> ModelDescription:
         server = self._server(model)
+        known = self._described.get(server.model)
+        if isinstance(known, ModelDescription) and known.base_url == server.base_url:
+            return known
         if self.cassette is not None:
             shared = self.cassette.described(server.model, server.base_url, self._session)
             if shared is not None:

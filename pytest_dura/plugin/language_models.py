@@ -62,6 +62,9 @@ class LanguageModels:
         if self.file is not None:
             told["dura_cassette"] = str(self.file.absolute())
             told["dura_llm_session"] = self._name
+        elif self._in_use is not None:
+            # Each worker's own probe might come to something else, and so to another component.
+            told["dura_llm_described"] = [one.to_json() for one in self._in_use.descriptions]
 
     def begin(self) -> None:
         """Let nothing of an earlier session of this process answer, and open the cassette.
@@ -81,6 +84,12 @@ class LanguageModels:
             made = ModelSession(
                 options.llm, self.file, session=self._name, scrub=self.session.redact
             )
+            self._put_to_use(made)
+        elif self._input.get("dura_llm_described"):
+            from pytest_dura.llm.session import ModelSession
+
+            made = ModelSession(session=self._name)
+            made.know(self._input["dura_llm_described"])
             self._put_to_use(made)
 
     def __enter__(self) -> None:

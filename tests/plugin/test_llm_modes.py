@@ -190,6 +190,15 @@ def test_an_equal_request_is_asked_once_in_record_and_each_time_in_live(talking,
     assert len(prompts(server)) == 2 * once
 
 
+@pytest.mark.parametrize("mode", ["live", "record"])
+def test_workers_go_by_what_the_controller_found_out(talking, server, mode):
+    run(talking, mode, "-n", "2", "--dura-evidence=one", runs=1)
+    probing = [one for one in server.requests if "gap" not in one.prompt]
+    (told,) = talking.evidence("one")["models"]
+    assert told["asked"] == len(prompts(server)) > 0
+    assert len(probing) == told["capabilities"]["requests"] - 1
+
+
 def test_the_evidence_names_model_server_and_cassette(talking, server):
     result = run(talking, "record")
     can = "structured output json_schema (not enforced), vision no, seed yes"

@@ -89,6 +89,22 @@ def missed(tape, asked, **more):
     return str(caught.value)
 
 
+def test_what_another_process_found_out_holds_for_the_same_server_alone(server):
+    first = made("live", None, server)
+    first.describe()
+    told = [one.to_json() for one in first.descriptions]
+    for name in (None, "m"):
+        second = made("live", None, server)
+        second.know(told)
+        assert second.describe(name) == first.describe()
+    assert server.probes == 1
+    server.base_url = "http://127.0.0.1:10/v1"
+    other = made("live", None, server)
+    other.know(told)
+    assert other.describe().base_url == server.base_url
+    assert server.probes == 2
+
+
 def test_live_asks_each_time_and_keeps_nothing(tape, server):
     session = made("live", None, server)
     assert [session.ask(request(), 5.0).text for _ in range(2)] == ["answer 1", "answer 2"]
