@@ -125,7 +125,6 @@ def test_faults_on_the_way_to_the_model_are_campaigns_like_any(project, scripted
     brief(
         project,
         params="{decide_every: 5, samples: 1, beside: []}",
-        faults="[{type: prompt-drop, activation: {at: 1}}]",
     )
     named(scripted_server(otherwise=answers_by(answers)))
     result = run(project, "--dura-faults=prompt-drop,model-failure,prompt-paraphrase")

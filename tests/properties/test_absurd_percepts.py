@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from models import answering, said
 from roads import Views, car_on, channels_of, walker
 
 from pytest_dura.campaign.domains import DOMAINS
@@ -92,12 +93,13 @@ def usable(role: Any, output: Any) -> None:
 )
 def test_every_role_answers_to_any_finite_numbers(name: str, seen: Any) -> None:
     role, views = RoleSpec(PATHS[name]).create(), Views()
-    role.reset(RoleContext(1, 0.1, {}, ()))
-    for percept, action in seen:
-        if isinstance(role, Generator):
-            usable(role, role.propose(views.generator(percept)))
-        else:
-            usable(role, role.run(views.role(percept, action)))
+    with answering(lambda *_: said("yield")):  # for the one that asks a language model
+        role.reset(RoleContext(1, 0.1, {}, ()))
+        for percept, action in seen:
+            if isinstance(role, Generator):
+                usable(role, role.propose(views.generator(percept)))
+            else:
+                usable(role, role.run(views.role(percept, action)))
 
 
 @settings(derandomize=True, deadline=None, max_examples=150)

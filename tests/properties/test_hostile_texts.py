@@ -304,11 +304,14 @@ class Terminal:
 def check_terminal(bundle):
     """Nothing acts on a terminal, or reads as another line of ours."""
     config = SimpleNamespace(
-        args_source=None, ArgsSource=SimpleNamespace(ARGS=1), option=SimpleNamespace(
-            inifilename=None, rootdir=None), invocation_params=SimpleNamespace(dir=bundle.root),
+        args_source=None, ArgsSource=SimpleNamespace(ARGS=1),
+        option=SimpleNamespace(inifilename=None, rootdir=None, verbose=0),
+        invocation_params=SimpleNamespace(dir=bundle.root),
     )  # fmt: skip
     session = SimpleNamespace(
-        config=config, options=SimpleNamespace(runs=None, given=()), evidence=SimpleNamespace(
+        config=config, models=SimpleNamespace(replay_options=list),
+        options=SimpleNamespace(runs=None, given=()),
+        evidence=SimpleNamespace(
             final=bundle.record, objections=bundle.record["gate"]["reasons"],
             file=bundle.directory / "evidence.json"),
     )  # fmt: skip

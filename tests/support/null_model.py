@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import gc
 import importlib.util
 import os
 import queue
@@ -140,7 +139,7 @@ def _mute(matrix):
 
 
 def start(model, port=0, *, cache_prompt=False):
-    """llama.cpp's server in this process; freed with ``del`` and ``gc.collect()``.
+    """llama.cpp's server in this process; freed with ``del`` and a collection of garbage.
 
     Args:
         model: The GGUF file.
@@ -255,8 +254,9 @@ def main(arguments=None):
         until = time.monotonic() + options.at_most
         while not ended.wait(0.1) and time.monotonic() < until:
             pass
-        del server
-        gc.collect()
+    # Freeing the server waits for threads of llama.cpp's, now and then for ever.
+    sys.stdout.flush()
+    os._exit(0)
 
 
 def _wait_for_end_of_input(ended):
