@@ -23,7 +23,7 @@ from pytest_dura.campaign.cases import expand_cases
 from pytest_dura.campaign.chains import CausalChain
 from pytest_dura.campaign.domains import DOMAINS
 from pytest_dura.campaign.loading import load_library
-from pytest_dura.core.roles import RoleSpec
+from pytest_dura.core.role_spec import RoleSpec
 
 DRIVING = DOMAINS["driving"]
 PLANNERS = ("rule_based", "reactive", "aggressive")

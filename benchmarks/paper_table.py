@@ -24,7 +24,7 @@ from pytest_dura.campaign.cases import Case, expand_cases
 from pytest_dura.campaign.domains import DOMAINS
 from pytest_dura.campaign.loading import load_library
 from pytest_dura.core.orchestrator import Orchestrator
-from pytest_dura.core.roles import RoleSpec
+from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.requirements.statistics import mcnemar
 
 Key = tuple[str, bool, str, int]

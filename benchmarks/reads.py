@@ -7,7 +7,8 @@ from collections.abc import Mapping
 from pytest_dura.campaign.cases import expand_cases
 from pytest_dura.campaign.loading import load_library
 from pytest_dura.core.orchestrator import Orchestrator
-from pytest_dura.core.roles import RoleContext, RoleSpec
+from pytest_dura.core.role_spec import RoleSpec
+from pytest_dura.core.roles import RoleContext
 from pytest_dura.core.state import StateManager
 
 

@@ -23,7 +23,7 @@ from pytest_dura.campaign.cases import expand_cases
 from pytest_dura.campaign.domains import DOMAINS
 from pytest_dura.campaign.loading import load_library
 from pytest_dura.core.orchestrator import Orchestrator
-from pytest_dura.core.roles import RoleSpec
+from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.switching import switching
 from pytest_dura.driving.measures import clearance_time
 from pytest_dura.requirements.statistics import mcnemar

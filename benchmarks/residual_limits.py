@@ -27,7 +27,8 @@ from pytest_dura.campaign.domains import DOMAINS
 from pytest_dura.campaign.loading import load_library
 from pytest_dura.core.cusum import Cusum
 from pytest_dura.core.orchestrator import Orchestrator
-from pytest_dura.core.roles import Role, RoleSpec
+from pytest_dura.core.role_spec import RoleSpec
+from pytest_dura.core.roles import Role
 from pytest_dura.core.state import RoleView
 from pytest_dura.driving.residuals import Snapshot, residuals
 from pytest_dura.driving.roles.residuals import LIMITS

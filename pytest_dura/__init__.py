@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from pytest_dura.core.metrics import DependabilityMetrics, FaultRecord
     from pytest_dura.core.orchestrator import Orchestrator
     from pytest_dura.core.recording import Line, Recording, Scene, Tracks
+    from pytest_dura.core.role_spec import RoleSpec
     from pytest_dura.core.roles import (
         Alert,
         Assessed,
@@ -39,7 +40,6 @@ if TYPE_CHECKING:
         RecoveryPlanner,
         Role,
         RoleContext,
-        RoleSpec,
         SafetyMonitor,
         SecurityAssessment,
         SecurityAssessor,
@@ -142,9 +142,10 @@ _HOMES = {
     "pytest_dura.core.metrics": "DependabilityMetrics FaultRecord",
     "pytest_dura.core.orchestrator": "Orchestrator",
     "pytest_dura.core.recording": "Line Recording Scene Tracks",
+    "pytest_dura.core.role_spec": "RoleSpec",
     "pytest_dura.core.roles": (
         "Alert Assessed Assessment FaultInjector Generator Injection PerformanceAssessment "
-        "PerformanceOracle Proposal Recovery RecoveryPlanner Role RoleContext RoleSpec "
+        "PerformanceOracle Proposal Recovery RecoveryPlanner Role RoleContext "
         "SafetyMonitor SecurityAssessment SecurityAssessor"
     ),
     "pytest_dura.core.seeding": "derive_seed stream",

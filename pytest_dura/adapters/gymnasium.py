@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pytest_dura.adapters.spaces import default_action, describe, to_action
 from pytest_dura.core.errors import ActionError, ConfigurationError
 from pytest_dura.core.recording import Scene
-from pytest_dura.core.roles import RoleSpec
+from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.simulator import Simulator
 from pytest_dura.core.state import NOTHING, Percept, Tick
 

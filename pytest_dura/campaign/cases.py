@@ -25,7 +25,8 @@ from pytest_dura.campaign.settling import settled
 from pytest_dura.campaign.worlds import checked_world
 from pytest_dura.core.episode import EpisodeSpec, Policy, Termination
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.core.roles import STANDARD_ROLES, RoleSpec
+from pytest_dura.core.role_spec import RoleSpec
+from pytest_dura.core.roles import STANDARD_ROLES
 from pytest_dura.core.seeding import derive_seed
 
 WITHOUT = "~"

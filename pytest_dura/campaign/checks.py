@@ -21,7 +21,8 @@ from pytest_dura.campaign.problems import did_you_mean, placed
 from pytest_dura.campaign.scenario import Scenario
 from pytest_dura.campaign.worlds import checked_world, checker
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.core.roles import STANDARD_ROLES, Role, RoleSpec
+from pytest_dura.core.role_spec import RoleSpec
+from pytest_dura.core.roles import STANDARD_ROLES, Role
 
 
 def problems_of(scenario: Scenario) -> list[ConfigurationError]:

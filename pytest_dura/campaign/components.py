@@ -9,7 +9,8 @@ from typing import Any
 from pytest_dura.campaign.domains import DOMAINS
 from pytest_dura.campaign.problems import did_you_mean, placed
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.core.roles import STANDARD_ROLES, Generator, Role, RoleSpec
+from pytest_dura.core.role_spec import RoleSpec
+from pytest_dura.core.roles import STANDARD_ROLES, Generator, Role
 from pytest_dura.core.simulator import Simulator
 from pytest_dura.core.state import NOTHING
 

@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 
 from pytest_dura.campaign.problems import did_you_mean
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.core.roles import STANDARD_ROLES, RoleSpec
+from pytest_dura.core.role_spec import RoleSpec
+from pytest_dura.core.roles import STANDARD_ROLES
 
 
 @dataclass(frozen=True)

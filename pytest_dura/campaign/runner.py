@@ -17,7 +17,7 @@ from pytest_dura.core.episode import Episode, EpisodeSpec
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.orchestrator import Orchestrator
 from pytest_dura.core.propagation import Divergence
-from pytest_dura.core.roles import RoleSpec
+from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.state import NOTHING
 from pytest_dura.requirements.judge import RequirementJudge
 from pytest_dura.requirements.model import Requirement

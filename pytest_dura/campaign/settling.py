@@ -8,7 +8,8 @@ from typing import Any
 
 from pytest_dura.core.episode import canonical
 from pytest_dura.core.errors import ConfigurationError, describe_error
-from pytest_dura.core.roles import Role, RoleSpec
+from pytest_dura.core.role_spec import RoleSpec
+from pytest_dura.core.roles import Role
 
 _PLAIN: set[str] = set()
 """Paths whose classes settle nothing: most of them."""

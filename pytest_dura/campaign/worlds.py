@@ -13,7 +13,7 @@ from pytest_dura.campaign.problems import placed
 from pytest_dura.campaign.scenario import Scenario
 from pytest_dura.campaign.validation import translate
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.core.roles import RoleSpec
+from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.faults.channels import Channel
 
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.metrics import DependabilityMetrics, FaultRecord
 from pytest_dura.core.recording import Recording
-from pytest_dura.core.roles import RoleSpec
+from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.state import Event
 
 Validity = Literal["valid", "invalid", "missing"]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from pytest_dura.core.errors import ConformanceError, describe_error
-from pytest_dura.core.roles import RoleSpec
+from pytest_dura.core.role_spec import RoleSpec
 
 
 @dataclass(frozen=True)

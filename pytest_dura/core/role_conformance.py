@@ -12,6 +12,7 @@ from pytest_dura.core.component import check_proposal
 from pytest_dura.core.errors import ActionError, ConfigurationError, describe_error
 from pytest_dura.core.findings import ConformanceReport, Findings, builder
 from pytest_dura.core.outputs import check_output, owed_output
+from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.roles import (
     FaultInjector,
     Generator,
@@ -20,7 +21,6 @@ from pytest_dura.core.roles import (
     Recovery,
     Role,
     RoleContext,
-    RoleSpec,
 )
 from pytest_dura.core.simulator import Simulator
 from pytest_dura.core.state import NOTHING, GeneratorView, Percept, RoleView, StateManager

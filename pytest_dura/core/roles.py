@@ -1,17 +1,13 @@
-"""The roles of the loop: an abstract base, the six bases with typed outputs, and RoleSpec."""
+"""The roles of the loop: an abstract base, the six bases with typed outputs."""
 
 from __future__ import annotations
 
-import importlib
-import inspect
-import sys
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, ClassVar
 
-from pytest_dura.core.errors import ConfigurationError, describe_error
 from pytest_dura.core.state import NOTHING, GeneratorView, RoleView
 
 
@@ -292,139 +288,3 @@ STANDARD_ROLES: dict[str, type[Role]] = {
         RecoveryPlanner,
     )
 }
-
-
-@dataclass(frozen=True)
-class RoleSpec:
-    """How to build a role (or a simulator): an import path ``package.module:Name`` and parameters.
-
-    ``instance`` holds an opaque object instead: it works in this process only, and is reset
-    before each episode.
-    """
-
-    path: str
-    params: Mapping[str, Any] = field(default_factory=dict)
-    instance: Any = field(default=None, compare=False, repr=False)
-
-    @classmethod
-    def of(cls, value: object, params: Mapping[str, Any] | None = None) -> RoleSpec:
-        """From a RoleSpec, an import path, a class, an importable factory or an instance.
-
-        Raises:
-            ConfigurationError: If a fresh instance could not be built from it elsewhere.
-        """
-        if isinstance(value, RoleSpec):
-            return value
-        if isinstance(value, str):
-            return cls(value, dict(params or {}))
-        if inspect.isclass(value) or inspect.isroutine(value):
-            path = f"{value.__module__}:{value.__qualname__}"
-            home = sys.modules.get(value.__module__)
-            if "<" in path or getattr(home, value.__qualname__, value) is not value:
-                raise ConfigurationError(
-                    "a role factory must be importable by name",
-                    found=path,
-                    expected="a class or function that this path leads to",
-                    remedy="move it to a module of its own, at the top level there",
-                )
-            return cls(path, dict(params or {}))
-        path = f"{type(value).__module__}:{type(value).__qualname__}"
-        return cls(path, dict(params or {}), instance=value)
-
-    @property
-    def opaque(self) -> bool:
-        """Whether it holds a bare instance, which cannot be rebuilt in another process."""
-        return self.instance is not None
-
-    @property
-    def label(self) -> str:
-        """The component's name in cases, verdicts and reports."""
-        return self.path.rsplit(":", 1)[-1]
-
-    def with_params(self, params: Mapping[str, Any]) -> RoleSpec:
-        """The same with other parameters."""
-        return RoleSpec(self.path, dict(params), self.instance)
-
-    def factory(self) -> Callable[..., Any]:
-        """The imported class or factory.
-
-        Raises:
-            ConfigurationError: If the path cannot be imported.
-        """
-        module_name, _, qualname = self.path.partition(":")
-        if not module_name or not qualname:
-            raise ConfigurationError(
-                "an import path has the form package.module:Name",
-                found=self.path,
-                expected="package.module:Name",
-                remedy="put a colon between the module and the class or function",
-            )
-        try:
-            target: Any = importlib.import_module(module_name)
-            for part in qualname.split("."):
-                target = getattr(target, part)
-        except Exception as error:  # a module runs the user's code when it is imported
-            raise ConfigurationError(
-                f"cannot import {self.path!r}: {describe_error(error)}",
-                found=self.path,
-                expected="an importable package.module:Name",
-                remedy="check the spelling, and that the package is installed or on the path",
-            ) from error
-        if not callable(target):
-            raise ConfigurationError(
-                f"{self.path!r} is not a class or factory",
-                found=target,
-                expected="a class, or a function that returns a role",
-            )
-        factory: Callable[..., Any] = target
-        return factory
-
-    def create(self) -> Any:
-        """A fresh object, or the opaque instance.
-
-        Raises:
-            ConfigurationError: If the path cannot be imported, or refuses the parameters.
-        """
-        if self.instance is not None:
-            return self.instance
-        factory = self.factory()
-        try:
-            inspect.signature(factory).bind(**self.params)
-        except TypeError as error:
-            raise ConfigurationError(
-                f"{self.path} does not take these parameters: {error}",
-                found=dict(self.params),
-                expected=f"{self.label}{inspect.signature(factory)}",
-                remedy="correct the parameters",
-            ) from None
-        except ValueError:  # a builtin without a signature: it will tell when it is called
-            pass
-        try:
-            return factory(**self.params)
-        except ConfigurationError:
-            raise
-        except Exception as error:
-            raise ConfigurationError(
-                f"{self.path} cannot be built: {describe_error(error)}",
-                found=dict(self.params),
-                remedy="correct its parameters or its constructor",
-            ) from error
-
-    def to_json(self) -> dict[str, Any]:
-        """Plain data."""
-        plain: dict[str, Any] = {"path": self.path, "params": dict(self.params)}
-        return plain | ({"opaque": True} if self.opaque else {})
-
-    @classmethod
-    def from_json(cls, data: Mapping[str, Any]) -> RoleSpec:
-        """The inverse of :meth:`to_json`.
-
-        Raises:
-            ConfigurationError: For an opaque role: a bare instance in a process that is gone.
-        """
-        if data.get("opaque"):
-            raise ConfigurationError(
-                f"{data['path']} was given as a bare instance and cannot be built again",
-                remedy="let the role fixture return the class or a RoleSpec",
-            )
-        return cls(data["path"], dict(data.get("params", {})))

@@ -11,7 +11,7 @@ import numpy as np
 from pytest_dura.core.comparing import first_difference, leaves, mutable_parts
 from pytest_dura.core.errors import ActionError, describe_error
 from pytest_dura.core.findings import ConformanceReport, Findings, builder
-from pytest_dura.core.roles import RoleSpec
+from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.simulator import Simulator
 from pytest_dura.core.simulator_options import (
     check_lazy,

@@ -9,7 +9,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.core.roles import RoleSpec
+from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.state import NOTHING
 from pytest_dura.faults.model import Fault
 from pytest_dura.faults.refusals import refusal

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from pytest_dura.campaign.cases import Case
     from pytest_dura.campaign.runner import Bench
     from pytest_dura.core.episode import Episode
-    from pytest_dura.core.roles import RoleSpec
+    from pytest_dura.core.role_spec import RoleSpec
     from pytest_dura.plugin.parametrize import Target
     from pytest_dura.requirements.verdicts import JudgedEpisode
 

@@ -17,7 +17,7 @@ from pytest_dura.plugin.overrides import root_conftest_with
 
 if TYPE_CHECKING:
     from pytest_dura.core.episode import EpisodeSpec
-    from pytest_dura.core.roles import RoleSpec
+    from pytest_dura.core.role_spec import RoleSpec
     from pytest_dura.evidence.record.session_record import SessionRecord
     from pytest_dura.llm.session import ModelSession
     from pytest_dura.plugin.inputs import SessionInputs

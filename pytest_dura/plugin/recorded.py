@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     import pytest
 
     from pytest_dura.core.episode import Episode, EpisodeSpec
-    from pytest_dura.core.roles import RoleSpec
+    from pytest_dura.core.role_spec import RoleSpec
     from pytest_dura.plugin.options import Options
     from pytest_dura.requirements.model import Requirement
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from pytest_dura.campaign.cases import Case
     from pytest_dura.campaign.chains import CausalChain
     from pytest_dura.campaign.store import Key
-    from pytest_dura.core.roles import RoleSpec
+    from pytest_dura.core.role_spec import RoleSpec
     from pytest_dura.evidence.record.item_report import ItemReport
     from pytest_dura.plugin.parametrize import Target
     from pytest_dura.plugin.session import DuraSession

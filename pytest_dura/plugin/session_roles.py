@@ -8,7 +8,7 @@ from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.plugin.overrides import conftest_defining, root_conftest_with
 
 if TYPE_CHECKING:
-    from pytest_dura.core.roles import RoleSpec
+    from pytest_dura.core.role_spec import RoleSpec
     from pytest_dura.plugin.session import DuraSession
 
 
@@ -28,7 +28,7 @@ class SessionRoles:
         if role not in self._defaults:
             from pytest_dura.campaign.components import generator_option
             from pytest_dura.campaign.domains import DOMAINS
-            from pytest_dura.core.roles import RoleSpec
+            from pytest_dura.core.role_spec import RoleSpec
 
             driving, option = DOMAINS["driving"], self.session.options.generator
             if role == "simulator":

@@ -13,7 +13,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.core.roles import RoleSpec
+from pytest_dura.core.role_spec import RoleSpec
 
 _PATH = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*")
 

@@ -15,7 +15,8 @@ from roads import Views, car_on, channels_of, walker
 
 from pytest_dura.campaign.domains import DOMAINS
 from pytest_dura.core.outputs import check_output, owed_output
-from pytest_dura.core.roles import Generator, Proposal, RecoveryPlanner, RoleContext, RoleSpec
+from pytest_dura.core.role_spec import RoleSpec
+from pytest_dura.core.roles import Generator, Proposal, RecoveryPlanner, RoleContext
 from pytest_dura.core.state import Percept
 from pytest_dura.driving.bodies import BodyList
 from pytest_dura.driving.highway import HighwaySimulator

@@ -13,7 +13,7 @@ from injecting import Bench, Drawing, fault
 from roads import run, spec_of_drive
 
 from pytest_dura import Episode
-from pytest_dura.core.roles import RoleSpec
+from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.driving.roles.planners import Aggressive
 from pytest_dura.faults.injector import CampaignInjector
 from pytest_dura.faults.life import NOW

@@ -13,7 +13,7 @@ from pytest_dura.campaign.loading import load_library
 from pytest_dura.campaign.runner import run_episode
 from pytest_dura.campaign.settling import forget
 from pytest_dura.core.episode import Termination
-from pytest_dura.core.roles import RoleSpec
+from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.llm import session
 from pytest_dura.llm.port import Answer, Request
 

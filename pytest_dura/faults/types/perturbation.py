@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field, field_validator
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.core.roles import RoleSpec
+from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.faults.model import Kind, Moment
 from pytest_dura.faults.parts import FaultPart
 from pytest_dura.faults.types.base import ListedFault

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeAlias
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.core.roles import RoleSpec
+from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.state import Percept
 
 PREFIX = "percept."

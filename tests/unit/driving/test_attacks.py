@@ -11,7 +11,7 @@ from roads import SCENARIOS, SIX, run, spec_of_drive, truth_of
 from pytest_dura import Episode
 from pytest_dura.campaign.cases import expand_cases
 from pytest_dura.campaign.loading import load_scenarios
-from pytest_dura.core.roles import RoleSpec
+from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.driving.roles.planners import Aggressive
 
 WORLD: dict[str, Any] = {

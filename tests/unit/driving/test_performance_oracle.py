@@ -9,6 +9,7 @@ import pytest
 from roads import Views, channels_of, run, spec_of_drive
 
 from pytest_dura.core.conformance import check_role
+from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.roles import (
     Assessed,
     Assessment,
@@ -16,7 +17,6 @@ from pytest_dura.core.roles import (
     PerformanceAssessment,
     Proposal,
     RoleContext,
-    RoleSpec,
     SafetyMonitor,
 )
 from pytest_dura.driving.highway import HighwaySimulator

@@ -14,14 +14,8 @@ from pytest_dura import Episode
 from pytest_dura.campaign.cases import expand_cases
 from pytest_dura.campaign.loading import load_scenarios
 from pytest_dura.core.conformance import check_role
-from pytest_dura.core.roles import (
-    Assessed,
-    Generator,
-    Proposal,
-    RoleContext,
-    RoleSpec,
-    SecurityAssessment,
-)
+from pytest_dura.core.role_spec import RoleSpec
+from pytest_dura.core.roles import Assessed, Generator, Proposal, RoleContext, SecurityAssessment
 from pytest_dura.driving.highway import HighwaySimulator
 from pytest_dura.driving.maneuvers import Command, Maneuver
 from pytest_dura.driving.roles.security import PlausibilityAssessor

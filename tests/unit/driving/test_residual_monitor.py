@@ -16,7 +16,8 @@ from pytest_dura.campaign.domains import DOMAINS
 from pytest_dura.campaign.loading import load_scenarios
 from pytest_dura.core.conformance import check_role
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.core.roles import Assessed, RoleContext, RoleSpec, SecurityAssessment
+from pytest_dura.core.role_spec import RoleSpec
+from pytest_dura.core.roles import Assessed, RoleContext, SecurityAssessment
 from pytest_dura.driving.bodies import BodyList
 from pytest_dura.driving.highway import HighwaySimulator
 from pytest_dura.driving.maneuvers import Command, Maneuver
