@@ -90,33 +90,30 @@ class CampaignInjector(FaultInjector):
 
     def corrupt_command(self, action: Any, time: float) -> tuple[Any, tuple[str, ...]]:
         """Apply the active command faults, in declared order."""
-        decided, tampered = action, list[str]()
-        for life in self._commands:
-            if not life.acts_now:
-                continue
-            before = action
-            action = life.act(before, time, self._channels)
-            if action is not before:
-                tampered.append(life.fault.id)
-        if len(tampered) > 1 and same(decided, action):
-            return decided, ()
-        return action, tuple(tampered)
+        return self._changed(self._commands, action, time)
 
     def corrupt_message(
         self, channel: str, message: Any, time: float
     ) -> tuple[Any, tuple[str, ...]]:
         """Apply the active faults of a channel of messages, in declared order."""
-        sent, tampered = message, list[str]()
-        for life in self._messages:
-            if life.target.channel != channel or not life.acts_now:
+        lives = [life for life in self._messages if life.target.channel == channel]
+        return self._changed(lives, message, time)
+
+    def _changed(
+        self, lives: Sequence[Life], value: Any, time: float
+    ) -> tuple[Any, tuple[str, ...]]:
+        """A value on its way after the faults that act on it, and the ids of those that did."""
+        sent, tampered = value, list[str]()
+        for life in lives:
+            if not life.acts_now:
                 continue
-            before = message
-            message = life.act(before, time, self._channels)
-            if message is not before:
+            before = value
+            value = life.act(before, time, self._channels)
+            if value is not before:
                 tampered.append(life.fault.id)
-        if len(tampered) > 1 and same(sent, message):
+        if len(tampered) > 1 and same(sent, value):
             return sent, ()
-        return message, tuple(tampered)
+        return value, tuple(tampered)
 
     def _acting_where(self, life: Life) -> list[Life]:
         """The faults that act at the same point of the loop."""

@@ -17,20 +17,10 @@ Failure = Literal[
     "schema_violation",
     "unknown_action",
 ]
-Outcome = Literal[
-    "answered",
-    "unavailable",
-    "timeout",
-    "empty",
-    "refused",
-    "truncated",
-    "malformed",
-    "schema_violation",
-    "unknown_action",
-]
+Outcome = Literal["answered", Failure]
 
 FAILURES: tuple[Failure, ...] = get_args(Failure)
-OUTCOMES: tuple[Outcome, ...] = get_args(Outcome)
+OUTCOMES: tuple[Outcome, ...] = (ANSWERED, *FAILURES)
 
 MEANINGS: Mapping[Failure, str] = {
     "unavailable": "the server could not be reached, or answered with an error",
