@@ -38,6 +38,18 @@ def check_proposal(proposal: Any) -> str | None:
     return f"declared a latency of {latency!r}, which is not a duration in seconds"
 
 
+def _duration(told: Any) -> float | None:
+    """The time limit that a component has named.
+
+    Raises:
+        ValueError: If it is no duration.
+    """
+    number = isinstance(told, Real) and not isinstance(told, bool)
+    if told is None or (number and 0.0 < float(told) < math.inf):
+        return None if told is None else float(told)
+    raise ValueError(f"its time_limit is {told!r}, which is no number of seconds above 0")
+
+
 class Component:
     """Calls the Generator and turns every way in which it can fail into words.
 
@@ -49,13 +61,14 @@ class Component:
 
     def __init__(self, generator: Generator, spec: EpisodeSpec, timeouts: list[int]) -> None:
         self.generator, self.spec, self.timeouts = generator, spec, timeouts
-        self._limit = generator.time_limit(spec.time_budget)
+        self._limit = spec.time_budget
         self._calls = 0
         self._not_called = ""
 
     def reset(self, context: RoleContext) -> str | None:
         """Begin an episode; returns what went wrong, if anything. It is not called after that."""
         try:
+            self._limit = _duration(self.generator.time_limit(self.spec.time_budget))
             self._timed_call(IN_RESET, self.generator.reset, context)
         except TimeBudgetExceeded:
             problem = "reset overran its wall-clock time budget"

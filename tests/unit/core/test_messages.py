@@ -184,3 +184,33 @@ def test_a_component_learns_its_time_budget():
     run_loop(asks, seconds=0.1, spec={"time_budget": 2.5})
     assert asks.budget == 2.5
     assert Proposal(1.0).account is NOTHING
+
+
+@pytest.mark.parametrize("limit", [0.0, -1.0, float("nan"), float("inf"), "5", True])
+def test_a_time_limit_that_is_none_fails_the_component_and_not_the_loop(limit):
+    class Odd(Says):
+        def time_limit(self, budget):
+            return limit
+
+    episode = run_loop(Odd(lambda _: Proposal(1.0)), seconds=0.2)
+    assert episode.validity == "valid"
+    assert f"its time_limit is {limit!r}" in episode.events[0].detail
+    assert episode.metrics.valid_proposals == 0
+
+
+def test_a_time_limit_that_raises_fails_the_component_and_not_the_loop():
+    class Odd(Says):
+        def time_limit(self, budget):
+            raise RuntimeError("no idea")
+
+    episode = run_loop(Odd(lambda _: Proposal(1.0)), seconds=0.2)
+    assert "no idea" in episode.events[0].detail
+    assert episode.metrics.valid_proposals == 0
+
+
+def test_a_component_may_ask_for_no_limit():
+    class Endless(Says):
+        def time_limit(self, budget):
+            return None
+
+    assert run_loop(Endless(lambda _: Proposal(1.0)), seconds=0.2).metrics.valid_proposals == 2
