@@ -143,7 +143,11 @@ def test_reordering_keeps_every_line(percept: Any, seed: int) -> None:
 def test_twins_of_any_prompt_can_be_put_into_words(percept: Any, text: str) -> None:
     prompt = percept_prompt(percept)
     attacked, near = injected(prompt, text + MARK), conflict(prompt)
-    assert len({*attacked.ids} - {*prompt.ids}) == 1
+    signs = next(one.facts["objects"] for one in prompt.blocks if one.name == "CONTROLS")
+    if any(one["text"] for one in signs):  # under an attack there is no decision without one
+        assert attacked == prompt
+    else:
+        assert len({*attacked.ids} - {*prompt.ids}) == 1
     assert len({*near.ids} - {*prompt.ids}) == 1
     for wording in ("", "paraphrased"):
         assert MARK not in ENCLOSED.sub("", text_of(attacked, wording))
