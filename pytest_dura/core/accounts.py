@@ -66,7 +66,7 @@ def copied(account: Mapping[str, Any]) -> Mapping[str, Any]:
     Args:
         account: One with which nothing is wrong.
     """
-    if not account:
+    if account is NOTHING or not account:
         return NOTHING
     found: dict[str, Any] = json.loads(json.dumps(dict(account)))
     return found
@@ -149,7 +149,7 @@ def _null(account: Mapping[str, Any]) -> Mapping[str, Any]:
 
 def told_seconds(account: Mapping[str, Any]) -> float | None:
     """How long the component says that its decision took; ``None`` if it gives no duration."""
-    return _duration(account.get(SECONDS))
+    return None if account is NOTHING else _duration(account.get(SECONDS))
 
 
 def _told_age(account: Mapping[str, Any], time: float) -> float | None:

@@ -12,7 +12,7 @@ from pytest_dura.core.episode import EpisodeSpec
 from pytest_dura.core.errors import describe_error
 from pytest_dura.core.limits import CallNotStopped, TimeBudgetExceeded, call_within
 from pytest_dura.core.roles import Generator, Proposal, RoleContext
-from pytest_dura.core.state import GeneratorView
+from pytest_dura.core.state import NOTHING, GeneratorView
 
 ABANDON_AFTER = 3
 """A component that overran its wall-clock budget this often is not called again in the episode."""
@@ -29,9 +29,10 @@ def check_proposal(proposal: Any) -> str | None:
         return f"gave an explanation that is {type(proposal.explanation).__name__}, not str"
     if not isinstance(proposal.failure, str):
         return f"gave a failure that is {type(proposal.failure).__name__}, not str"
-    wrong = account_problem(proposal.account)
-    if wrong is not None:
-        return wrong
+    if proposal.account is not NOTHING:  # most components give none, at any tick
+        wrong = account_problem(proposal.account)
+        if wrong is not None:
+            return wrong
     latency: Any = proposal.latency
     if latency is None or (isinstance(latency, Real) and 0.0 <= float(latency) < math.inf):
         return None

@@ -271,7 +271,7 @@ class Orchestrator:
             except (Exception, SystemExit) as error:
                 raise self._infrastructure("simulator", error) from error
             else:
-                self.state.proposal = replace(proposal, action=action)
+                self.state.proposal = proposal.with_action(action)
         self.log.proposed(tick, proposal, problem)
 
     def _assess(self, *, first: bool) -> tuple[Assessed, tuple[str, ...]]:

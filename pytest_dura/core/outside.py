@@ -6,9 +6,6 @@ raises the error tells the loop of it at the same time, and the loop ends the ep
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-
 from pytest_dura.core.errors import DuraError
 
 
@@ -35,12 +32,18 @@ def told(error: OutsideError) -> OutsideError:
     return error
 
 
-@contextmanager
-def listening() -> Iterator[list[OutsideError]]:
-    """A list that is filled with what is told meanwhile; of nested ones the innermost hears it."""
-    heard: list[OutsideError] = []
-    _LISTENERS.append(heard)
-    try:
-        yield heard
-    finally:
+class listening:  # noqa: N801 - reads like a statement
+    """Context with a list that is filled with what is told meanwhile.
+
+    Of nested ones the innermost hears it. A class, since it is entered at each tick.
+    """
+
+    def __enter__(self) -> list[OutsideError]:
+        """Begin to listen."""
+        heard: list[OutsideError] = []
+        _LISTENERS.append(heard)
+        return heard
+
+    def __exit__(self, *_: object) -> None:
+        """Listen no more."""
         _LISTENERS.pop()
