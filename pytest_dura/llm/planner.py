@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from pytest_dura.core.roles import Generator, Proposal, RoleContext
@@ -199,16 +199,9 @@ class LlmGenerator(Generator):
 
     def _ask(self, prompt: Prompt, sample: int, delivery: Delivery) -> Answer:
         request = self.request(prompt, sample)
-        answer = self._session.ask(
-            request,
-            self._deadline,
-            delivery,
-            fingerprint=None if self.settings.server is None else self.settings.server.fingerprint,
-        )
-        if self._deadline is not None and answer.seconds > self._deadline:
-            late = f"answered after {answer.seconds:.1f} s"
-            return replace(answer, failure="timeout", detail=late, seconds=self._deadline)
-        return answer
+        server = self.settings.server
+        fingerprint = None if server is None else server.fingerprint
+        return self._session.ask(request, self._deadline, delivery, fingerprint=fingerprint)
 
     def request(self, prompt: Prompt, sample: int = 0) -> Request:
         """What is sent to the model for a prompt."""

@@ -70,7 +70,7 @@ class Talker(Generator):
         request = Request(self.model, (Message("user", text),))
         try:
             answer = session.current().ask(request, 5.0, fingerprint=self.fingerprint)
-        except Exception:
+        except Exception:  # a component that hides what went wrong must not get away with it
             if not HIDES:
                 raise
             return Proposal(0.5)

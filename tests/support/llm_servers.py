@@ -8,6 +8,12 @@ import null_model
 import pytest
 import scripted_server as scripted
 
+from pytest_dura.llm.client import OpenAiClient
+from pytest_dura.llm.endpoint import Endpoint
+
+KEY = "sk-0123456789abcdef"
+"""Of the clients that the fixture `client` makes."""
+
 
 @pytest.fixture(scope="session")
 def null_server(tmp_path_factory):
@@ -27,6 +33,19 @@ def require_null_model(reason=None):
         pytest.fail(f"DURA_REQUIRE_LLM=1, but {reason}")
     if reason:
         pytest.skip(reason)
+
+
+@pytest.fixture
+def client(scripted_server):
+    """``client(*behaviours)`` is a client of a new server, which stands in ``client.server``."""
+
+    def start(*behaviours, **options):
+        server = scripted_server(*behaviours, **options)
+        found = OpenAiClient(Endpoint(server.base_url, "m1", KEY))
+        found.server = server
+        return found
+
+    return start
 
 
 @pytest.fixture

@@ -103,7 +103,7 @@ class _Stream(httpcore2.NetworkStream):
             with _told(httpcore2.ConnectTimeout, httpcore2.ConnectError):
                 self._sock.settimeout(self._deadline.left())
                 wrapped = ssl_context.wrap_socket(self._sock, server_hostname=server_hostname)
-        except BaseException:
+        except BaseException:  # a time limit, too, must leave no socket open; it is raised again
             self.close()
             raise
         return _Stream(wrapped, self._deadline)
@@ -122,7 +122,7 @@ def _connected(address: tuple[Any, ...], seconds: float) -> socket.socket:
         sock.settimeout(seconds)
         sock.connect(place)
         sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-    except BaseException:
+    except BaseException:  # see above
         sock.close()
         raise
     return sock

@@ -58,7 +58,7 @@ class Wire(httpx2.BaseTransport):
                         content=request.read(),
                     )
                 )
-        except BaseException:
+        except BaseException:  # a time limit, too, must leave no connection; it is raised again
             pool.close()
             raise
         # An encoding was not asked for, and is not undone: a small body could become a huge one.

@@ -10,29 +10,16 @@ import socket
 import numpy as np
 import pytest
 import scripted_server as script
+from llm_servers import KEY
 
 from pytest_dura.llm.client import OpenAiClient
 from pytest_dura.llm.client.body import body_of
 from pytest_dura.llm.endpoint import Endpoint
 from pytest_dura.llm.port import Answer, Image, Message, Request
 
-KEY = "sk-0123456789abcdef"
 SCHEMA = {"type": "object", "properties": {"a": {"type": "string", "maxLength": 9}}}
 REQUEST = Request("m1", (Message("system", "Be brief."), Message("user", "Where?")))
 BUDGET = 10.0
-
-
-@pytest.fixture
-def client(scripted_server):
-    """``client(*behaviours)`` is a client of a new server, which stands in ``client.server``."""
-
-    def start(*behaviours, **options):
-        server = scripted_server(*behaviours, **options)
-        found = OpenAiClient(Endpoint(server.base_url, "m1", KEY))
-        found.server = server
-        return found
-
-    return start
 
 
 def sent(client, **changes):
