@@ -5,7 +5,7 @@ Nothing of ``pytest_dura.llm`` is imported unless an option names a mode, or a c
 
 from __future__ import annotations
 
-import secrets
+import os
 import sys
 from collections import Counter
 from collections.abc import Mapping
@@ -76,7 +76,7 @@ class LanguageModels:
             return
         self._begun = True
         self._before = self._put_to_use(None)
-        self._name = self._input.get("dura_llm_session") or secrets.token_hex(8)
+        self._name = self._input.get("dura_llm_session") or os.urandom(8).hex()
         options = self.session.options
         if options.llm != "live":
             from pytest_dura.llm.session import ModelSession
