@@ -365,7 +365,9 @@ def _network() -> Any:
     """highway-env's intersection; its builder needs nothing of the environment but two settings."""
     from highway_env.envs.intersection_env import IntersectionEnv
 
+    from pytest_dura.driving.lanes import LaneNetwork
+
     settings = {"show_trajectories": False, "neighbour_vehicles_connected_lanes": False}
     stage = SimpleNamespace(np_random=None, config=settings, road=None)
     IntersectionEnv._make_road(stage)  # noqa: SLF001 - the only builder there is
-    return stage.road.network
+    return LaneNetwork(stage.road.network)

@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 from highway_env.road.road import Road
 from highway_env.vehicle.behavior import IDMVehicle
-from highway_env.vehicle.controller import ControlledVehicle
 from highway_env.vehicle.objects import Obstacle
 from numpy.typing import NDArray
 
 from pytest_dura.driving.bodies import CAR_LENGTH, PEDESTRIAN_SIZE
 from pytest_dura.driving.junction import ARM_LENGTH, LANE_OFFSET, Route, conflict
+from pytest_dura.driving.lane_keeping import LaneKeeping, within
 from pytest_dura.driving.maneuvers import MAX_ACCELERATION, MAX_BRAKING
 
 STOP_MARGIN = 1.0
@@ -29,12 +29,14 @@ READY_BRAKING = 4.0
 _COMFORT_SPEED = 8.0
 _MARGIN = 1.5
 """Seconds between leaving the conflict and the other's arrival that a driver wants."""
+_TOUCH = 1e-6
+"""Metres beyond half a diagonal from which on a body is asked whether it touches another."""
 _LOOK_AHEAD = 45.0
 """Metres before the stop line from which a driver is taken into account by others."""
 
 
-class Driver(IDMVehicle):
-    """A background driver with a route."""
+class Driver(LaneKeeping, IDMVehicle):
+    """A background driver with a route, who stays on its lanes."""
 
     DISTANCE_WANTED = 7.0
     COMFORT_ACC_MAX = 4.0
@@ -44,16 +46,28 @@ class Driver(IDMVehicle):
     plan: Route
     s: float
 
-    def act(self, action: Any = None) -> None:
-        """IDM on the current lane, then the limits that the route and the right of way set."""
-        super().act(action)
-        if not self.crashed:
-            limit = self.road.limit_for(self)
-            if limit < self.action["acceleration"]:
-                self.action["acceleration"] = max(limit, -self.ACC_MAX)
+    def act(self, _action: Any = None) -> None:
+        """IDM on the lane (and the next one), then the limits of the route and right of way."""
+        if self.crashed:
+            return
+        self.follow_road()
+        rate = self._idm(self.lane_index)
+        if self.lane_index != self.target_lane_index:
+            rate = min(rate, self._idm(self.target_lane_index))
+        rate = within(rate, self.ACC_MAX)
+        limit = self.road.limit_for(self)
+        if limit < rate:
+            rate = max(limit, -self.ACC_MAX)
+        steering = self.steering_control(self.target_lane_index)
+        self.action = {"steering": steering, "acceleration": rate}
+
+    def _idm(self, lane_index: Any) -> float:
+        """highway-env's acceleration behind the leader on a lane, in m/s2."""
+        leader = self.road.leader(self, lane_index)
+        return float(self.acceleration(ego_vehicle=self, front_vehicle=leader))
 
 
-class Ego(ControlledVehicle):
+class Ego(LaneKeeping):
     """The vehicle that the component drives: highway-env steers it along its lane.
 
     ``commanded`` is the acceleration asked for; the actuator follows with a bounded slew rate.
@@ -68,13 +82,14 @@ class Ego(ControlledVehicle):
     commanded = 0.0
     executed = 0.0
 
-    def act(self, action: Any = None) -> None:
-        """Steer along the lane; the acceleration is set by :meth:`actuate`."""
-        super().act(None)
+    def act(self, _action: Any = None) -> None:
+        """Steer along the lane; the acceleration is set by :meth:`actuate`.
 
-    def speed_control(self, target_speed: float) -> float:
-        """The executed acceleration instead of highway-env's unlimited speed controller."""
-        return self.executed
+        It takes the place of highway-env's speed controller, which knows no limit.
+        """
+        self.follow_road()
+        steering = self.steering_control(self.target_lane_index)
+        self.action = {"steering": steering, "acceleration": self.executed}
 
     def actuate(self, acceleration: float, dt: float) -> None:
         """Command an acceleration in m/s2 for the next ``dt`` seconds.
@@ -159,21 +174,35 @@ class JunctionRoad(Road):
         """
         for vehicle in self.vehicles:
             vehicle.step(dt)
-        for i, vehicle in enumerate(self.vehicles):
-            for other in (*self.vehicles[i + 1 :], *self.objects):
-                vehicle.handle_collisions(other)
+        bodies = [
+            (body, *body.position.tolist(), float(body.diagonal) / 2 + _TOUCH)
+            for body in (*self.vehicles, *self.objects)
+        ]
+        for i, (vehicle, x, y, reach) in enumerate(bodies[: len(self.vehicles)]):
+            for other, other_x, other_y, other_reach in bodies[i + 1 :]:
+                if not math.hypot(other_x - x, other_y - y) > reach + other_reach:
+                    vehicle.handle_collisions(other)
 
-    def neighbour_vehicles(self, vehicle: Any, lane_index: Any = None) -> tuple[Any, Any]:
-        """highway-env's neighbours, without the leaders that are not on the vehicle's path.
+    def leader(self, me: Driver, lane_index: Any) -> Any:
+        """The nearest car or pedestrian ahead of a driver on a lane and on its path, or ``None``.
 
-        Its test for being on a curved lane takes in cars that wait beside the curve.
+        highway-env's test for being on a curved lane takes in cars that wait beside the curve.
         """
-        front, rear = super().neighbour_vehicles(vehicle, lane_index)
+        network = self.network
+        lane = network.get_lane(lane_index)
+        nearest, front = math.inf, None
+        s = lane.local_coordinates(me.position)[0]
+        for other in (*self.vehicles, *self.objects):
+            if other is me or not network.may_hold(lane_index, *other.position.tolist(), 1.0):
+                continue
+            ahead, beside = lane.local_coordinates(other.position)
+            if s <= ahead <= nearest and lane.on_lane(other.position, ahead, beside, margin=1.0):
+                nearest, front = ahead, other
         if front is not None:
-            s, lateral = vehicle.plan.project(*front.position.tolist())
-            if s < vehicle.s or abs(lateral) > (vehicle.WIDTH + front.WIDTH) / 2 + 0.8:
-                front = None
-        return front, rear
+            along, lateral = me.plan.project(*front.position.tolist())
+            if along < me.s or abs(lateral) > (me.WIDTH + front.WIDTH) / 2 + 0.8:
+                return None
+        return front
 
     def limit_for(self, me: Driver) -> float:
         """The acceleration that leaders on the route and right of way allow, in m/s2."""
