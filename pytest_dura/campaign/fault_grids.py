@@ -23,6 +23,7 @@ from pytest_dura.core.errors import ConfigurationError
 MAX_CASES = 10_000
 """Cases that the fault campaigns of one scenario may make, all together."""
 
+_ABSENT = object()
 Values = Annotated[tuple[JsonValue, ...], Field(strict=False), AfterValidator(not_empty)]
 
 
@@ -57,12 +58,7 @@ def grid(scenario: Scenario, data: Mapping[str, Any]) -> Iterator[dict[str, Any]
     given: FaultGrid = _model(FaultGrid, data)
     _check_keys("grid", given.grid)
     check_number(math.prod(map(len, given.grid.values())), "grid")
-    names, reader = _short_names(list(given.grid)), FaultReader(scenario)
-    for values in itertools.product(*given.grid.values()):
-        suffix = "".join(
-            f"-{name}={_told(value)}" for name, value in zip(names, values, strict=True)
-        )
-        yield _varied(reader, given.fault, dict(zip(given.grid, values, strict=True)), suffix)
+    yield from _combinations(given, FaultReader(scenario))
 
 
 def sample(scenario: Scenario, data: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
@@ -73,13 +69,20 @@ def sample(scenario: Scenario, data: Mapping[str, Any]) -> Iterator[dict[str, An
     """
     given: FaultSample = _model(FaultSample, data)
     _check_keys("sample", given.sample)
-    reader = FaultReader(scenario)
+    reader, drawn = FaultReader(scenario), {path.partition(".")[0] for path in given.sample}
+    recurring = [
+        key for key, value in given.fault.items() if isinstance(value, Mapping) and key not in drawn
+    ]
     for number in range(given.count):
         values = {
             path: variation.draw(f"{number}:{path}", spread, given.seed)
             for path, spread in given.sample.items()
         }
-        yield _varied(reader, given.fault, values, f"-sample{given.seed}.{number}")
+        fault: Any = _named(given.fault)
+        for path, value in values.items():
+            fault = _with(fault, path.split("."), value)
+        name = f"{fault['id']}-sample{given.seed}.{number}"
+        yield reader.read({**fault, "id": name}, recurring)
 
 
 def check_number(cases: int, key: str) -> None:
@@ -131,13 +134,44 @@ def _check_keys(word: str, keys: Iterable[str]) -> None:
             )
 
 
-def _varied(
-    reader: FaultReader, base: Mapping[str, Any], values: Mapping[str, Any], suffix: str
-) -> dict[str, Any]:
-    data: Any = {"id": base.get("id", base.get("type", "")), **base}
-    for path, value in values.items():
-        data = _with(data, path.split("."), value)
-    return reader.read({**data, "id": f"{data['id']}{suffix}"})
+def _combinations(given: FaultGrid, reader: FaultReader) -> Iterator[dict[str, Any]]:
+    """Every fault of a grid. Where its parts are equal they are one object, and read once."""
+    base = _named(given.fault)
+    paths, values = [path.split(".") for path in given.grid], list(given.grid.values())
+    suffixes = [
+        [f"-{name}={_told(value)}" for value in each]
+        for name, each in zip(_short_names(list(given.grid)), values, strict=True)
+    ]
+    varied: dict[str, list[int]] = {}
+    for at, path in enumerate(paths):
+        varied.setdefault(path[0], []).append(at)
+    number = math.prod(map(len, values))
+    recurring = [key for key, value in base.items() if isinstance(value, Mapping)]
+    recurring = [
+        key
+        for key in dict.fromkeys([*recurring, *varied])
+        if math.prod(len(values[at]) for at in varied.get(key, ())) < number
+    ]
+    parts: dict[tuple[str, tuple[int, ...]], Any] = {}
+    for chosen in itertools.product(*(range(len(each)) for each in values)):
+        data = dict(base)
+        for key, places in varied.items():
+            which = key, tuple([chosen[at] for at in places])
+            part = parts.get(which, _ABSENT)
+            if part is _ABSENT:
+                part = base.get(key)
+                for at in places:
+                    part = _with(part, paths[at][1:], values[at][chosen[at]])
+                if key in recurring:
+                    parts[which] = part
+            data[key] = part
+        suffix = "".join([each[at] for each, at in zip(suffixes, chosen, strict=True)])
+        data["id"] = f"{data['id']}{suffix}"
+        yield reader.read(data, recurring)
+
+
+def _named(fault: Mapping[str, Any]) -> dict[str, Any]:
+    return {"id": fault.get("id", fault.get("type", "")), **fault}
 
 
 def _with(data: Any, path: Sequence[str], value: Any) -> Any:

@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from pytest_dura.campaign.domains import domain_of
 from pytest_dura.campaign.problems import did_you_mean, placed
+from pytest_dura.campaign.recurring_parts import RecurringParts
 from pytest_dura.campaign.scenario import Scenario
 from pytest_dura.campaign.worlds import channel_kinds, fault_targets
 from pytest_dura.core.episode import Termination
 from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.faults.activation import TOLERANCE
+from pytest_dura.faults.catalogue import FAULT_TYPES, load_fault, plain_fault
+from pytest_dura.faults.channels import check_condition_targets, check_target
+from pytest_dura.faults.conditions import parse_condition
+from pytest_dura.faults.duration import Until
 
 if TYPE_CHECKING:
     from pytest_dura.faults.channels import Channel
@@ -40,18 +46,20 @@ class FaultReader:
         """The channels of targets that suit a type."""
         self._conditions: set[tuple[str, str]] = set()
         """Keys and texts of conditions on what is there."""
+        self._parts = RecurringParts()
 
-    def read(self, data: Mapping[str, Any]) -> dict[str, Any]:
+    def read(self, data: Mapping[str, Any], recurring: Collection[str] = ()) -> dict[str, Any]:
         """A fault as plain data, with the defaults of its type and of the scenario's domain.
+
+        Args:
+            data: The fault.
+            recurring: Keys whose values are the very objects that other faults have as well.
+                They are read once, and what they come to is the same object in all of them.
 
         Raises:
             ConfigurationError: If the catalogue refuses it, or the domain has no such target.
         """
-        from pytest_dura.faults.catalogue import FAULT_TYPES, load_fault, plain_fault
-        from pytest_dura.faults.duration import Until
-
-        fault = load_fault(data, self._targets)
-        filled = plain_fault(fault)
+        fault, filled = self._loaded(data, recurring)
         if fault.type not in FAULT_TYPES:
             # Whether what a user's own type tells of itself makes a fault again, we cannot know.
             fault = load_fault(filled)
@@ -65,9 +73,19 @@ class FaultReader:
         self._check_times(fault)
         return filled
 
-    def _check_place(self, fault: Fault, channels: Mapping[str, Channel]) -> None:
-        from pytest_dura.faults.channels import check_target
+    def _loaded(
+        self, data: Mapping[str, Any], recurring: Collection[str]
+    ) -> tuple[Fault, dict[str, Any]]:
+        known = self._parts.among(data, recurring)
+        read = {key: part.read for key, part in known.items()}
+        fault = load_fault({**data, **read} if read else data, self._targets)
+        filled = plain_fault(fault, {key: part.plain for key, part in known.items()})
+        for key in recurring:
+            if key not in known:
+                self._parts.remember(data, key, fault, filled)
+        return fault, filled
 
+    def _check_place(self, fault: Fault, channels: Mapping[str, Channel]) -> None:
         place = fault.type, fault.target
         if place in self._places:
             fault.check_parameters(self._places[place])
@@ -75,17 +93,12 @@ class FaultReader:
             self._places[place] = check_target(fault, channels)
 
     def _check_condition(self, text: str, channels: Mapping[str, Channel], key: str) -> None:
-        from pytest_dura.faults.channels import check_condition_targets
-        from pytest_dura.faults.conditions import parse_condition
-
         if (key, text) not in self._conditions:
             check_condition_targets(parse_condition(text).targets, channels, key)
             self._conditions.add((key, text))
 
     def _check_times(self, fault: Fault) -> None:
         """Refuse what could only happen when the last decision of the episode has been made."""
-        from pytest_dura.faults.activation import TOLERANCE
-
         activation, end = fault.activation, self._end
         times = {"at": activation.at, "not_before": activation.not_before or None}
         if activation.after is not None:

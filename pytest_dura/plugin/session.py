@@ -11,7 +11,7 @@ import pytest
 
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.plugin.evidence import SessionEvidence
-from pytest_dura.plugin.garbage import CollectorRest
+from pytest_dura.plugin.garbage import CollectorRest, no_garbage_collection
 from pytest_dura.plugin.hypothesis_tests import PropertyTests
 from pytest_dura.plugin.language_models import LanguageModels
 from pytest_dura.plugin.messages import error_text
@@ -162,7 +162,8 @@ class DuraSession:
             from pytest_dura.campaign.loading import load_library
 
             try:
-                self._library = load_library(self.options.paths)
+                with no_garbage_collection():
+                    self._library = load_library(self.options.paths)
             except ConfigurationError as error:
                 self._library = error
         if isinstance(self._library, ConfigurationError):

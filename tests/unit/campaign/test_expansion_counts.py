@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
+from pytest_dura.campaign import planned_faults
 from pytest_dura.campaign.cases import expand_cases
 from pytest_dura.campaign.loading import load_library
 from pytest_dura.campaign.planned_faults import FaultReader
-from pytest_dura.faults import catalogue, channels
 
 SCENARIO = """\
 name: scale/grid
@@ -38,8 +38,8 @@ def test_each_fault_of_a_grid_is_read_and_validated_once(
         monkeypatch.setattr(owner, name, counted)
 
     count(FaultReader, "read")
-    count(catalogue, "load_fault")
-    count(channels, "check_target")
+    count(planned_faults, "load_fault")
+    count(planned_faults, "check_target")
     values = [5.0 + step for step in range(number)]
     (tmp_path / "grid.yaml").write_text(SCENARIO.format(values=values), encoding="utf-8")
     library = load_library([tmp_path], builtin=False)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import pytest
 
@@ -15,7 +16,11 @@ from pytest_dura.campaign.fault_campaigns import catalogue_for, read_campaigns
 from pytest_dura.campaign.scenario import Scenario
 from pytest_dura.campaign.yaml_source import parse_yaml
 from pytest_dura.driving.sensors import FAULT_TARGETS
-from pytest_dura.faults.catalogue import FAULT_TYPES, fault_class
+from pytest_dura.faults.catalogue import FAULT_TYPES, fault_class, load_fault
+from pytest_dura.faults.model import Moment
+from pytest_dura.faults.types.base import NumberFault
+from pytest_dura.faults.types.numbers import Numeric
+from pytest_dura.faults.types.scalar import GainParameters
 
 GHOST = {"type": "ghost-obstacle", "activation": {"at": 1.0}, "duration": 2.0}
 
@@ -240,3 +245,75 @@ def test_the_variation_of_an_own_fault_never_overwrites_another_one_of_its_id() 
     (case,) = cases({**other, "id": "far"}, of=own).values()
     (fault,) = case.spec(0, 0).faults
     assert fault["parameters"]["offset"] == 9.0
+
+
+@pytest.mark.parametrize(
+    "fault, values",
+    [
+        (
+            GHOST,
+            {"parameters.ahead": [9.0, 10.0], "activation.at": [1, 2.0], "duration": [1.0, 2.0]},
+        ),
+        (GHOST, {"parameters.ahead": [9.0, 10.0], "parameters.width": [1.0, 2.0]}),
+        (GHOST, {"duration": [{"min": 1.0, "max": 2.0}, "once"], "activation.at": [1.0, 2.0]}),
+        (
+            {**GHOST, "activation": {"when": "odometry.speed > 5"}},
+            {"duration": [{"until": "odometry.speed < 1"}, None], "parameters.ahead": [9.0, 10.0]},
+        ),
+        (
+            {
+                "type": "bias",
+                "target": "odometry.speed",
+                "activation": {"at": 1.0},
+                "parameters": {},
+            },
+            {"type": ["bias", "drift"], "activation.at": [1.0, 2.0], "duration": [1.0, 2.0]},
+        ),
+        (
+            {"type": f"{__name__}:Louder", "target": "odometry.speed"},
+            {"activation.at": [1.0, 2.0], "parameters.factor": [2.0, 3.0]},
+        ),
+    ],
+)
+def test_each_fault_of_a_grid_is_what_it_is_by_itself(
+    fault: dict[str, Any], values: dict[str, list[Any]]
+) -> None:
+    found = list(fault_grids.grid(scenario(), {"fault": fault, "grid": values}))
+    combinations = list(itertools.product(*values.values()))
+    assert len(found) == len(combinations)
+    for one, chosen in zip(found, combinations, strict=True):
+        alone = {
+            "fault": fault,
+            "grid": {key: [value] for key, value in zip(values, chosen, strict=True)},
+        }
+        (expected,) = fault_grids.grid(scenario(), alone)
+        assert one == expected
+        assert list(one) == list(expected)
+        assert load_fault(one) == load_fault(expected)
+
+
+class Louder(NumberFault):
+    """A type that is no entry of the catalogue."""
+
+    type: Literal["test_fault_campaigns:Louder"]
+    parameters: GainParameters = GainParameters()
+
+    def changed(self, value: Numeric, moment: Moment) -> Numeric:
+        return value * self.parameters.factor
+
+
+def test_parts_that_faults_of_a_grid_have_in_common_are_kept_once() -> None:
+    values = {"parameters.ahead": [9.0, 10.0, 11.0], "activation.at": [1.0, 2.0]}
+    found = list(fault_grids.grid(scenario(), {"fault": GHOST, "grid": values}))
+    assert len({id(one["parameters"]) for one in found}) == 3
+    assert len({id(one["activation"]) for one in found}) == 2
+
+
+def test_a_refusal_shows_what_was_given_though_a_part_of_it_was_read_before() -> None:
+    ramp = {"type": "drift", "target": "odometry.speed", "activation": {"at": 1.0}}
+    values = {"activation.at": [1.0, 2.0], "duration": [1.0, -1.0]}
+    with pytest.raises(ConfigurationError) as first:
+        cases({"fault": ramp, "grid": {"activation.at": [1.0], "duration": [-1.0]}})
+    with pytest.raises(ConfigurationError) as later:
+        cases({"fault": ramp, "grid": values})
+    assert str(later.value) == str(first.value)
