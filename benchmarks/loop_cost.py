@@ -5,8 +5,9 @@ Run: python benchmarks/loop_cost.py [--runs 3] [--repeats 3] [--generator NAME]
 Each episode is run with the loop; its executed accelerations then drive the same scenario and seed
 for the same ticks without any role, in two ways:
 
-- ``step``: the simulator's own ``step``, which senses what roles would perceive;
-- ``road``: only ``drive`` and the traffic's coming and going, without sensors.
+- ``highway-env``: the same road and cars by highway-env's own methods (``published_road``), without
+  sensors. ``pytest_dura.driving`` does the same quicker, to the last bit;
+- ``step``: the simulator's own ``step``, quickened, which senses what roles would perceive.
 
 The loop runs twice as well: with the six roles of the scenario, and with a ``StlSafetyMonitor``
 beside them and all measures of ``pytest_dura.driving.measures`` as user-defined metrics. All are
@@ -19,9 +20,12 @@ time.
 from __future__ import annotations
 
 import argparse
+import sys
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import replace
+from pathlib import Path
 from time import perf_counter_ns, process_time_ns
 from typing import Any
 
@@ -60,7 +64,10 @@ METRICS = {
     )
 }
 SIX, ALL = "six roles", "six roles, STL monitor, metrics"
-BARE = ("step", "road")
+PUBLISHED, STEP = "highway-env", "step"
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
+from published_road import published_road  # noqa: E402 - found only from here on
 
 
 class TimedSimulator(HighwaySimulator):
@@ -122,33 +129,34 @@ def loop(spec: EpisodeSpec, metrics: dict[str, Any]) -> tuple[Laps, list[Command
 
 
 def bare(spec: EpisodeSpec, commands: Sequence[Command], what: str) -> Laps:
-    """Nanoseconds by tick of the same ticks without any role; ``what`` is ``step`` or ``road``."""
+    """Nanoseconds by tick of the same ticks without any role, in one of the two ways."""
     simulator = HighwaySimulator()
-    begun = [process_time_ns()]
-    simulator.reset(spec.scenario, spec.seed)
-    for command in commands:
+    with published_road() if what == PUBLISHED else nullcontext():
+        begun = [process_time_ns()]
+        simulator.reset(spec.scenario, spec.seed)
+        for command in commands:
+            begun.append(process_time_ns())
+            if what == STEP:
+                simulator.step(command)
+            else:
+                assert command.acceleration is not None
+                simulator.drive(command.acceleration)
+                simulator._clear()
+                simulator._admit()
         begun.append(process_time_ns())
-        if what == "step":
-            simulator.step(command)
-        else:
-            assert command.acceleration is not None
-            simulator.drive(command.acceleration)
-            simulator._clear()
-            simulator._admit()
-    begun.append(process_time_ns())
     return {"total": np.diff(begun).tolist()}
 
 
 def measured(spec: EpisodeSpec, repeats: int) -> dict[str, Parts]:
     """Seconds of each arm and of each bare stepping by part: the quickest of each tick."""
-    runs: dict[str, list[Laps]] = {name: [] for name in (SIX, ALL, *BARE)}
+    runs: dict[str, list[Laps]] = {name: [] for name in (SIX, ALL, PUBLISHED, STEP)}
     ticks = 0
     for _ in range(repeats):
         for name, (arm, metrics) in arms(spec).items():
             laps, commands = loop(arm, metrics)
             runs[name].append(laps)
             ticks = len(commands)
-        for name in BARE:
+        for name in (PUBLISHED, STEP):
             runs[name].append(bare(spec, commands, name))
     found = {"ticks": Parts(total=ticks)}
     for name, several in runs.items():
@@ -162,11 +170,11 @@ def measured(spec: EpisodeSpec, repeats: int) -> dict[str, Parts]:
 def row(name: str, sums: dict[str, Parts], arm: str) -> list[str]:
     """Of an arm's table: microseconds per tick, and ratios."""
     scale = 1e6 / sums["ticks"]["total"]
-    step, road = (sums[one]["total"] for one in BARE)
+    published, step = (sums[one]["total"] for one in (PUBLISHED, STEP))
     total = sums[arm]["total"]
     own = total - sums[arm]["generator"]
-    cells = [name, *(f"{seconds * scale:.0f}" for seconds in (step, road, own))]
-    return [*cells, f"{own / step:.2f}", f"{own / road:.2f}", f"{total / step:.2f}"]
+    cells = [name, *(f"{seconds * scale:.0f}" for seconds in (published, step, own))]
+    return [*cells, *(f"{one:.2f}" for one in (own / published, total / published, own / step))]
 
 
 def parts_of(parts: Parts) -> Parts:
@@ -198,8 +206,8 @@ def main() -> None:
     told = f"{ticks} ticks, {options.runs} episodes a scenario, generator {options.generator}"
     print(machine(), f"\n{told}")
     heads = [
-        "step, us/tick", "road, us/tick", "loop without Generator, us/tick",
-        "ratio without Generator to step", "to road", "ratio with Generator to step",
+        "highway-env, us/tick", "step, us/tick", "loop without Generator, us/tick",
+        "ratio to highway-env without Generator", "with Generator", "to step without Generator",
     ]  # fmt: skip
     for arm in (SIX, ALL):
         last = row("all, weighted by time", every, arm)

@@ -73,8 +73,8 @@ HEADERS = {
     "intersection_search.py": ["bang-bang"],
     "llm_replay.py": ["session"],
     "loop_cost.py": [
-        "ratio without Generator to step",
-        "ratio without Generator to step",
+        "ratio to highway-env without Generator",
+        "ratio to highway-env without Generator",
         "part of the loop, us/tick",
     ],
     "paper_table.py": ["gridlock", "flagged only attacked / only free", "prevented"],

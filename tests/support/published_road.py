@@ -79,5 +79,6 @@ def published_road() -> Iterator[None]:
     """Context in which a ``HighwaySimulator`` that is reset gets this road."""
     plain = network()
     own = {"Driver": Driver, "Ego": Ego, "JunctionRoad": JunctionRoad}
-    with mock.patch.multiple(traffic, **own), mock.patch.object(highway, "_network", lambda: plain):
+    lanes = mock.patch.object(highway, "_network", return_value=plain)
+    with mock.patch.multiple(traffic, **own), lanes:
         yield
