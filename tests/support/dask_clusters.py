@@ -19,9 +19,10 @@ class Cluster:
 
     Args:
         folder: Where their logs go, and where they work.
+        settings: Of the scheduler, as environment variables.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, settings: Mapping[str, str] | None = None) -> None:
         self._folder = folder
         self._started: list[subprocess.Popen[bytes]] = []
         with socket.socket() as free:
@@ -29,8 +30,9 @@ class Cluster:
             self.port = free.getsockname()[1]
         self.address = f"tcp://127.0.0.1:{self.port}"
         self.scheduler = self._start(
-            "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", str(self.port)
-        )
+            "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", str(self.port),
+            environment=settings,
+        )  # fmt: skip
 
         self._listens()
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
 import time
 from collections.abc import Mapping
@@ -34,6 +35,9 @@ class ShakyRoom(Thermostat):
         match self.deeds.get(str(seed)):
             case "ends":
                 os._exit(3)
+            case "ends its worker":  # as a machine does that has no memory left
+                os.kill(os.getppid(), signal.SIGKILL)
+                time.sleep(60.0)
             case "blocks":
                 while True:
                     time.sleep(1.0)

@@ -131,10 +131,10 @@ class DaskExecutor(Executor):
         self._loud()
 
     def _forget(self, future: Future[Any]) -> None:
-        """Nobody waits for it any more; what is still queued is cancelled."""
+        """Nobody waits for it any more; what is queued, or has no worker, is cancelled."""
         with self._lock:
             task = self._asked.pop(future, None)
-        if task is not None and future.cancelled():
+        if task is not None and not task.done():
             with suppress(Exception):  # the connection may be lost
                 task.cancel()
 
@@ -155,6 +155,8 @@ class DaskExecutor(Executor):
         kind = type(error).__name__
         if kind == "KilledWorker":
             return ProcessLostError(f"it ended {getattr(error, 'allowed_failures', 0) + 1} workers")
+        if kind in ("NoWorkerError", "NoValidWorkerError"):
+            return no_workers(self.address, getattr(error, "timeout", SECONDS_WITHOUT_WORKERS))
         if kind in ("CancelledError", "FutureCancelledError", "CommClosedError"):
             return lost(self.address)
         if isinstance(error, (ConfigurationError, ProcessLostError, CallFailedError)):
@@ -183,8 +185,8 @@ class DaskExecutor(Executor):
                 return
             without = 0.0 if found else without + _EVERY
             if without >= SECONDS_WITHOUT_WORKERS:
+                # Whoever asks from now on until there is one does not wait as long once more.
                 self._give_up(no_workers(self.address, without))
-                without = 0.0
 
     def _give_up(self, error: ConfigurationError) -> None:
         with self._lock:

@@ -11,7 +11,7 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from importlib.util import find_spec
-from typing import Any
+from typing import Any, cast
 
 from pytest_dura.campaign.episodes.address import machine
 from pytest_dura.campaign.execution.dask_logs import quiet
@@ -24,7 +24,7 @@ KEY = "--dura-executor"
 SECONDS_TO_CONNECT = 5.0
 SECONDS_TO_FIRST_WORKER = 30.0
 _SECONDS_TO_COMPARE = 300.0
-_PAUSE = 0.2
+_PAUSE, _SOON = 0.2, 0.05
 
 
 def connected(address: str) -> tuple[Any, Callable[[], None]]:
@@ -89,32 +89,61 @@ def compared(client: Any, address: str, told: Mapping[str, Any]) -> int:
     Raises:
         ConfigurationError: If one differs, or there is no worker.
     """
-    versions = client.get_versions(check=False)
-    refuse("the Dask scheduler", _dask_of(versions["client"]), _dask_of(versions["scheduler"]))
-    try:
-        client.wait_for_workers(1, timeout=SECONDS_TO_FIRST_WORKER)
-    except (TimeoutError, asyncio.TimeoutError):  # two classes on Python 3.10
-        raise no_workers(address, SECONDS_TO_FIRST_WORKER) from None
-    threads: dict[str, int] = client.nthreads()
-    asked = {
-        one: client.submit(
-            look_here, told, workers=[one], key=f"dura-look-{uuid.uuid4().hex}", pure=False
-        )
-        for one in threads
-    }
-    for one, task in asked.items():
-        where = f"the Dask worker {one}"
+    from distributed.versions import get_versions
+
+    # Not Client.get_versions, which also waits for the answer of every worker.
+    there = client.sync(client.scheduler.versions)
+    refuse("the Dask scheduler", _dask_of(get_versions()), _dask_of(there))
+    end = time.monotonic() + _SECONDS_TO_COMPARE
+    while True:
         try:
-            found = json.loads(result_of(task.result(timeout=_SECONDS_TO_COMPARE)))
-        except Exception as error:  # whatever goes wrong there
-            raise ConfigurationError(
-                f"{where} cannot simulate: {describe_error(error)}",
-                key=KEY,
-                found=address,
-                remedy="start workers in an environment with the same pytest-dura",
-            ) from None
-        refuse(where, machine(), found)
-    return sum(threads.values())
+            client.wait_for_workers(1, timeout=SECONDS_TO_FIRST_WORKER)
+        except (TimeoutError, asyncio.TimeoutError):  # two classes on Python 3.10
+            raise no_workers(address, SECONDS_TO_FIRST_WORKER) from None
+        threads: dict[str, int] = client.nthreads()
+        asked = {
+            one: client.submit(
+                look_here, told, workers=[one], key=f"dura-look-{uuid.uuid4().hex}", pure=False
+            )
+            for one in threads
+        }
+        equal = [one for one, task in asked.items() if _is_equal(client, address, one, task, end)]
+        if equal:
+            return sum(threads[one] for one in equal)
+
+
+def _is_equal(client: Any, address: str, worker: str, task: Any, end: float) -> bool:
+    """Whether a worker is as this process; not if it is gone, and nothing is simulated there.
+
+    Raises:
+        ConfigurationError: If it differs, or says nothing in time.
+    """
+    where = f"the Dask worker {worker}"
+    try:
+        found = json.loads(result_of(_answer(client, worker, task, end)))
+    except Exception as error:  # whatever goes wrong there
+        if client.status == "running" and worker not in client.nthreads():
+            return False
+        raise ConfigurationError(
+            f"{where} cannot simulate: {describe_error(error)}",
+            key=KEY,
+            found=address,
+            remedy="start workers in an environment with the same pytest-dura",
+        ) from None
+    refuse(where, machine(), found)
+    return True
+
+
+def _answer(client: Any, worker: str, task: Any, end: float) -> bytes:
+    """What a task comes to that only this worker may carry out, as long as it is there.
+
+    Raises:
+        TimeoutError: If the worker is gone, or the time is over.
+    """
+    # Dask would keep the task for a worker of this name, which never comes back.
+    while not task.done() and time.monotonic() < end and worker in client.nthreads():
+        time.sleep(_SOON)
+    return cast("bytes", task.result(timeout=_PAUSE))
 
 
 def _dask_of(told: Mapping[str, Any]) -> dict[str, str]:

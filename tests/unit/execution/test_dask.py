@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import logging
+import signal
+import threading
 import time
 
 import pytest
 from dask_clusters import Cluster, children_of
+from distributed import Client
 from distributed.scheduler import KilledWorker
 from shaky import begun, shaky
 
 from pytest_dura import ConfigurationError, RoleSpec
 from pytest_dura.campaign.episodes.store import IN_FLIGHT, EpisodeStore
-from pytest_dura.campaign.execution import dask_cluster
+from pytest_dura.campaign.execution import dask, dask_cluster
 from pytest_dura.campaign.execution.dask import DaskExecutor
 from pytest_dura.campaign.execution.executors import Execution
 from pytest_dura.campaign.execution.replies import CallFailedError, ProcessLostError
@@ -193,3 +196,78 @@ def test_a_scheduler_that_is_gone_is_told_and_nobody_waits(tmp_path):
         assert time.monotonic() - begun_at < 15.0
     finally:
         cluster.close()
+
+
+@pytest.fixture
+def small(tmp_path):
+    """A cluster and its executor, for a test that leaves little of them."""
+    made, executors = [], []
+
+    def of(workers, **settings):
+        cluster = Cluster(
+            tmp_path, {f"DASK_DISTRIBUTED__SCHEDULER__{k}": v for k, v in settings.items()}
+        )
+        made.append(cluster)
+        started = [cluster.worker() for _ in range(workers)]
+        with Client(cluster.address, set_as_default=False) as client:
+            client.wait_for_workers(workers)
+        return cluster, started
+
+    def executor_of(cluster):
+        executors.append(DaskExecutor(cluster.address))
+        return executors[-1]
+
+    yield of, executor_of
+    for one in executors:
+        one.shutdown(wait=False, cancel_futures=True)
+    for one in made:
+        one.close()
+
+
+def test_a_worker_that_is_lost_while_it_is_compared_is_left_out(small):
+    cluster_of, executor_of = small
+    cluster, (stays, goes) = cluster_of(2)
+    goes.send_signal(signal.SIGSTOP)  # it is there, and never answers
+    made = []
+    asking = threading.Thread(target=lambda: made.append(executor_of(cluster)))
+    asking.start()
+    until(lambda: children_of(stays))  # which answers in a process of its own
+    cluster.kill(goes)
+    asking.join(timeout=10.0)
+    assert [one.width for one in made] == [1]
+
+
+def test_an_episode_that_ends_every_worker_it_is_given_to_is_missing(small, tmp_path):
+    cluster_of, executor_of = small
+    # 3 lost workers, and no end of waiting, where nobody sets them.
+    cluster, workers = cluster_of(3, ALLOWED_FAILURES="1", NO_WORKERS_TIMEOUT="1s")
+    store = EpisodeStore(execution=Execution("dask", executor_of(cluster)))
+    (log := tmp_path / "log").mkdir()
+    lost = store.get(shaky(1, log, deeds={"1": "ends its worker"}))
+    assert lost.failure == "infrastructure: it ended 2 workers"
+    assert begun(log) == [1, 1], "each of them simulated it once, and the third is spared"
+    assert store.get(shaky(2, log)).failure is None
+    until(lambda: [one.poll() for one in workers].count(None) == 1)
+    cluster.kill(next(one for one in workers if one.poll() is None))
+    with pytest.raises(ConfigurationError, match="no worker for 1 s"):
+        store.get(shaky(3, log))
+
+
+def test_nobody_waits_for_ever_where_the_last_worker_is_gone(small, monkeypatch):
+    monkeypatch.setattr(dask, "SECONDS_WITHOUT_WORKERS", 1.0)
+    monkeypatch.setattr(dask, "_EVERY", 0.5)
+    cluster_of, executor_of = small
+    cluster, (worker,) = cluster_of(1)
+    execution = Execution("dask", executor_of(cluster))
+    future = execution.submit(shaky(1, seconds=30.0))
+    until(lambda: children_of(worker))
+    cluster.kill(worker)
+    with pytest.raises(ConfigurationError, match="the Dask scheduler has had no worker") as told:
+        future.result(timeout=10.0)
+    assert told.value.remedy == f"start some: dask worker {cluster.address} --nthreads 1"
+    # The next one does not wait as long once more. A worker that comes is not given the first.
+    with pytest.raises(ConfigurationError, match="no worker"):
+        execution.submit(shaky(2)).result(timeout=0.9)
+    cluster.worker()
+    until(execution.executor._client.nthreads)
+    assert execution.submit(shaky(3)).result(timeout=20.0)
