@@ -68,11 +68,11 @@ class SessionEvidence:
         config = self.session.config
         if self.record is not None or self.session.is_worker or config.option.collectonly:
             return
-        import pytest_dura
         from pytest_dura.evidence.bundle.directory import begin_bundle
         from pytest_dura.evidence.bundle.lock import DirectoryLock
         from pytest_dura.evidence.record.evidence_record import EvidenceRecord
         from pytest_dura.provenance.environment import describe_environment
+        from pytest_dura.provenance.ourselves import describe_tool
 
         options = self.session.options
         self._lock = DirectoryLock(options.evidence)
@@ -80,7 +80,7 @@ class SessionEvidence:
             self.record = EvidenceRecord(
                 {
                     "created": _now(),
-                    "tool": {"name": "pytest-dura", "version": pytest_dura.__version__},
+                    "tool": describe_tool(),
                     "command": shlex.join(["pytest", *map(str, config.invocation_params.args)]),
                     "base_seed": options.seed,
                     "evidence_level": options.evidence_level,

@@ -325,6 +325,7 @@ CHANGES = {
     "environment.packages.numpy": lambda record: put(
         record, "0.0.1", "environment", "packages", "numpy"
     ),
+    "tool.code": lambda record: put(record, "0" * 64, "tool", "code"),
     "environment.python": lambda record: put(record, "3.99.0", "environment", "python"),
     "environment.git.commit": lambda record: put(record, "a" * 40, "environment", "git", "commit"),
     "shard.options.--dura-time-budget": lambda record: put(
@@ -382,6 +383,13 @@ def test_another_version_of_the_tool_is_refused(two, tmp_path):
     for one in two:
         rewritten(one, lambda record: put(record, "99.0", "tool", "version"))
     refused(two, tmp_path / "out", "another version", "99.0")
+
+
+def test_other_code_of_the_same_version_is_refused(two, tmp_path):
+    for one in two:
+        rewritten(one, lambda record: put(record, "0" * 64, "tool", "code"))
+    error = refused(two, tmp_path / "out", "other code of pytest-dura")
+    assert (error.key, error.found) == ("tool.code", "0" * 64)
 
 
 def test_machines_may_differ_and_are_told(two, tmp_path):

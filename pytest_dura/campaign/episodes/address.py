@@ -12,18 +12,15 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
-import pytest_dura
 from pytest_dura.campaign.components import LocalRole
 from pytest_dura.campaign.episodes.task import EpisodeTask
 from pytest_dura.core.episode import canonical
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.provenance.environment import describe_arithmetic, describe_packages
 from pytest_dura.provenance.imported import own_code
-from pytest_dura.provenance.sources import sources_of
+from pytest_dura.provenance.ourselves import own_code as our_own_code
 
 OURS = "pytest_dura"
-_MOST = 5000
-"""Files of our own, all of which count."""
 _MODELS = "pytest_dura.llm.session"
 _File = tuple[Path, str]
 """A file, and the dotted name of its module."""
@@ -191,10 +188,8 @@ def _inputs(task: EpisodeTask) -> dict[str, str]:
 @cache
 def machine() -> dict[str, str]:
     """What every episode of this process depends on: our code, Python, packages, arithmetic."""
-    ours = sources_of(Path(pytest_dura.__file__).absolute(), OURS, Path.cwd(), most=_MOST)
-    assert ours is not None
     return {
-        "code of pytest-dura": ours.digest,
+        "code of pytest-dura": our_own_code(),
         "arithmetic": hashlib.sha256(canonical(describe_arithmetic())).hexdigest(),
         "platform": f"{platform.system()} {platform.machine()}",
         "Python": sys.version.split()[0],

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from importlib import import_module
 from pathlib import PurePosixPath
 from typing import Any
 
@@ -12,6 +11,7 @@ from pytest_dura.evidence.formats.stated import components
 from pytest_dura.evidence.merging.parts import Part
 from pytest_dura.evidence.record.attempts import question
 from pytest_dura.evidence.record.session_record import SessionRecord
+from pytest_dura.provenance.ourselves import describe_tool
 
 Data = Mapping[str, Any]
 Named = Iterator[tuple[str, Any]]
@@ -120,16 +120,25 @@ def _check_verdicts(parts: Sequence[Part]) -> None:
 
 
 def _check_version(part: Part) -> None:
-    # The package's own name is loaded in any case; importing it here would reach for all of it.
-    ours = {"name": "pytest-dura", "version": import_module("pytest_dura").__version__}
-    if part.record["tool"] != ours:
+    ours, theirs = describe_tool(), part.record["tool"]
+    if theirs["version"] != ours["version"]:
         raise ConfigurationError(
             "this bundle was written by another version of pytest-dura",
             file=part.file,
             key="tool.version",
-            found=part.record["tool"]["version"],
+            found=theirs["version"],
             expected=ours["version"],
             remedy="merge with the version that wrote the bundles",
+        )
+    if theirs != ours:
+        raise ConfigurationError(
+            "this bundle was written by other code of pytest-dura of the same version",
+            file=part.file,
+            key="tool.code",
+            found=theirs["code"],
+            expected=ours["code"],
+            remedy="merge with the code that wrote the bundles: a released version, or one and "
+            "the same commit of a checkout",
         )
 
 
@@ -143,7 +152,7 @@ def _place(key: str, one: Any, other: Any) -> tuple[str, Any, Any]:
 
 
 def _session(record: SessionRecord) -> Named:
-    for key in ("tool", "base_seed", "evidence_level", "argument"):
+    for key in ("base_seed", "evidence_level", "argument"):
         yield key, record[key]
     yield "gate.warn_undecided", record["gate"]["warn_undecided"]
     yield "shard.options", record["shard"]["options"]
@@ -151,6 +160,7 @@ def _session(record: SessionRecord) -> Named:
 
 def _code(record: SessionRecord) -> Named:
     environment = record["environment"]
+    yield "tool", record["tool"]
     yield "environment.python", environment["python"]
     yield "environment.packages", environment["packages"]
     yield "environment.git.commit", environment["git"]["commit"]
