@@ -39,7 +39,7 @@ class Route:
     origin: int
     turn: str
 
-    @property
+    @cached_property
     def destination(self) -> int:
         """The arm on which it leaves."""
         return (self.origin + {"left": 1, "straight": 2, "right": 3}[self.turn]) % 4
@@ -204,7 +204,7 @@ def route(origin: int, turn: str) -> Route:
     made = Route(origin, turn)
     # What it keeps is there before it is part of a percept.
     made.point(made.project(0.0, made.length)[0])
-    assert (made.number, made.priority) >= (0, 0)
+    assert (made.number, made.priority, made.destination) >= (0, 0, 0)
     return made
 
 

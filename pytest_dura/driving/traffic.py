@@ -50,7 +50,7 @@ class Driver(LaneKeeping, IDMVehicle):
         """IDM on the lane (and the next one), then the limits of the route and right of way."""
         if self.crashed:
             return
-        self.follow_road()
+        steering = self.keep_lane()
         rate = self._idm(self.lane_index)
         if self.lane_index != self.target_lane_index:
             rate = min(rate, self._idm(self.target_lane_index))
@@ -58,7 +58,6 @@ class Driver(LaneKeeping, IDMVehicle):
         limit = self.road.limit_for(self)
         if limit < rate:
             rate = max(limit, -self.ACC_MAX)
-        steering = self.steering_control(self.target_lane_index)
         self.action = {"steering": steering, "acceleration": rate}
 
     def _idm(self, lane_index: Any) -> float:
@@ -87,9 +86,7 @@ class Ego(LaneKeeping):
 
         It takes the place of highway-env's speed controller, which knows no limit.
         """
-        self.follow_road()
-        steering = self.steering_control(self.target_lane_index)
-        self.action = {"steering": steering, "acceleration": self.executed}
+        self.action = {"steering": self.keep_lane(), "acceleration": self.executed}
 
     def actuate(self, acceleration: float, dt: float) -> None:
         """Command an acceleration in m/s2 for the next ``dt`` seconds.
