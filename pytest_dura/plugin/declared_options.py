@@ -77,6 +77,12 @@ def add_options(parser: pytest.Parser) -> None:
         f"episode is given up (default: {DEFAULT_ROLE_TIMEOUT:g})",
     )
     add(
+        "--dura-episode-timeout",
+        metavar="SECONDS",
+        help="what an episode may take in another process (--dura-executor), beside all time "
+        "budgets of its component, before that process is ended (default: 3600)",
+    )
+    add(
         "--dura-shard",
         metavar="K/N",
         help="run the K-th of N parts of the session; `python -m pytest_dura merge` joins their "

@@ -139,7 +139,9 @@ class Options:
             llm=cast("Mode", get("dura_llm") or "live"),
             cassette=_cassette(config),
             shard=shard_of(config),
-            executor=executor_of(config),
+            executor=executor_of(
+                config, _seconds("--dura-episode-timeout", get("dura_episode_timeout"))
+            ),
             progress_interval=_interval(config.getini("dura_progress_interval")),
             given=tuple(given),
             any_given=scenarios

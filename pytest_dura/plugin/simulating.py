@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import MutableMapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -16,24 +17,38 @@ if TYPE_CHECKING:
     from pytest_dura.plugin.session import DuraSession
 
 OPTION = "--dura-executor"
+TIMEOUT = "--dura-episode-timeout"
 _TOLD = "dura_simulated_here"
 """Key of what a worker of pytest-xdist tells the controller at its end."""
 
 
-def executor_of(config: pytest.Config) -> Choice | None:
+def executor_of(config: pytest.Config, seconds: float | None) -> Choice | None:
     """The executor that the options name; ``None`` for this process.
+
+    Args:
+        config: The session's configuration.
+        seconds: What an episode may take in another process, if that was given.
 
     Raises:
         ConfigurationError: If there is none, or another option does not go with it.
     """
     text = config.getoption("dura_executor")
-    if text is None:
+    if text in (None, "in-process"):
+        if seconds is not None:
+            raise ConfigurationError(
+                f"{TIMEOUT} is held by ending the process that simulates, and that is pytest's own",
+                key=TIMEOUT,
+                found=f"{seconds:g} without another executor",
+                expected=f"{OPTION}=processes, or a Dask cluster",
+                remedy=f"add {OPTION}=processes, or leave out {TIMEOUT}; each call into a role has"
+                " --dura-role-timeout",
+            )
         return None
     from pytest_dura.campaign.execution.choice import Choice
 
     choice = Choice.parse(text)
-    if choice.kind == "in-process":
-        return None
+    if seconds is not None:
+        choice = replace(choice, seconds=seconds)
     if choice.kind == "processes" and config.getoption("numprocesses", None):
         raise ConfigurationError(
             "the workers of pytest-xdist would each start processes of their own",

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import os
+import signal
+import time
 
 import psutil
 import pytest
+from corridors import scenario
 
 
 def told(project):
@@ -51,6 +54,11 @@ def test_what_is_simulated_here_all_the_same_is_said(project):
         (["--dura-executor=threads"], "there is no such executor"),
         (["--dura-executor=processes", "-n", "2"], "the workers of pytest-xdist would each start"),
         (["--dura-executor=processes", "--dura-llm=record"], "a cassette is of this process"),
+        (["--dura-episode-timeout=9"], "--dura-episode-timeout is held by ending the process"),
+        (
+            ["--dura-executor=in-process", "--dura-episode-timeout=9"],
+            "--dura-episode-timeout is held by ending the process",
+        ),
     ],
 )
 def test_what_makes_no_sense_is_refused(project, arguments, problem):
@@ -58,6 +66,45 @@ def test_what_makes_no_sense_is_refused(project, arguments, problem):
     assert result.ret == pytest.ExitCode.USAGE_ERROR
     result.stderr.fnmatch_lines([f"*{problem}*", "*--dura-executor*"])
     assert not (project.path / "dura-evidence").exists()
+
+
+@pytest.mark.parametrize("text", ["0", "-1", "nan", "soon"])
+def test_a_limit_for_episodes_that_is_none_is_refused(project, text):
+    result = project.scenarios("--dura-executor=processes:1", f"--dura-episode-timeout={text}")
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    result.stderr.fnmatch_lines(["*--dura-episode-timeout takes a number of seconds*"])
+
+
+DEAF = """
+import signal
+import time
+from corridor import Careful
+
+class Deaf(Careful):
+    def propose(self, view):
+        if view.index == 1:
+            signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())
+            time.sleep(600)
+        return super().propose(view)
+"""
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="there are no signals to block")
+def test_a_component_that_no_alarm_interrupts_is_ended_with_its_process(project):
+    project.write("deaf.py", DEAF)
+    scenario(project, "it", runs=1, requirements="[GAP-1]", generator="deaf:Deaf")
+    scenario(project, "well", requirements="[GAP-1]")
+    began = time.monotonic()
+    result = project.scenarios(
+        "--dura-executor=processes:1", "--dura-episode-timeout=1.5", "--dura-time-budget=0.01"
+    )
+    assert time.monotonic() - began < 60.0
+    assert result.ret == 1
+    ends = {one["case"]: one["failure"] for one in project.evidence()["episodes"]}
+    assert ends["corridor/it"].startswith("infrastructure: its process was ended, since it took")
+    assert project.verdict("GAP-1", "corridor/it")["verdict"] == "undecided"
+    assert project.verdict("GAP-1", "corridor/well")["verdict"] == "supported"
+    assert project.evidence()["gate"]["result"] == "failed"
 
 
 def test_without_a_cluster_nothing_is_run_or_written(project, monkeypatch):

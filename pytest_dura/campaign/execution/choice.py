@@ -12,6 +12,8 @@ if TYPE_CHECKING:
     from pytest_dura.campaign.execution.executors import Execution
 
 KEY = "--dura-executor"
+MOST_SECONDS = 3600.0
+"""What an episode may take in another process, beside the time that its component is given."""
 Kind = Literal["in-process", "processes", "dask"]
 _LAST_PORT = 65535
 
@@ -24,11 +26,13 @@ class Choice:
         kind: In which way.
         count: How many processes; by default one for each core that may be used.
         address: Of Dask's scheduler.
+        seconds: What an episode may take in another process, beside its component's time budgets.
     """
 
     kind: Kind = "in-process"
     count: int | None = None
     address: str | None = None
+    seconds: float = MOST_SECONDS
 
     @classmethod
     def parse(cls, text: str | None) -> Choice:
@@ -73,33 +77,29 @@ class Choice:
 
             knock(self.address)
 
-    def execution(self, seconds: float | None = None) -> Execution:
+    def execution(self) -> Execution:
         """What simulates; a cluster is connected to, and compared with this process.
-
-        Args:
-            seconds: What an episode may take elsewhere, beside its component's time budget.
 
         Raises:
             ConfigurationError: If the cluster cannot be used.
         """
-        from pytest_dura.campaign.execution.executors import MOST_SECONDS, Execution
+        from pytest_dura.campaign.execution.executors import Execution
 
-        limit = MOST_SECONDS if seconds is None else seconds
         if self.processes is not None:
             from pytest_dura.campaign.execution.processes import ProcessPool
 
-            return Execution("processes", ProcessPool(self.processes), limit)
+            return Execution("processes", ProcessPool(self.processes), self.seconds)
         if self.address is not None:
             from pytest_dura.campaign.execution.dask import DaskExecutor
 
-            return Execution("dask", DaskExecutor(self.address), limit)
+            return Execution("dask", DaskExecutor(self.address), self.seconds)
         return Execution()
 
 
-def execution_of(text: str | None, seconds: float | None = None) -> Execution:
+def execution_of(text: str | None) -> Execution:
     """The execution that an option names; see :class:`Choice`.
 
     Raises:
         ConfigurationError: If there is no such executor, or it cannot be used.
     """
-    return Choice.parse(text).execution(seconds)
+    return Choice.parse(text).execution()

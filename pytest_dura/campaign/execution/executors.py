@@ -12,6 +12,7 @@ from typing import ParamSpec, TypeVar
 from pytest_dura.campaign.episodes.address import Address
 from pytest_dura.campaign.episodes.portability import why_here
 from pytest_dura.campaign.episodes.task import EpisodeTask
+from pytest_dura.campaign.execution.choice import MOST_SECONDS
 from pytest_dura.campaign.execution.replies import ProcessLostError
 from pytest_dura.campaign.execution.simulating import Conditions, simulate
 from pytest_dura.core.episode import Episode, EpisodeSpec
@@ -20,9 +21,6 @@ __all__ = ["MOST_SECONDS", "Execution", "InProcessExecutor", "ProcessLostError",
 
 T = TypeVar("T")
 P = ParamSpec("P")
-
-MOST_SECONDS = 3600.0
-"""What an episode may take in another process, beside the time that its component is given."""
 
 
 class InProcessExecutor(Executor):

@@ -241,7 +241,7 @@ def test_executors_are_chosen_by_name():
     assert Choice.parse("dask://host:8786") == Choice("dask", address="tcp://host:8786")
     assert Choice.parse("dask://[::1]:1/").address == "tcp://[::1]:1"
     assert Choice().execution().inside
-    execution = Choice("processes").execution(5.0)
+    execution = Choice("processes", seconds=5.0).execution()
     assert (execution.name, execution.width, execution.seconds) == ("processes", usable_cores(), 5)
     execution.close()
 
