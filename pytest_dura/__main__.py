@@ -1,4 +1,4 @@
-"""``python -m pytest_dura``: what is done with evidence and cassettes after a session."""
+"""``python -m pytest_dura``: what is done with evidence, cassettes and episodes after a session."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """The exit code.
 
     0 if a bundle is intact, or the gate of merged ones passed; 1 if anything differs, or it did
-    not; 2 for a wrong call, and for bundles that cannot be merged.
+    not; 2 for a wrong call, and for bundles that cannot be merged. 0 as well if a directory was
+    pruned.
     """
     parser = argparse.ArgumentParser(prog="python -m pytest_dura", description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
@@ -57,6 +58,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
         default="warn",
         help="what a rate that got worse than the baseline's does to the gate (default: warn)",
     )
+    prune = commands.add_parser(
+        "prune", help="remove what no session has used for long from a directory of --dura-reuse"
+    )
+    prune.add_argument("directory", metavar="DIR", type=Path, help="the directory of episodes")
+    prune.add_argument(
+        "--older-than", metavar="TIME", help="episodes unused for so long: 12h, 30d, 8w"
+    )
+    prune.add_argument(
+        "--at-most", metavar="SIZE", help="the longest unused ones beyond this size: 500M, 2G"
+    )
     given = parser.parse_args(arguments)
     try:
         if given.command == "merge":
@@ -64,6 +75,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return _merge(given.bundles, given.output, given.baseline, fail_worse=fail_worse)
         if given.command == "cassette":
             return _list_cassette(given.file)
+        if given.command == "prune":
+            return _prune(given.directory, given.older_than, given.at_most)
         return _verify(given.directory, given.junit_xml)
     except BrokenPipeError:  # whoever reads, such as `head`, has enough
         # Or what is still to be written would raise it again at the end.
@@ -106,6 +119,27 @@ def _merge(bundles: Sequence[Path], output: Path, baseline: str | None, *, fail_
     )
     print(f"evidence: {one_line(str(output / 'report.html'), LONGEST)}")
     return 0 if merged.passed else 1
+
+
+def _prune(directory: Path, older_than: str | None, at_most: str | None) -> int:
+    from pytest_dura.campaign.episodes.pruning import prune, read_age, read_size
+
+    if older_than is None and at_most is None:
+        raise ConfigurationError(
+            "it is not said what is to be removed",
+            expected="--older-than, --at-most, or both",
+            remedy="for example --older-than=30d",
+        )
+    found = prune(
+        directory,
+        older_than=None if older_than is None else read_age(older_than),
+        at_most=None if at_most is None else read_size(at_most),
+    )
+    print(
+        f"removed: {found.removed} episodes, {found.removed_bytes / 1e6:.1f} MB; "
+        f"left: {found.kept} episodes, {found.kept_bytes / 1e6:.1f} MB"
+    )
+    return 0
 
 
 def _let_names_be_any_bytes() -> None:

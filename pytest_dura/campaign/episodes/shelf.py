@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sys
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -19,6 +20,8 @@ from pytest_dura.core.file_locks import is_named, lock
 EPISODE, CLAIM, NEW = ".episode", ".claim", ".new"
 MOST_ATTEMPTS = 2
 """Processes that an episode may end before it is given up."""
+_SECONDS_OF_USE = 3600.0
+"""How exactly it is noted when an episode was used last: so it is rarely written."""
 _FORMAT = 1
 _MOST_HEAD = 1 << 20
 _MOST_FILE = _MOST_HEAD + MOST_BYTES
@@ -125,12 +128,15 @@ class Shelf:
         head, _, packed = data.partition(b"\n")
         try:
             entry = _entry(head, address)
-            return unpack(packed, spec), entry
+            episode = unpack(packed, spec)
         except DamagedEpisodeError:
             # Of a full disk or a loss of power; it is simulated again.
             with suppress(OSError):
                 file.unlink()
             return None
+        if entry.session != self.session:
+            _used(file)
+        return episode, entry
 
     def has(self, address: Address) -> bool:
         """Whether there is an episode, whole or not."""
@@ -235,6 +241,13 @@ class Shelf:
 
     def _file(self, address: Address, kind: str) -> Path:
         return self.directory / address.name[:2] / f"{address.name}{kind}"
+
+
+def _used(file: Path) -> None:
+    """Note that an episode of another session is of use, for who prunes the directory."""
+    with suppress(OSError):  # it is somebody else's, or gone
+        if time.time() - file.stat().st_mtime > _SECONDS_OF_USE:
+            os.utime(file)
 
 
 def _entry(line: bytes, address: Address | None = None) -> Entry:
