@@ -52,10 +52,11 @@ class Redactor:
 
     def learn(self, environ: Mapping[str, str]) -> None:
         """Take in secrets that the environment has by now; those known before stay known."""
-        for name, value in secrets_of(environ):
-            if self._seen.get(name) != value:
-                self._seen[name] = value
-                self.add(name, value)
+        # Asked before whatever is written, when hardly anything has changed.
+        fresh = {name: one for name, one in environ.items() if self._seen.get(name) != one}
+        self._seen.update(fresh)
+        for name, value in secrets_of(fresh):
+            self.add(name, value)
 
     def add(self, name: str, value: str) -> None:
         """Take in one secret.

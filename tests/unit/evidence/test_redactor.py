@@ -50,6 +50,8 @@ def test_what_the_environment_has_later_is_learnt():
     redactor = Redactor.of_environment({"A_KEY": SECRET})
     redactor.learn({"B_KEY": "another-secret"})
     assert redactor.redact(f"{SECRET} another-secret") == "[redacted: A_KEY] [redacted: B_KEY]"
+    redactor.learn({"A_KEY": "a-rotated-one", "B_KEY": "another-secret"})
+    assert redactor.redact(f"{SECRET} a-rotated-one") == "[redacted: A_KEY] [redacted: A_KEY]"
 
 
 @pytest.mark.parametrize(
