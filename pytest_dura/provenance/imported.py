@@ -16,13 +16,15 @@ MOST = 5000
 """Files that are read of one package; nothing is known of one that has more."""
 _OURS = "pytest_dura"
 _IMPORT = re.compile(
-    rb"""\b(?:
-        from[ \t]+([A-Za-z_][\w.]*)[ \t]+import\b
-        | import[ \t]+([A-Za-z_][\w., \t]*)
-        | import_module\([ \t]*["']([A-Za-z_][\w.]*)
+    r"""\b(?:
+        from[ \t]*\.[\w. \t]*\bimport\b  # of its own package, all of which counts anyway
+        | from[ \t]+([^\W\d][\w.]*)[ \t]+import\b
+        | import[ \t]+([^\W\d][\w., \t]*)
+        | (?:import_module|__import__)\(\s*["']([^\W\d][\w.]*)
     )""",
     re.VERBOSE,
 )
+_CONTINUED = re.compile(r"\\\r?\n")
 
 
 def own_code(file: Path, module: str) -> str | None:
@@ -94,10 +96,12 @@ class _Found:
 
 def _imported(source: bytes) -> Iterator[str]:
     """The first parts of the names that a file imports; those of its own package apart."""
-    for match in _IMPORT.finditer(source):
-        for names in match.groups(b""):
-            for name in names.split(b","):
-                top = name.split(b" as ")[0].strip().partition(b".")[0].decode()
+    # Another encoding than UTF-8 spoils letters of names that are not ASCII, and nothing else.
+    text = _CONTINUED.sub(" ", source.decode(errors="replace"))
+    for match in _IMPORT.finditer(text):
+        for names in match.groups(""):
+            for name in names.split(","):
+                top = name.split(" as ")[0].strip().partition(".")[0]
                 if top.isidentifier() and top != _OURS and top not in sys.stdlib_module_names:
                     yield top
 

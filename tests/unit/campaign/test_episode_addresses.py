@@ -260,3 +260,43 @@ def test_imports_that_go_around_in_a_circle_end(tmp_path, monkeypatch):
     first = own_code(tmp_path / "circle_a.py", "circle_a")
     (tmp_path / "circle_b.py").write_text("from circle_a import *\n")
     assert own_code(tmp_path / "circle_a.py", "circle_a") != first
+
+
+@pytest.mark.parametrize(
+    "text, counts",
+    [
+        ("import other, aside", True),
+        ("import other, \\\n    aside as two", True),
+        ("from \\\n    aside.inner import one", True),
+        ("__import__('aside')", True),
+        ("import_module(\n    'aside.inner')", True),
+        ("from . import aside", False),
+        ("from .inner import aside", False),
+        ("from ..inner.most import aside, two", False),
+    ],
+)
+def test_what_is_imported_is_found_and_what_is_called_alike_is_not(
+    tmp_path, monkeypatch, text, counts
+):
+    monkeypatch.syspath_prepend(tmp_path)
+    package = tmp_path / "packed"
+    package.mkdir()
+    for file in ("__init__.py", "inner.py", "aside.py"):
+        (package / file).touch()
+    (package / "using.py").write_text(text)
+    aside = tmp_path / "aside.py"
+    aside.write_text("1")
+    first = own_code(package / "using.py", "packed.using")
+    aside.write_text("2")
+    assert (own_code(package / "using.py", "packed.using") != first) == counts
+
+
+def test_a_module_with_letters_of_any_alphabet_counts(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(tmp_path)
+    for name in ("größe", "μ"):
+        (tmp_path / f"{name}.py").write_text("1")
+        using = tmp_path / f"using_{name}.py"
+        using.write_text(f"from {name} import x\n")
+        first = own_code(using, using.stem)
+        (tmp_path / f"{name}.py").write_text("2")
+        assert own_code(using, using.stem) != first
