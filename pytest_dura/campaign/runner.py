@@ -216,7 +216,10 @@ class Bench:
         Raises:
             ConfigurationError: If a role or the simulator cannot be built.
         """
-        return SearchedEpisode.of(self.store.get(self.search_task(case, run, again), ahead))
+        task = self.search_task(case, run, again)
+        episode = self.store.get(task, ahead)
+        self.store.earlier.search_used(task)
+        return SearchedEpisode.of(episode)
 
     def search_task(self, case: Case, run: int = 0, again: int = 0) -> EpisodeTask:
         """What :meth:`searched` has an episode by. Nothing is kept of it for viewers."""

@@ -173,9 +173,10 @@ class Reporter:
         if traces or problems:
             self._report.traces += traces
             self._report.problems += problems
-        notes = self.session.shared.take_problems()
-        if notes:
+        notes, searched = self.session.shared.take_problems(), self.session.shared.take_searched()
+        if notes or searched:
             self._report.notes += notes
+            self._report.searched += searched
         models = self.session.models.take()
         if models:
             self._report.models += models

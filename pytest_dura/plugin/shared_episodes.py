@@ -5,6 +5,7 @@ from __future__ import annotations
 import uuid
 from contextlib import suppress
 from functools import cached_property
+from itertools import islice
 from typing import TYPE_CHECKING, Any
 
 from pytest_dura.core.errors import ConfigurationError
@@ -34,7 +35,7 @@ class SharedEpisodes:
         self.lines: list[str] = []
         """What the terminal says before anything runs."""
         self._store: EpisodeStore | None = None
-        self._told = 0
+        self._told = self._told_searched = 0
 
     @cached_property
     def id(self) -> str:
@@ -73,6 +74,15 @@ class SharedEpisodes:
         known = [] if self._store is None else self._store.problems
         found, self._told = known[self._told :], len(known)
         return found
+
+    def take_searched(self) -> list[dict[str, Any]]:
+        """The origins of what searches used since the last call."""
+        if self._store is None:
+            return []
+        earlier = self._store.earlier
+        found = list(islice(earlier.searched, self._told_searched, None))
+        self._told_searched += len(found)
+        return [{"run": f"{key[0]} {key[1]}", "origin": earlier.origin(key)} for key in found]
 
     def tell_worker(self, workerinput: MutableMapping[str, Any]) -> None:
         """Tell a worker which session it is of."""

@@ -11,7 +11,7 @@ from pytest_dura.plugin.fault_lines import fault_table
 from pytest_dura.plugin.messages import Shown, shown_lines
 from pytest_dura.plugin.overrides import overrides_deeper_down, root_conftest_with
 from pytest_dura.plugin.places import from_here
-from pytest_dura.plugin.reuse_lines import resume_lines, reuse_lines
+from pytest_dura.plugin.reuse_lines import resume_lines, reuse_lines, searched_lines
 from pytest_dura.plugin.search_lines import counts as search_counts
 from pytest_dura.plugin.search_lines import show_searches
 from pytest_dura.plugin.shortening import ELSEWHERE, MOST, worst_cases
@@ -77,7 +77,7 @@ def summary(session: DuraSession, terminal: Any) -> None:
     """Cases, verdicts and failures, from the record alone."""
     record = session.evidence.final
     told = ("cases", "searches", "baseline", "shard")
-    if record is None or not any(record[key] for key in told):
+    if record is None or not (any(record[key] for key in told) or any(searched_lines(record))):
         return
     terminal.section("dura", "=")
     terminal = Shown(terminal)
@@ -88,6 +88,8 @@ def summary(session: DuraSession, terminal: Any) -> None:
         _show_cases(session, terminal, record)
     show_verdicts(session, terminal, record)
     show_searches(session, terminal, record)
+    for line in searched_lines(record):
+        terminal.line(line)
     show_baseline(terminal, record)
     for note in session.simulating.notes():
         terminal.line(note)

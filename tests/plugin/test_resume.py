@@ -302,3 +302,64 @@ def test_two_sessions_at_once_share_what_they_simulate(project):
     both = reuse(project, "one"), reuse(project, "two")
     assert sum(one["taken_over"] for one in both) == 8
     assert {one["session"] for one in both[0]["sessions"]} <= {both[1]["session"]}
+
+
+SEARCHES = """
+import pytest
+from hypothesis import given, settings
+from pytest_dura import strategies
+
+@pytest.mark.dura(scenario="corridor/free")
+@pytest.mark.requirement("GAP-1")
+def test_search(campaign):
+    campaign.falsify(budget=12, shrink=0)
+
+@settings(max_examples=5, derandomize=True, database=None)
+@given(case=strategies.cases("corridor/free"))
+def test_property(case, run_episode):
+    assert run_episode(case).signals["gap"][0] > 0
+"""
+FAST = """
+from pathlib import Path
+from corridor import Reckless
+
+class Fast(Reckless):
+    def reset(self, context):
+        with Path("log").open("a") as log:
+            log.write(f"{context.seed}\\n")
+"""
+
+
+def test_what_searches_take_over_is_told_and_what_they_find_is_replayed_all_the_same(project):
+    project.write("fast.py", FAST)
+    project.write("test_it.py", SEARCHES)
+    given = ["test_it.py", "--dura-generator=fast:Fast", "--dura-reuse=kept"]
+    kinds = []
+    for change, mode in (("", []), ("", ["-n", "2"]), ("# another comment", [])):
+        project.write("fast.py", FAST + change)
+        (project.path / "log").write_text("")
+        result = project.run(*given, *mode)
+        count = len((project.path / "log").read_text().splitlines())
+        check_intact(project)
+        (search,) = project.evidence()["searches"]
+        assert search["outcomes"][0]["word"] == "falsified"
+        searched = reuse(project)["searched"]
+        taken = searched["taken_over"]
+        assert searched["simulations"] - taken == count
+        line = f"{taken} runs of searches taken over*{count} simulated"
+        result.stdout.fnmatch_lines([line])
+        kinds.append((searched, count, result))
+    (first, all_of_them, _), (again, replays, _), (changed, count, result) = kinds
+    assert (first["taken_over"], first["outdated"]) == (0, [])
+    assert replays == 1, "a replay of an earlier session confirms nothing in this one"
+    assert again["taken_over"] == all_of_them - 1
+    assert [one["episodes"] for one in again["sessions"]] == [all_of_them - 1]
+    assert (changed["taken_over"], count) == (0, all_of_them)
+    why = ["code of the generator fast:Fast"]
+    assert changed["outdated"] == [{"changed": why, "episodes": all_of_them - 1}]
+    result.stdout.fnmatch_lines(["* of searches simulated again: code of the generator *changed"])
+    record = json.loads((project.path / "dura-evidence/evidence.json").read_text())
+    record["reuse"]["searched"]["taken_over"] = 3
+    (project.path / "dura-evidence/evidence.json").write_text(json.dumps(record))
+    told = verify_bundle(project.path / "dura-evidence").problems
+    assert any("reuse: 3 runs of searches, and their sessions say 0" in one for one in told)

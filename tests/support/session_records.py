@@ -159,7 +159,7 @@ def session_record(directory=Path("nowhere"), **changes):
         "baseline": None, "argument": None, "shard": None, "merged_from": None,
         "execution": {"executor": "in-process", "processes": None},
         "reuse": {"mode": "none", "session": "5" * 32, "problems": [], "taken_over": 0,
-                  "sessions": [], "outdated": []},
+                  "sessions": [], "outdated": [], "searched": None},
         "coverage": {
             "left_out": 0,
             "cells": [

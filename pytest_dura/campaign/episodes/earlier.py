@@ -25,6 +25,8 @@ class Earlier:
         self._index: dict[tuple[str, str], list[Mapping[str, str]]] | None = None
         self.origins: dict[Key, str] = {}
         """The sessions that simulated what was taken over."""
+        self.searched: dict[Key, None] = {}
+        """What searches used, in this order, as far as earlier sessions may have had it."""
         self.outdated: dict[Key, tuple[str, ...]] = {}
         """What changed since an earlier session simulated these; they are simulated again. Nothing
         did where the earlier one was missing."""
@@ -33,13 +35,14 @@ class Earlier:
         """Whether an episode on the shelf counts in this session.
 
         One of another session does if that was asked for, and if it was not missing there: what
-        was wrong may be mended.
+        was wrong may be mended. A repetition does not: it is to show that this session, too, comes
+        to the same.
         """
         if self._shelf is None or entry.session == self._shelf.session:
             if entry.changed is not None:
                 self.outdated[key_of(task)] = entry.changed
             return True
-        if not self._shelf.earlier or episode.failure is not None:
+        if not self._shelf.earlier or episode.failure is not None or task.again:
             return False
         self.origins[key_of(task)] = entry.session
         return True
@@ -50,7 +53,7 @@ class Earlier:
         Returns:
             What changed since the earlier one that it is closest to.
         """
-        if self._shelf is None or not self._shelf.earlier:
+        if self._shelf is None or not self._shelf.earlier or task.again:
             return None
         known = self._indexed(self._shelf).get((task.spec.id, task.spec.component))
         if not known:
@@ -66,6 +69,11 @@ class Earlier:
             "session": self.origins.get(key),
             "changed": None if changed is None else list(changed),
         }
+
+    def search_used(self, task: EpisodeTask) -> None:
+        """A search, which leaves no record of its episodes, used one."""
+        if self._shelf is not None and self._shelf.earlier:
+            self.searched[key_of(task)] = None
 
     def _indexed(self, shelf: Shelf) -> Mapping[tuple[str, str], list[Mapping[str, str]]]:
         if self._index is None:

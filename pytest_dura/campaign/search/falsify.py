@@ -124,6 +124,7 @@ def _searched(trials: Trials, portfolio: Portfolio, budget: int) -> tuple[Search
     subject = "search " + ", ".join(one.requirement.id for one in trials.asked)
     running = RunningCampaign(trials.space.case.id, subject, budget)
     done = 0
+    bench.on_progress(running.reach(done, budget, bench.store.simulated))
 
     def evaluate(batch: Batch) -> Iterable[Outcome]:
         nonlocal done

@@ -146,6 +146,12 @@ def _taken_over(record: SessionRecord) -> Iterator[str]:
             f"{one['episodes']} of {run} episodes were simulated again: "
             f"{why_again(map(name, one['changed']))}."
         )
+    searched = reuse["searched"]
+    if searched is not None and searched["taken_over"]:
+        yield (
+            f"{searched['taken_over']} of {searched['simulations']} simulations of searches were "
+            "taken over from earlier sessions, under the same conditions; replays never are."
+        )
 
 
 def _untried(record: SessionRecord) -> Iterator[str]:

@@ -13,7 +13,7 @@ from pytest_dura.evidence.record.case_metrics import CaseMetrics
 from pytest_dura.evidence.record.item_report import unpacked
 from pytest_dura.evidence.record.missing_runs import missing_runs, verdicts_on_cases
 from pytest_dura.evidence.record.models import Models
-from pytest_dura.evidence.record.reuse import ALONE
+from pytest_dura.evidence.record.reuse import ALONE, Reuse
 from pytest_dura.evidence.record.searches import Searches
 from pytest_dura.evidence.record.session_record import SessionRecord
 from pytest_dura.evidence.record.spool import EpisodeSpool
@@ -62,7 +62,7 @@ class EvidenceRecord:
     _clashes: dict[tuple[str, str], str] = field(default_factory=dict)
     _models: Models = field(default_factory=Models)
     _problems: set[str] = field(default_factory=set)
-    _notes: set[str] = field(default_factory=set)
+    _reuse: Reuse = field(default_factory=Reuse)
     _ran: set[str] = field(default_factory=set)
     """Cases with any episode."""
 
@@ -100,7 +100,7 @@ class EvidenceRecord:
         self._add_episodes(report)
         self._models.add(report["models"])
         self._problems.update(report["problems"])
-        self._notes.update(report["notes"])
+        self._reuse.add(report)
         for verdict in report["verdicts"]:
             self._add_verdict(item, verdict)
         self.searches.add(item, report["searches"])
@@ -152,7 +152,7 @@ class EvidenceRecord:
             "schema_version": SCHEMA_VERSION,
             "status": status,
             **self.header,
-            "reuse": {**self.header.get("reuse", ALONE), "problems": sorted(self._notes)},
+            "reuse": self._reuse.to_json(self.header.get("reuse", ALONE)),
             "component_under_test": under_test,
             "models": self._models.to_json(),
             "requirements": [self._requirements[name] for name in sorted(self._requirements)],

@@ -40,6 +40,8 @@ class ItemReport:
             ``process`` has asked them since it began.
         problems: What casts doubt on the whole session, each beginning with ``infrastructure:``.
         notes: What the user should know of the session and casts no doubt on it.
+        searched: ``{run, origin}`` of simulations of searches, where earlier sessions may have made
+            them; ``run`` tells them apart.
         parts: Packed reports with earlier episodes of the item.
     """
 
@@ -58,6 +60,7 @@ class ItemReport:
     models: list[Data] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    searched: list[Data] = field(default_factory=list)
     parts: list[str] = field(default_factory=list)
 
     def to_json(self) -> Data:

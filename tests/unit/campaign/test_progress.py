@@ -33,6 +33,10 @@ def bench(tmp_path, told):
         text = SCENARIO.format(name=name, runs=runs, faults=faults)
         text = text.replace("[bias]", f"[{BIAS}]")
         (tmp_path / f"{name}.yaml").write_text(text)
+    varied = SCENARIO.format(name="varied", runs=2, faults="[]")
+    (tmp_path / "varied.yaml").write_text(
+        varied + "world: {start: 18.0}\nvariation: {world.start: {min: 15.0, max: 20.0}}\n"
+    )
     library = load_library([tmp_path], builtin=False)
     found = Bench(lambda: library)
 
@@ -98,6 +102,14 @@ def test_runs_at_hand_are_told_as_taken_over_until_one_is_simulated(bench, told)
     told.clear()
     bench.campaign("room/warm").judge(RATE)
     assert shown(told, "done", "taken_over") == [(done, done) for done in range(4)]
+
+
+def test_a_search_takes_over_what_it_had_before_and_says_so_of_nothing_else(bench, told):
+    for expected in ({0}, {0, 1, 2, 3, 4, 5}):
+        bench.campaign("room/varied").falsify("always (temperature > -300)", budget=5)
+        assert shown(told, "done", "budget")[0] == (0, 5)
+        assert set(shown(told, "taken_over")) == {(one,) for one in expected}
+        told.clear()
 
 
 class Interrupted(Thermostat):

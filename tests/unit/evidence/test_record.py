@@ -61,6 +61,7 @@ def report(item="a/b::R", **parts):
             "problems",
             "parts",
             "notes",
+            "searched",
         )
     }
     return {"item": item, **empty, **parts}
