@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -315,6 +316,30 @@ def test_it_is_the_same_under_any_profile_and_leaves_nothing_behind(tmp_path: Pa
     assert run(PROGRAM) == run(plain)
     assert run(plain).startswith("(0, 1, 0, 0, 12) ")
     assert not list(tmp_path.iterdir())
+
+
+COPIED = """
+import os, threading, warnings
+warnings.simplefilter("ignore")  # a copy of a process with threads is what this is about
+from pytest_dura.campaign.search.shrinking.minimal import minimal
+def found():
+    return minimal((9, 9, 30), lambda places: places[2] > 11, 5)
+assert found() == found() == minimal((3,), lambda places: found() == (0, 0, 12), 5) + (0, 12)
+print(sum(one.name == "shrinking" for one in threading.enumerate()), flush=True)
+if os.fork() == 0:
+    print(found(), flush=True)
+    os._exit(0)
+os.wait()
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="there are no copies of processes here")
+def test_threads_are_used_again_and_one_is_begun_in_a_copy_of_the_process() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", COPIED], capture_output=True, text=True, check=False, timeout=60
+    )
+    # Two: one is busy while the other answers its question.
+    assert (done.returncode, done.stdout) == (0, "2\n(0, 0, 12)\n"), done.stderr
 
 
 def test_a_collision_among_random_traffic_comes_down_to_one_car() -> None:

@@ -6,8 +6,10 @@ no database on disk, no seed of the session, nothing printed.
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Future, wait
 from functools import cache
 from queue import SimpleQueue
 from threading import Event, Thread
@@ -95,6 +97,30 @@ class _Pass:
         return found
 
 
+class _Worker:
+    """A thread in which passes run, one after the other.
+
+    Hypothesis searches the whole process for garbage when it comes to a new thread: so one is kept.
+    """
+
+    def __init__(self) -> None:
+        self._passes: SimpleQueue[Callable[[], None]] = SimpleQueue()
+        Thread(target=self._work, name="shrinking", daemon=True).start()
+
+    def start(self, one: Callable[[], None]) -> None:
+        """Begin a pass, which raises nothing."""
+        self._passes.put(one)
+
+    def _work(self) -> None:
+        while True:
+            self._passes.get()()
+
+
+_IDLE: list[_Worker] = []
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_IDLE.clear)  # a copy of the process has no such thread
+
+
 def _shrunk(start: Places, asked: _Pass, seed: int) -> Places:
     """Where one pass of Hypothesis ends.
 
@@ -102,7 +128,7 @@ def _shrunk(start: Places, asked: _Pass, seed: int) -> Places:
     """
     questions: SimpleQueue[Places | None] = SimpleQueue()
     answers: SimpleQueue[bool] = SimpleQueue()
-    found: list[Places] = []
+    end: Future[Places] = Future()
 
     over = Event()
 
@@ -114,12 +140,17 @@ def _shrunk(start: Places, asked: _Pass, seed: int) -> Places:
 
     def work() -> None:
         try:
-            found.append(_pass(start, ask, seed))
+            end.set_result(_pass(start, ask, seed))
+        except BaseException as error:
+            end.set_exception(error)
         finally:
             questions.put(None)
 
-    thread = Thread(target=work, name="shrinking")
-    thread.start()
+    try:
+        worker = _IDLE.pop()
+    except IndexError:
+        worker = _Worker()
+    worker.start(work)
     try:
         while (places := questions.get()) is not None:
             answers.put(asked(places))
@@ -127,9 +158,9 @@ def _shrunk(start: Places, asked: _Pass, seed: int) -> Places:
         # An interrupt leaves it without an answer.
         over.set()
         answers.put(False)
-        thread.join()
-    (end,) = found
-    return end
+        wait([end])
+        _IDLE.append(worker)
+    return end.result()
 
 
 def _pass(start: Places, interesting: Callable[[Places], bool], seed: int) -> Places:
