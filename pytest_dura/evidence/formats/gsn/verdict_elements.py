@@ -17,7 +17,8 @@ from pytest_dura.evidence.formats.gsn.wording import (
     verdict_text,
     waiver_text,
 )
-from pytest_dura.evidence.formats.report.anchors import verdict_anchor
+from pytest_dura.evidence.formats.report.anchors import requirement_anchor, verdict_anchor
+from pytest_dura.evidence.formats.report.folding import folded_cases
 from pytest_dura.evidence.record.session_record import SessionRecord
 from pytest_dura.evidence.text import name
 from pytest_dura.evidence.views.replay_command import evidence_option, model_options, replay_command
@@ -50,6 +51,7 @@ class Judged:
 def judged(record: SessionRecord, facts: Facts, *, several: bool) -> Iterator[Judged]:
     """Each verdict of the record with its elements; ``several``: components are told apart."""
     seen: Counter[tuple[str, ...]] = Counter()
+    folded = folded_cases(record)
     for index, verdict in enumerate(record["verdicts"]):
         # Its item tells apart two tests of one requirement and case; two of one item have no
         # other difference than their order.
@@ -58,7 +60,8 @@ def judged(record: SessionRecord, facts: Facts, *, several: bool) -> Iterator[Ju
         seen[key] += 1
         if seen[key] > 1:
             apart = (*apart, str(seen[key]))
-        yield _Maker(record, facts, index, verdict, apart, several).judged()
+        shown = (verdict["case"], verdict["component"]) not in folded
+        yield _Maker(record, facts, index, verdict, apart, several, shown).judged()
 
 
 @dataclass(frozen=True)
@@ -71,6 +74,8 @@ class _Maker:
     verdict: Data
     apart: tuple[str, ...]
     several: bool
+    shown: bool
+    """Whether the report has a row for it."""
 
     @property
     def url(self) -> str:
@@ -94,7 +99,10 @@ class _Maker:
         return f"{what}:{self.requirement}@{self.where}{twin}"
 
     def layers(self) -> dict[str, Any]:
-        anchor = verdict_anchor(self.verdict["requirement"], self.verdict["case"])
+        requirement = self.verdict["requirement"]
+        anchor = requirement_anchor(requirement)
+        if self.shown:
+            anchor = verdict_anchor(requirement, self.verdict["case"])
         return {"report": f"report.html#{anchor}", "verdict": self.verdict["verdict"]}
 
     def judged(self) -> Judged:

@@ -15,12 +15,15 @@ def requirement_anchor(requirement: str) -> str:
 
 
 def verdict_anchor(requirement: str, case: str) -> str:
-    """Of the first verdict on a requirement and a case. It is there for each such pair."""
+    """Of the first verdict on a requirement and a case.
+
+    It is there for each such pair, unless the case is folded; see :func:`folded_cases`.
+    """
     return anchor("verdict", requirement, case)
 
 
 def case_anchor(case: str) -> str:
-    """Of a case among the scenarios. It is there for each case of the record."""
+    """Of a case among the scenarios. It is there for each case of the record that is not folded."""
     return anchor("case", case)
 
 

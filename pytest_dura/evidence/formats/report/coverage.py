@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from pytest_dura.evidence.formats.report.anchors import requirement_anchor
+from pytest_dura.evidence.formats.report.folding import Key
 from pytest_dura.evidence.formats.report.gathering import Gathered
 from pytest_dura.evidence.formats.report.links import Links
 from pytest_dura.evidence.formats.report.matrix import heading, matrix
@@ -18,12 +19,13 @@ MAX_BARS = 20
 """A list of choices may be long."""
 
 
-def section(record: SessionRecord, _gathered: Gathered, _links: Links) -> Data:
+def section(record: SessionRecord, gathered: Gathered, _links: Links) -> Data:
     """The matrix of cells, and the bars of each varied parameter."""
     found = record["coverage"]
     requirements = [one["id"] for one in record["requirements"]]
     places: dict[tuple[str, str], dict[str, list[str | None]]] = {}
-    for cell in found["cells"]:
+    shown, rest = _apart(found["cells"], gathered.folded)
+    for cell in shown:
         row = places.setdefault((cell["scenario"], cell["faults"]), {})
         row.setdefault(cell["requirement"], []).append(cell["verdict"])
         if cell["requirement"] not in requirements:
@@ -49,8 +51,20 @@ def section(record: SessionRecord, _gathered: Gathered, _links: Links) -> Data:
         ),
         "cells": len(found["cells"]) + found["left_out"],
         "left_out": found["left_out"],
+        "folded": len(set(map(_scenario, rest))),
         "parameters": [_parameter(one) for one in found["parameters"]],
     }
+
+
+def _apart(cells: list[Data], folded: frozenset[Key]) -> tuple[list[Data], list[Data]]:
+    """The cells of places that are shown, and of those of which all cells are of folded cases."""
+    untold = {_scenario(cell) for cell in cells if (cell["case"], cell["component"]) not in folded}
+    shown = [cell for cell in cells if _scenario(cell) in untold]
+    return shown, [cell for cell in cells if _scenario(cell) not in untold]
+
+
+def _scenario(cell: Data) -> tuple[str, str]:
+    return cell["scenario"], cell["faults"]
 
 
 def _place(one: Data) -> tuple[str, str, str]:

@@ -6,11 +6,11 @@ from collections.abc import Mapping
 from typing import Any
 
 from pytest_dura.evidence.formats.report.anchors import case_anchor, requirement_anchor
+from pytest_dura.evidence.formats.report.folding import Key
 from pytest_dura.evidence.formats.report.gathering import (
     UNREMARKABLE,
     CaseTally,
     Gathered,
-    Key,
     Listed,
 )
 from pytest_dura.evidence.formats.report.links import Links
@@ -23,14 +23,24 @@ def section(record: SessionRecord, gathered: Gathered, links: Links) -> Data:
     """Rows of counts, which together count each episode once, and rows of single episodes."""
     left = dict(gathered.cases)
     counts = []
+    folded: list[tuple[Data, int]] = []
     for case in record["cases"]:
         key = case["id"], case["component"]
-        counts.append(_counts(key, left.pop(key, CaseTally()), case))
+        tally = left.pop(key, CaseTally())
+        if key in gathered.folded and tally.words["valid"] == tally.words.total():
+            folded.append((case, tally.words.total()))
+        else:
+            counts.append(_counts(key, tally, case))
     # Episodes of a case that the record does not list are counted all the same.
     counts += [_counts(key, tally, None) for key, tally in left.items()]
     anchors: set[str] = set()
     return {
         "counts": counts,
+        "folded": {
+            "number": len(folded),
+            "planned": sum(case["planned"] for case, _ in folded),
+            "run": sum(run for _, run in folded),
+        },
         "several": len({key[1] for key in gathered.cases}) > 1,
         "total": gathered.total,
         "shown": len(gathered.listed),

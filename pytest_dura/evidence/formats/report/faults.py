@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 
 from pytest_dura.evidence.formats.report.anchors import requirement_anchor
+from pytest_dura.evidence.formats.report.folding import apart
 from pytest_dura.evidence.formats.report.gathering import CaseTally, Gathered
 from pytest_dura.evidence.formats.report.links import Links
 from pytest_dura.evidence.formats.report.matrix import heading, matrix
@@ -22,16 +23,33 @@ STEPS = (0.0, 0.05, 0.25, 0.5)
 def section(record: SessionRecord, gathered: Gathered, _links: Links) -> Data:
     """The map of faults and requirements, and one row for each fault of each case."""
     chains = []
-    for case in record["cases"]:
+    shown, rest = apart(record["cases"], gathered.folded, "id")
+    for case in shown:
         tally = gathered.cases.get((case["id"], case["component"]), CaseTally())
         for fault in case["metrics"]["faults"]:
             outcomes = sorted(tally.outcomes.get(fault["id"], Counter()).items())
             chains.append({**fault, "case": case, "outcomes": outcomes})
-    return {"heat": _heat(record), "chains": chains}
+    named = {name for case in shown for name in _faults(case)}
+    left = {name for case in rest for name in _faults(case)} - named
+    return {
+        "heat": _heat(record, left),
+        "left_out": len(left),
+        "chains": chains,
+        "folded": sum(len(case["metrics"]["faults"]) for case in rest),
+    }
 
 
-def _heat(record: SessionRecord) -> Data:
-    """Violating among valid episodes, by fault and requirement, over all cases with that fault."""
+def _faults(case: Data) -> list[str]:
+    return [fault["id"] for fault in case["faults"]] or [NO_FAULT]
+
+
+def _heat(record: SessionRecord, left_out: Collection[str]) -> Data:
+    """Violating among valid episodes, by fault and requirement, over all cases with that fault.
+
+    Args:
+        record: The record.
+        left_out: Names of faults without a row; only folded cases have them.
+    """
     faults_of = {
         (case["id"], case["component"]): [fault["id"] for fault in case["faults"]]
         for case in record["cases"]
@@ -45,7 +63,7 @@ def _heat(record: SessionRecord) -> Data:
         for one in ids:
             names.setdefault(one)
             cells[one, verdict["requirement"]].append(verdict)
-    order = sorted(names, key=lambda one: (one != NO_FAULT, one))
+    order = sorted(names.keys() - left_out, key=lambda one: (one != NO_FAULT, one))
     requirements = [one["id"] for one in record["requirements"]]
     return matrix(
         [heading(name, anchor=requirement_anchor(name)) for name in requirements],

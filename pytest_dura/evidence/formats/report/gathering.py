@@ -8,12 +8,10 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from pytest_dura.evidence.formats.report.folding import Key, folded_cases
 from pytest_dura.evidence.record.session_record import SessionRecord
 
 Data = Mapping[str, Any]
-Key = tuple[str, str]
-"""An id, of a case or an episode, and the component's name."""
-
 MAX_LISTED = 1000
 """Episodes in the list."""
 MAX_DOTS = 200
@@ -85,12 +83,14 @@ class Gathered:
         listed: The first by rank, then in the record's order.
         total: Episodes in the record.
         candidates: Episodes with a trace, those that show most first.
+        folded: Cases that passed and have no rows of their own; see :func:`folded_cases`.
     """
 
     cases: dict[Key, CaseTally]
     listed: list[Listed]
     total: int
     candidates: list[Listed]
+    folded: frozenset[Key]
 
     @classmethod
     def of(cls, record: SessionRecord) -> Gathered:
@@ -118,7 +118,7 @@ class Gathered:
                     turn = len(wanted) + sampled[of_case]
                     sampled[of_case] += 1
                 _keep(candidates, turn, shown, MAX_CANDIDATES)
-        return cls(cases, _in_order(listed), total, _in_order(candidates))
+        return cls(cases, _in_order(listed), total, _in_order(candidates), folded_cases(record))
 
 
 def violations_by_episode(record: SessionRecord) -> dict[Key, list[str]]:

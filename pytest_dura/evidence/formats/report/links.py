@@ -6,7 +6,8 @@ from collections.abc import Collection
 from dataclasses import dataclass
 
 from pytest_dura.evidence.formats.report.anchors import episode_anchor, player_anchor
-from pytest_dura.evidence.formats.report.gathering import Gathered, Key
+from pytest_dura.evidence.formats.report.folding import Key
+from pytest_dura.evidence.formats.report.gathering import Gathered
 
 
 @dataclass(frozen=True)

@@ -68,6 +68,7 @@ def render(record: SessionRecord) -> str:
         record=record.head,
         links=links,
         players=players,
+        gathered=gathered,
         scripts=_inline(scripts),
         styles=_inline(styles),
         policy=_policy(scripts, styles),

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 from pytest_dura.core.errors import describe_error
 from pytest_dura.evidence.bundle.manifest import file_entry
 from pytest_dura.evidence.formats.report.anchors import player_anchor
-from pytest_dura.evidence.formats.report.gathering import Key, Listed
+from pytest_dura.evidence.formats.report.folding import Key
+from pytest_dura.evidence.formats.report.gathering import Listed
 from pytest_dura.evidence.record.session_record import SessionRecord
 
 if TYPE_CHECKING:

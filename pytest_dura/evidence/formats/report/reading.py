@@ -10,7 +10,7 @@ from pytest_dura.evidence.formats.stated import WORDS
 from pytest_dura.evidence.record.counts import Counts
 
 GATES = ("passed", "failed", "incomplete")
-_MARKS = ("gate-word", "word", "waived")
+_MARKS = ("gate-word", "word", "waived", "folded-supported", "folded-cases")
 COUNTED = ("run", "valid", "invalid", "missing")
 
 
@@ -58,6 +58,8 @@ class _Row:
     cells: list[str] = field(default_factory=list)
     words: list[str] = field(default_factory=list)
     waived: bool = False
+    folded: int = 0
+    """What the row stands for that has none."""
 
 
 class _Page(HTMLParser):
@@ -116,6 +118,10 @@ class _Page(HTMLParser):
             self.gates.append(told)
         elif self._row is not None and self._marked == "word":
             self._row.words.append(told)
+        elif self._row is not None and self._marked.startswith("folded-"):
+            if not told.isdecimal():
+                raise ValueError(f"what is not shown is counted as {told!r}")
+            self._row.folded = int(told)
         elif self._row is not None:
             self._row.waived = True
 
@@ -125,6 +131,8 @@ class _Page(HTMLParser):
                 raise ValueError(f"a verdict reads {row.words}")
             self.words[row.words[0]] += 1
             self.waived += row.waived
+        elif self._table == "verdicts" and "folded" in row.kinds:
+            self.words["supported"] += row.folded
         elif self._table == "case-counts":
             self._count(row)
 
@@ -134,9 +142,9 @@ class _Page(HTMLParser):
             if not set(COUNTED) <= set(self._columns):
                 raise ValueError(f"episodes by case are told in the columns {self._columns}")
             return
-        if not {"case", "unlisted"} & set(row.kinds):
+        if not {"case", "unlisted", "folded"} & set(row.kinds):
             return
-        self.cases += "case" in row.kinds
+        self.cases += row.folded + ("case" in row.kinds)
         for word in COUNTED:
             self.episodes[word] += _number(row.cells, self._columns.index(word))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
@@ -10,6 +11,7 @@ from pytest_dura.evidence.formats.report.anchors import (
     requirement_anchor,
     verdict_anchor,
 )
+from pytest_dura.evidence.formats.report.folding import apart
 from pytest_dura.evidence.formats.report.gathering import CaseTally, Gathered
 from pytest_dura.evidence.formats.report.links import Links
 from pytest_dura.evidence.formats.report.requirements import MAX_COUNTEREXAMPLES
@@ -22,7 +24,10 @@ def section(record: SessionRecord, gathered: Gathered, links: Links) -> Data:
     """Rows of both directions."""
     by_requirement: dict[str, list[Data]] = {}
     by_case: dict[tuple[str, str], list[Data]] = {}
-    for verdict in record["verdicts"]:
+    shown, rest = apart(record["verdicts"], gathered.folded)
+    folded = Counter(verdict["requirement"] for verdict in rest)
+    cases, folded_cases = apart(record["cases"], gathered.folded, "id")
+    for verdict in shown:
         told = _step(verdict, links)
         by_requirement.setdefault(verdict["requirement"], []).append(told)
         by_case.setdefault((verdict["case"], verdict["component"]), []).append(told)
@@ -34,11 +39,13 @@ def section(record: SessionRecord, gathered: Gathered, links: Links) -> Data:
                 **one,
                 "anchor": requirement_anchor(one["id"]),
                 "steps": by_requirement.get(one["id"], []),
+                "folded": folded[one["id"]],
             }
             for one in record["requirements"]
         ],
-        "backward": [_case(case, by_case, gathered) for case in record["cases"]],
-        "unlisted": sorted(set(by_requirement) - named),
+        "backward": [_case(case, by_case, gathered) for case in cases],
+        "folded": len(folded_cases),
+        "unlisted": sorted({*by_requirement, *folded} - named),
     }
 
 
