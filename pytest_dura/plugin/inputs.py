@@ -8,7 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pytest_dura.evidence.record.inputs import Inputs, Kind
+from pytest_dura.provenance.imported import own_files
 from pytest_dura.provenance.places import is_installed
+from pytest_dura.provenance.sources import LISTED
 
 if TYPE_CHECKING:
     from pytest_dura.plugin.session import DuraSession
@@ -67,6 +69,7 @@ class SessionInputs:
         self.item(report["item"])
         for component in report["components"]:
             self.inputs.add_told("component", component["files"])
+            self._imported("component", component["path"])
         for case in (*report["cases"], *(claim["case"] for claim in report["claims"])):
             self._scenario(case["scenario"])
         for requirement in report["requirements"]:
@@ -82,9 +85,11 @@ class SessionInputs:
     def _roles(self, simulator: str, roles: Mapping[str, str]) -> None:
         """The simulator and the roles, the component under test apart, by their import paths."""
         self._module("role", simulator)
+        self._imported("role", simulator)
         for name, path in roles.items():
             if name != "generator":
                 self._module("role", path)
+                self._imported("role", path)
 
     def to_json(self) -> list[dict[str, Any]]:
         """The record's key ``inputs``, with the files as they are at the end."""
@@ -132,6 +137,22 @@ class SessionInputs:
             file = _file_of(module)
             if file is not None and not is_installed(file):
                 self.inputs.add(kind, file)
+
+    def _imported(self, kind: Kind, path: str) -> None:
+        """The user's own files beside the one behind a path: its package, and what they import."""
+        module = path.strip().rpartition(":")[0]
+        if not self._new(f"{kind} imports", module) or module.startswith("pytest_dura."):
+            return
+        if module.endswith(".py"):
+            file: Path | None = self.session.config.rootpath / module
+            module = Path(module).stem
+        else:
+            file = _file_of(module)
+        if file is None or is_installed(file):
+            return
+        files = own_files(file, module)
+        for one in files if len(files) <= LISTED else ():
+            self.inputs.add(kind, one)
 
     def _conftests(self, folder: Path) -> None:
         if not self._new("folder", str(folder)):

@@ -39,12 +39,28 @@ def own_code(file: Path, module: str) -> str | None:
         file: The file that defines it.
         module: The dotted name of that file's module.
     """
+    found = _found(file, module)
+    return None if found is None else found.digest
+
+
+def own_files(file: Path, module: str) -> list[Path]:
+    """The files of :func:`own_code`, sorted; none if they cannot be read or are too many.
+
+    Args:
+        file: The file that defines something.
+        module: The dotted name of that file's module.
+    """
+    found = _found(file, module)
+    return [] if found is None or found.digest is None else found.files
+
+
+def _found(file: Path, module: str) -> _Found | None:
     found = _Found()
     try:
         found.add(file, module)
     except OSError:  # gone, or not for us to read
         return None
-    return found.digest
+    return found
 
 
 class _Found:
@@ -53,6 +69,10 @@ class _Found:
     def __init__(self) -> None:
         self._files: dict[Path, tuple[str, str]] = {}
         self._looked_for: set[str] = set()
+
+    @property
+    def files(self) -> list[Path]:
+        return sorted(self._files)
 
     @property
     def digest(self) -> str | None:

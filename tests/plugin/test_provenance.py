@@ -36,6 +36,16 @@ def full_project(project):
     project.write("own_checks.py", "def fine(episode):\n    return True\n")
     project.write("scenarios/requirements-own.yaml", OWN_REQUIREMENT)
     project.write("faults.yaml", "campaigns: [none]\n")
+    for role, name in (("Careful", "planned"), ("Watch", "watched")):
+        project.write(
+            f"{name}.py",
+            f"import corridor\nimport {name}_aid\nclass My{role}(corridor.{role}):\n    pass\n",
+        )
+        project.write(f"{name}_aid.py", f"from {name}_deep import depth\n")
+        project.write(f"{name}_deep.py", "depth = 1\n")
+    tight = project.path / "scenarios/corridor/tight.yaml"
+    roles = '{generator: "planned:MyCareful", safety_monitor: "watched:MyWatch"}'
+    tight.write_text(tight.read_text().replace('{generator: "corridor:Careful"}', roles))
     project.write("tests/conftest.py", "")
     project.write("conftest.py", "")
     project.write("tests/test_own.py", OWN_TEST)
@@ -60,7 +70,13 @@ def test_every_input_file_is_listed_with_its_digest(full_project):
         ("conftest", "conftest.py"),
         ("configuration", "pytest.ini"),
         ("role", "corridor.py"),
+        ("role", "watched.py"),
+        ("role", "watched_aid.py"),
+        ("role", "watched_deep.py"),
         ("component", "corridor.py"),
+        ("component", "planned.py"),
+        ("component", "planned_aid.py"),
+        ("component", "planned_deep.py"),
     }
     assert ("test", "tests/test_other.py") not in found
     for (_, path), one in found.items():
