@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-import os
 import re
-import tempfile
 import textwrap
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -25,6 +23,7 @@ from pytest_dura.campaign.search.space.searched import MARK, SearchedCase
 from pytest_dura.campaign.worlds import checked_world
 from pytest_dura.campaign.yaml_source import read_yaml
 from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.whole_files import replace_file
 from pytest_dura.faults.catalogue import BY_CHANCE
 from pytest_dura.requirements.checks import Check, check_name, is_function_path, load_function
 from pytest_dura.requirements.model import Requirement
@@ -192,16 +191,7 @@ def _slug(text: str) -> str:
 def _write(file: Path, text: str) -> None:
     """Whole or not at all; another process may be at the same."""
     try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        handle, new = tempfile.mkstemp(prefix=".", suffix=".new", dir=file.parent)
-        try:
-            with os.fdopen(handle, "w", encoding="utf-8") as stream:
-                stream.write(text)
-            Path(new).chmod(0o644)
-            Path(new).replace(file)
-        except BaseException:  # also on ctrl-C no half of a file may stay; it is raised again
-            Path(new).unlink(missing_ok=True)
-            raise
+        replace_file(file, [text.encode()], durable=True)
     except OSError as error:
         raise ConfigurationError(
             f"a counterexample cannot be kept: {error.strerror or error}",

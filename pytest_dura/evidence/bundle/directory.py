@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.evidence.bundle.files import temporary_prefix, write_file
+from pytest_dura.core.whole_files import temporary_prefix
+from pytest_dura.evidence.bundle.files import write_file
 from pytest_dura.evidence.bundle.streaming import Streamed, stream_record
 from pytest_dura.evidence.plain import plain
 from pytest_dura.evidence.record.evidence_record import SCHEMA_VERSION

@@ -1,35 +1,16 @@
-"""Writing files such that no reader ever sees half of one."""
+"""Writing the files of the evidence, with words for the user where it cannot be done."""
 
 from __future__ import annotations
 
-import hashlib
-import os
-import tempfile
 from collections.abc import Iterable
-from dataclasses import dataclass
 from pathlib import Path
 
 from pytest_dura.core.errors import ConfigurationError
-
-
-@dataclass(frozen=True)
-class Written:
-    """What was written.
-
-    Args:
-        sha256: Digest of the file, in hexadecimal digits.
-        bytes: Its size.
-    """
-
-    sha256: str
-    bytes: int
+from pytest_dura.core.whole_files import Written, replace_file
 
 
 def write_file(file: Path, chunks: Iterable[str | bytes]) -> Written:
-    r"""Write a file atomically; whatever goes wrong leaves the old one as it was.
-
-    A symbolic link of that name is replaced and not followed. Text is written as UTF-8; what that
-    cannot hold, as JSON can: ``\udcff``.
+    """Write a file of the evidence, as :func:`replace_file` does, and for good.
 
     Args:
         file: Where. Missing folders are made.
@@ -48,57 +29,3 @@ def write_file(file: Path, chunks: Iterable[str | bytes]) -> Written:
             expected="a directory that can be written, with room for the evidence",
             remedy="make room, or choose another directory",
         ) from None
-
-
-def temporary_prefix(name: str) -> str:
-    """How the names begin of what a killed session leaves behind of a file of this name."""
-    return f".{name}-"
-
-
-def replace_file(file: Path, chunks: Iterable[str | bytes], *, durable: bool) -> Written:
-    """What :func:`write_file` does, without words for the user.
-
-    Args:
-        file: Where. Missing folders are made.
-        chunks: What it holds.
-        durable: Whether it is to survive a loss of power; that takes milliseconds.
-
-    Raises:
-        OSError: If it cannot be written.
-    """
-    file.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(dir=file.parent, prefix=temporary_prefix(file.name))
-    digest, size = hashlib.sha256(), 0
-    try:
-        with os.fdopen(handle, "wb") as stream:
-            for chunk in chunks:
-                # A name of a file need not be text.
-                data = chunk
-                if isinstance(data, str):
-                    data = data.encode(errors="backslashreplace")
-                stream.write(data)
-                digest.update(data)
-                size += len(data)
-            if durable:
-                stream.flush()
-                os.fsync(stream.fileno())
-        # mkstemp makes files for the owner alone; evidence is for whoever may read the folder.
-        Path(name).chmod(0o644)
-        Path(name).replace(file)
-    except BaseException:  # also on ctrl-C no half-written file stays behind; it is raised again
-        Path(name).unlink(missing_ok=True)
-        raise
-    if durable:
-        _keep_name(file.parent)
-    return Written(digest.hexdigest(), size)
-
-
-def _keep_name(directory: Path) -> None:
-    """Let the new name survive a loss of power, where directories can be synchronised."""
-    if not hasattr(os, "O_DIRECTORY"):
-        return
-    handle = os.open(directory, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.evidence.bundle.files import replace_file
+from pytest_dura.core.whole_files import replace_file
 from pytest_dura.evidence.traces.columns import LIMIT, pack_columns, unpack_columns
 from pytest_dura.evidence.traces.messages import (
     Texts,

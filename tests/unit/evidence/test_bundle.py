@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 
@@ -8,7 +7,8 @@ import numpy as np
 import pytest
 
 from pytest_dura import ConfigurationError
-from pytest_dura.evidence.bundle import directory, files
+from pytest_dura.core import whole_files
+from pytest_dura.evidence.bundle import directory
 from pytest_dura.evidence.bundle.manifest import MANIFEST
 from pytest_dura.evidence.formats import all_formats
 from pytest_dura.evidence.plain import plain
@@ -52,7 +52,7 @@ def test_a_failed_write_leaves_the_old_record_and_no_rubbish(tmp_path, monkeypat
     def full(descriptor):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(files.os, "fsync", full)
+    monkeypatch.setattr(whole_files.os, "fsync", full)
     with pytest.raises(ConfigurationError, match="No space left on device"):
         write(tmp_path, {**RECORD, "number": 2})
     assert [file.name for file in tmp_path.iterdir()] == ["evidence.json"]
@@ -91,25 +91,6 @@ def test_a_name_that_is_no_text_can_be_written_and_read(tmp_path):
     record = {**RECORD, "file": "caf\udce9"}
     write(tmp_path, record)
     assert directory.read_record(tmp_path) == record
-
-
-def test_what_is_written_has_the_size_and_digest_that_are_told(tmp_path):
-    told = files.write_file(tmp_path / "deep" / "file", ["é", b"\x00", "\udcff"])
-    data = (tmp_path / "deep" / "file").read_bytes()
-    assert data == "é".encode() + b"\x00\\udcff"
-    assert told == files.Written(hashlib.sha256(data).hexdigest(), len(data))
-    assert (tmp_path / "deep" / "file").stat().st_mode & 0o777 == 0o644
-
-
-def test_whatever_stops_the_writing_leaves_the_old_file_alone(tmp_path):
-    def stopped():
-        yield "half"
-        raise KeyboardInterrupt
-
-    files.write_file(tmp_path / "file", ["old"])
-    with pytest.raises(KeyboardInterrupt):
-        files.write_file(tmp_path / "file", stopped())
-    assert [(file.name, file.read_text()) for file in tmp_path.iterdir()] == [("file", "old")]
 
 
 def test_a_link_is_replaced_and_never_followed(tmp_path):
