@@ -74,15 +74,18 @@ class SessionHooks:
     def pytest_itemcollected(self, item: pytest.Item) -> None:
         """Let the bench follow the role fixtures that the item sees, before any other fixture."""
         ours = uses_bench(item)
-        # One pass: there may be tens of thousands of items.
-        for marker in item.iter_markers():
-            if marker.name == "requirement":
-                self.session.named_requirements.update(map(str, marker.args[:1]))
-                self.session.named_requirements.add(str(marker.kwargs.get("id", "")))
-            elif ours and marker.name == "xfail":
-                from pytest_dura.plugin.messages import make_reason_visible
+        # One pass, and no iterator of pytest's own: there may be tens of thousands of items.
+        node: pytest.Item | pytest.Collector | None = item
+        while node is not None:
+            for marker in node.own_markers:
+                if marker.name == "requirement":
+                    self.session.named_requirements.update(map(str, marker.args[:1]))
+                    self.session.named_requirements.add(str(marker.kwargs.get("id", "")))
+                elif ours and marker.name == "xfail":
+                    from pytest_dura.plugin.messages import make_reason_visible
 
-                make_reason_visible(marker)
+                    make_reason_visible(marker)
+            node = node.parent
         if ours:
             names: list[str] = item.fixturenames  # type: ignore[attr-defined]
             if names[0] != "_dura_roles":
