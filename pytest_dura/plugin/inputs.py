@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pytest_dura.evidence.record.inputs import Inputs, Kind
-from pytest_dura.provenance.imported import own_files
+from pytest_dura.provenance.imported import own_code
 from pytest_dura.provenance.places import is_installed
 from pytest_dura.provenance.sources import LISTED
 
@@ -150,8 +150,8 @@ class SessionInputs:
             file = _file_of(module)
         if file is None or is_installed(file):
             return
-        files = own_files(file, module)
-        for one in files if len(files) <= LISTED else ():
+        code = own_code(file, module)
+        for one in code.files if code is not None and len(code.files) <= LISTED else ():
             self.inputs.add(kind, one)
 
     def _conftests(self, folder: Path) -> None:

@@ -7,10 +7,12 @@ import importlib.util
 import re
 import sys
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 from pytest_dura.provenance.places import is_installed
 from pytest_dura.provenance.sources import python_files, top_package
+from pytest_dura.provenance.variables import variables_in
 
 MOST = 5000
 """Files that are read of one package; nothing is known of one that has more."""
@@ -27,8 +29,23 @@ _IMPORT = re.compile(
 _CONTINUED = re.compile(r"\\\r?\n")
 
 
-def own_code(file: Path, module: str) -> str | None:
-    """A digest of the code that something rests on, or ``None`` if it cannot be told.
+@dataclass(frozen=True)
+class OwnCode:
+    """The user's own code that something rests on.
+
+    Args:
+        digest: SHA-256 over names and digests of all files.
+        files: The files, sorted.
+        variables: Names of the environment variables that they read by name.
+    """
+
+    digest: str
+    files: tuple[Path, ...]
+    variables: frozenset[str]
+
+
+def own_code(file: Path, module: str) -> OwnCode | None:
+    """The code that something rests on, or ``None`` if it cannot be told.
 
     That is the top-level package that defines it, and in turn the packages and modules that any of
     their files imports by name, as far as they are not installed: the versions of installed
@@ -39,28 +56,12 @@ def own_code(file: Path, module: str) -> str | None:
         file: The file that defines it.
         module: The dotted name of that file's module.
     """
-    found = _found(file, module)
-    return None if found is None else found.digest
-
-
-def own_files(file: Path, module: str) -> list[Path]:
-    """The files of :func:`own_code`, sorted; none if they cannot be read or are too many.
-
-    Args:
-        file: The file that defines something.
-        module: The dotted name of that file's module.
-    """
-    found = _found(file, module)
-    return [] if found is None or found.digest is None else found.files
-
-
-def _found(file: Path, module: str) -> _Found | None:
     found = _Found()
     try:
         found.add(file, module)
     except OSError:  # gone, or not for us to read
         return None
-    return found
+    return found.told()
 
 
 class _Found:
@@ -69,20 +70,16 @@ class _Found:
     def __init__(self) -> None:
         self._files: dict[Path, tuple[str, str]] = {}
         self._looked_for: set[str] = set()
+        self._variables: set[str] = set()
 
-    @property
-    def files(self) -> list[Path]:
-        return sorted(self._files)
-
-    @property
-    def digest(self) -> str | None:
-        """SHA-256 over names and digests of all files; ``None`` if there are too many."""
+    def told(self) -> OwnCode | None:
+        """What was found; ``None`` if there are too many files."""
         if len(self._files) > MOST:
             return None
         state = hashlib.sha256()
         for name, sha256 in sorted(self._files.values()):
             state.update(f"{name}\0{sha256}\n".encode("utf-8", "surrogateescape"))
-        return state.hexdigest()
+        return OwnCode(state.hexdigest(), tuple(sorted(self._files)), frozenset(self._variables))
 
     def add(self, file: Path, module: str) -> None:
         """A file with the rest of its package, and whatever they import.
@@ -106,7 +103,10 @@ class _Found:
         self._files[file] = name, hashlib.sha256(data).hexdigest()
         if file.suffix != ".py":
             return
-        for top in _imported(data):
+        # Another encoding than UTF-8 spoils letters of names that are not ASCII, and nothing else.
+        text = _CONTINUED.sub(" ", data.decode(errors="replace"))
+        self._variables |= variables_in(text)
+        for top in _imported(text):
             if top not in self._looked_for:
                 self._looked_for.add(top)
                 for origin in _origins(top, file.parent):
@@ -114,10 +114,8 @@ class _Found:
                         self.add(origin, top)
 
 
-def _imported(source: bytes) -> Iterator[str]:
+def _imported(text: str) -> Iterator[str]:
     """The first parts of the names that a file imports; those of its own package apart."""
-    # Another encoding than UTF-8 spoils letters of names that are not ASCII, and nothing else.
-    text = _CONTINUED.sub(" ", source.decode(errors="replace"))
     for match in _IMPORT.finditer(text):
         for names in match.groups(""):
             for name in names.split(","):

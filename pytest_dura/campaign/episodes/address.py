@@ -6,7 +6,7 @@ import hashlib
 import inspect
 import platform
 import sys
-from collections.abc import Callable, Hashable, Iterable, Mapping
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
@@ -19,9 +19,12 @@ from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.provenance.environment import describe_arithmetic, describe_packages
 from pytest_dura.provenance.imported import own_code
 from pytest_dura.provenance.ourselves import own_code as our_own_code
+from pytest_dura.provenance.variables import describe_variable
 
 OURS = "pytest_dura"
 _MODELS = "pytest_dura.llm.session"
+VARIABLE = "environment variable "
+"""How the parts begin that say what a variable is set to."""
 _File = tuple[Path, str]
 """A file, and the dotted name of its module."""
 
@@ -44,13 +47,36 @@ class Address:
         names = sorted(self.parts.keys() | parts.keys())
         return [name for name in names if self.parts.get(name) != parts.get(name)]
 
+    @property
+    def of_any_machine(self) -> Address:
+        """Without environment variables, which say where workers find their devices and folders."""
+        parts = {name: one for name, one in self.parts.items() if not name.startswith(VARIABLE)}
+        return Address(named(parts), parts)
+
+
+@dataclass(frozen=True)
+class _Code:
+    """A digest of code, and the environment variables that it reads."""
+
+    digest: str
+    variables: frozenset[str] = frozenset()
+
+    @classmethod
+    def joined(cls, codes: Sequence[_Code | None]) -> _Code | None:
+        """That of several files; ``None`` if one of them is not known, or there is none."""
+        known = [one for one in codes if one is not None]
+        if not known or len(known) < len(codes):
+            return None
+        variables = frozenset().union(*(one.variables for one in known))
+        return cls(" ".join(one.digest for one in known), variables)
+
 
 class Addresses:
     """Makes addresses; each piece of code is read once, as it is when it is first needed."""
 
     def __init__(self) -> None:
-        self._codes: dict[_File, str | None] = {}
-        self._known: dict[Hashable, str | None] = {}
+        self._codes: dict[_File, _Code | None] = {}
+        self._known: dict[Hashable, _Code | None] = {}
 
     def of(self, task: EpisodeTask) -> Address | None:
         """The address of an episode.
@@ -70,30 +96,32 @@ class Addresses:
         for name, code in codes.items():
             if code is None:
                 return None
-            parts[f"code of the {name}"] = code
+            parts[f"code of the {name}"] = code.digest
+            parts |= {VARIABLE + one: describe_variable(one) for one in code.variables}
         answers = model_answers(task)
         if answers is not None:
             parts["answers of language models"] = answers
         return Address(named(parts), parts)
 
-    def _of_part(self, part: RoleSpec) -> str | None:
+    def _of_part(self, part: RoleSpec) -> _Code | None:
         key = part.target if isinstance(part, LocalRole) else part.path
         return self._of_files(key, lambda: _files_of(part))
 
-    def _of_files(self, key: Hashable, files: Callable[[], Iterable[_File]]) -> str | None:
-        """The digests of the files that something is defined in, looked for once."""
+    def _of_files(self, key: Hashable, files: Callable[[], Iterable[_File]]) -> _Code | None:
+        """The code of the files that something is defined in, looked for once."""
         if key not in self._known:
             found = [self._code(*one) for one in files()]
-            whole = bool(found) and None not in found
-            self._known[key] = " ".join(map(str, found)) if whole else None
+            self._known[key] = _Code.joined(found)
         return self._known[key]
 
-    def _code(self, file: Path, module: str) -> str | None:
-        """A digest of the code that a file rests on, ours apart, which is a part of its own."""
+    def _code(self, file: Path, module: str) -> _Code | None:
+        """The code that a file rests on, ours apart, which is a part of its own."""
         if module.partition(".")[0] == OURS:
-            return OURS
+            return _Code(OURS)
         if (file, module) not in self._codes:
-            self._codes[file, module] = own_code(file, module)
+            found = own_code(file, module)
+            code = None if found is None else _Code(found.digest, found.variables)
+            self._codes[file, module] = code
         return self._codes[file, module]
 
 

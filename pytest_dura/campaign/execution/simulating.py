@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass
 from functools import cache
 from typing import Any
 
-from pytest_dura.campaign.episodes.address import Address, Addresses, machine
+from pytest_dura.campaign.episodes.address import VARIABLE, Address, Addresses, machine
 from pytest_dura.campaign.episodes.codec import pack
 from pytest_dura.campaign.episodes.task import EpisodeTask
 from pytest_dura.core.errors import ConfigurationError
@@ -65,9 +65,11 @@ def simulate(
     found = EpisodeTask.from_json(json.loads(task))
     if conditions is not None:
         told = Conditions(**conditions)
-        here = _addresses().of(found)
-        if here is None or here.name != told.name:
-            refuse(told.where, told.parts, {} if here is None else here.parts)
+        here, wanted = _addresses().of(found), Address(told.name, told.parts)
+        if told.where != HERE:
+            here, wanted = here and here.of_any_machine, wanted.of_any_machine
+        if here is None or here.name != wanted.name:
+            refuse(told.where, wanted.parts, {} if here is None else here.parts)
     asked = _questions()
     episode = found.run()
     if _questions() != asked:
@@ -115,6 +117,8 @@ def refuse(where: str, expected: Mapping[str, str], found: Mapping[str, str]) ->
 
 
 def _remedy(part: str, where: str) -> str:
+    if part.startswith(VARIABLE):
+        return "set it before the session begins: processes that simulate are started once"
     if where == HERE:
         return "files changed while the session ran: start it again"
     if part.startswith("code "):

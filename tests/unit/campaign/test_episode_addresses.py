@@ -300,3 +300,40 @@ def test_a_module_with_letters_of_any_alphabet_counts(tmp_path, monkeypatch):
         first = own_code(using, using.stem)
         (tmp_path / f"{name}.py").write_text("2")
         assert own_code(using, using.stem) != first
+
+
+READS = """
+import os
+from os import environ, getenv
+one, two = os.environ["{0}_ONE"], os.environ.get('{0}_TWO', "1")
+three, four = getenv("{0}_THREE"), environ[
+    "{0}_FOUR"
+]
+other = {{"{0}_OTHER": 1}}, os.getenv("API_KEY"), os.environ.get("PYTEST_XDIST_WORKER")
+"""
+
+
+@pytest.mark.parametrize("name", ["ONE", "TWO", "THREE", "FOUR", "OTHER", None])
+def test_environment_variables_that_code_reads_by_name_are_named(project, monkeypatch, name):
+    (project / "deeper.py").write_text(FILES["deeper.py"] + READS.format("DURA"))
+    first = Addresses().of(task())
+    for other in ("API_KEY", "PYTEST_XDIST_WORKER", "SOMETHING_ELSE"):
+        monkeypatch.setenv(other, "2")
+    if name is not None:
+        monkeypatch.setenv(f"DURA_{name}", "2")
+    again = Addresses().of(task())
+    read = [] if name in (None, "OTHER") else [f"environment variable DURA_{name}"]
+    assert first.changed(again.parts) == read
+    # Each worker has a place of its own.
+    assert first.of_any_machine == again.of_any_machine
+    assert not any("DURA" in one for one in first.of_any_machine.parts)
+
+
+def test_the_address_follows_a_variable_that_changes_while_the_session_runs(project, monkeypatch):
+    (project / "deeper.py").write_text(FILES["deeper.py"] + READS.format("DURA"))
+    addresses = Addresses()
+    first = addresses.of(task())
+    monkeypatch.setenv("DURA_ONE", "secret value")
+    second = addresses.of(task())
+    assert first.changed(second.parts) == ["environment variable DURA_ONE"]
+    assert "secret value" not in str(second.parts)

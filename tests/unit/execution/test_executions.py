@@ -23,7 +23,7 @@ from pytest_dura.campaign.episodes.task import EpisodeTask
 from pytest_dura.campaign.execution.choice import Choice
 from pytest_dura.campaign.execution.executors import Execution, limit_of
 from pytest_dura.campaign.execution.processes import ProcessPool, usable_cores
-from pytest_dura.campaign.execution.simulating import Conditions, simulate
+from pytest_dura.campaign.execution.simulating import Conditions, machine_here, simulate
 from pytest_dura.campaign.loading import load_library
 from pytest_dura.campaign.runner import Bench
 from pytest_dura.core.episode import Policy, Termination
@@ -211,6 +211,29 @@ def test_code_that_changed_in_the_meantime_is_refused(pool, tmp_path, monkeypatc
         fresh.shutdown(wait=False)
     assert "differs in code of the generator changing_planner:Planner" in str(refused.value)
     assert "start it again" in refused.value.remedy
+
+
+def test_another_environment_is_refused_here_and_is_its_own_affair_elsewhere(
+    pool, tmp_path, monkeypatch
+):
+    monkeypatch.syspath_prepend(str(tmp_path))
+    text = "import os\nfrom thermostat import Controller\nclass Placed(Controller):\n"
+    (tmp_path / "placed.py").write_text(f"{text}    place = os.environ.get('DURA_PLACE')\n")
+    importlib.invalidate_caches()
+    task = EpisodeTask(replace(shaky(1).spec, roles={"generator": RoleSpec("placed:Placed")}))
+    fresh = ProcessPool(1)
+    try:
+        fresh.submit(machine_here).result()
+        monkeypatch.setenv("DURA_PLACE", "other")
+        address = Addresses().of(task)
+        with pytest.raises(ConfigurationError) as refused:
+            Execution("processes", fresh).submit(task, address).result()
+        assert "differs in environment variable DURA_PLACE" in str(refused.value)
+        assert "set it before the session begins" in refused.value.remedy
+        told = {**Conditions.of(address).to_json(), "where": "the worker X"}
+        assert fresh.submit(simulate, json.dumps(task.to_json()), told).result()
+    finally:
+        fresh.shutdown(wait=False)
 
 
 def test_a_machine_with_other_versions_is_refused():
