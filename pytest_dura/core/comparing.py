@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Iterator, Mapping
 from enum import Enum
 from typing import Any
@@ -12,6 +13,7 @@ from pytest_dura.core.state import Lazy
 
 _HIDDEN = ("__dict__", "__weakref__")
 _PLAIN = (str, bytes, int, float, complex, type(None))
+_bytes_of = struct.Struct("d").pack
 
 
 def leaves(value: Any) -> dict[str, Any]:
@@ -20,7 +22,9 @@ def leaves(value: Any) -> dict[str, Any]:
     Floats and arrays are kept as bytes: NaN equals NaN, and 0.0 differs from -0.0. Lazy values
     stay unmade. What has neither items nor attributes counts by its type alone.
     """
-    return dict(_walk(value, "", ()))
+    found: dict[str, Any] = {}
+    _gather(value, "", (), found)
+    return found
 
 
 def first_difference(one: Mapping[str, Any], other: Mapping[str, Any]) -> str | None:
@@ -36,21 +40,26 @@ def mutable_parts(value: Any) -> list[str]:
     return [f"{path or 'the value'} ({kind})" for path, kind in _mutable(value, "", ())]
 
 
-def _walk(value: Any, path: str, above: tuple[int, ...]) -> Iterator[tuple[str, Any]]:
-    if isinstance(value, Enum):
-        yield path, (type(value).__name__, value.name)
-    elif isinstance(value, float):
-        yield path, np.float64(value).tobytes()
+def _gather(value: Any, path: str, above: tuple[int, ...], found: dict[str, Any]) -> None:
+    # Most leaves are plain; the order of all other questions matters.
+    kind = type(value)
+    if kind is float or (isinstance(value, float) and not isinstance(value, Enum)):
+        found[path] = _bytes_of(value)
+    elif kind in _PLAIN:
+        found[path] = value
+    elif isinstance(value, Enum):
+        found[path] = (kind.__name__, value.name)
     elif isinstance(value, (np.ndarray, np.generic)) and value.dtype != object:
-        yield path, (value.dtype.str, value.shape, value.tobytes())
+        found[path] = (value.dtype.str, value.shape, value.tobytes())
     elif isinstance(value, _PLAIN):
-        yield path, value
+        found[path] = value
     elif isinstance(value, Lazy) or id(value) in above:
-        yield path, type(value).__name__
+        found[path] = kind.__name__
     else:
-        yield f"{path}<type>", type(value).__qualname__
+        found[f"{path}<type>"] = kind.__qualname__
+        above = (*above, id(value))
         for name, part in _parts(value):
-            yield from _walk(part, path + name, (*above, id(value)))
+            _gather(part, path + name, above, found)
 
 
 def _mutable(value: Any, path: str, above: tuple[int, ...]) -> Iterator[tuple[str, str]]:
