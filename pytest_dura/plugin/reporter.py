@@ -160,9 +160,7 @@ class Reporter:
     ) -> ItemReport | None:
         """Put what the item told on its report, as JSON; returns it, if it told anything."""
         if call.when == "teardown":
-            self._used.clear()
-            self._decided.clear()
-            self._last = None
+            self._end(item)
         if call.when == "setup":
             self._claim(item)
         if call.when == "call":
@@ -188,6 +186,13 @@ class Reporter:
         if told:
             setattr(report, ATTRIBUTE, json.dumps(told.to_json(), allow_nan=False))
         return told
+
+    def _end(self, item: pytest.Item) -> None:
+        self._used.clear()
+        self._decided.clear()
+        self._last = None
+        if self.session.simulating.is_lost:  # what there is by now can be resumed
+            item.session.shouldstop = "nobody is left who simulates"
 
     def _keep_last(self, call: pytest.CallInfo[None]) -> None:
         """Keep the episode at which a test failed that asked for no verdict: its last one."""

@@ -119,6 +119,12 @@ class Simulating:
         if self.session.options.executor is not None and not idle:
             self.execution()
 
+    @property
+    def is_lost(self) -> bool:
+        """Whether whoever simulates is gone, so that no further test can tell anything."""
+        found = self._execution
+        return not (found is None or isinstance(found, ConfigurationError)) and found.is_lost
+
     def close(self) -> None:
         """Give up what is under way, and end the processes that simulate."""
         found, self._execution = self._execution, None

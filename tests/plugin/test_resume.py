@@ -363,3 +363,26 @@ def test_what_searches_take_over_is_told_and_what_they_find_is_replayed_all_the_
     (project.path / "dura-evidence/evidence.json").write_text(json.dumps(record))
     told = verify_bundle(project.path / "dura-evidence").problems
     assert any("reuse: 3 runs of searches, and their sessions say 0" in one for one in told)
+
+
+@pytest.mark.parametrize("mode", [[], ["-n", "2"]], ids=["plain", "n2"])
+def test_a_session_whose_cluster_is_lost_stops_and_goes_on(project, mode):
+    counting(project)
+    project.write(
+        "conftest.py",
+        "import pytest\n"
+        "from pytest_dura.campaign.execution.executors import Execution\n"
+        "if __import__('os').path.exists('gone'):\n"
+        "    Execution.is_lost = True\n",
+    )
+    (project.path / "gone").touch()
+    names = ["corridor/it::GAP-1", "corridor/free", "corridor/tight"]
+    result = project.pytester.runpytest_subprocess(*names, *mode)
+    assert result.ret == 2
+    assert "nobody is left who simulates" in output(result)
+    assert project.evidence()["status"] == "interrupted"
+    assert project.evidence()["gate"]["result"] == "incomplete"
+    (project.path / "gone").unlink()
+    result = project.pytester.runpytest_subprocess(*names, *mode, "--dura-resume")
+    assert result.ret == 0
+    assert reuse(project)["taken_over"] >= 1

@@ -57,6 +57,8 @@ class DaskExecutor(Executor):
         self._lock, self._landing = threading.Lock(), threading.Lock()
         self._closed = threading.Event()
         self._lost: ConfigurationError | None = None
+        self.is_lost = False
+        """Whether nothing can be simulated there, for all that is known now."""
         self._client, self._loud = connected(address)
         try:
             self.width = compared(self._client, address, self._told)
@@ -158,6 +160,7 @@ class DaskExecutor(Executor):
         if kind in ("NoWorkerError", "NoValidWorkerError"):
             return no_workers(self.address, getattr(error, "timeout", SECONDS_WITHOUT_WORKERS))
         if kind in ("CancelledError", "FutureCancelledError", "CommClosedError"):
+            self.is_lost = True  # the watch finds out later
             return lost(self.address)
         if isinstance(error, (ConfigurationError, ProcessLostError, CallFailedError)):
             return error
@@ -180,11 +183,12 @@ class DaskExecutor(Executor):
                 self.width = max(1, sum((found := self._client.nthreads()).values()))
             except Exception:  # whatever Dask raises then: the scheduler does not answer
                 if not self._closed.is_set():
-                    self._lost = lost(self.address)
+                    self._lost, self.is_lost = lost(self.address), True
                     self._give_up(self._lost)
                 return
             without = 0.0 if found else without + _EVERY
-            if without >= SECONDS_WITHOUT_WORKERS:
+            self.is_lost = without >= SECONDS_WITHOUT_WORKERS
+            if self.is_lost:
                 # Whoever asks from now on until there is one does not wait as long once more.
                 self._give_up(no_workers(self.address, without))
 

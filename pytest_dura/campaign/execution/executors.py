@@ -62,6 +62,11 @@ class Execution:
         return int(getattr(self.executor, "width", 1))
 
     @property
+    def is_lost(self) -> bool:
+        """Whether whoever simulates is gone."""
+        return bool(getattr(self.executor, "is_lost", False))
+
+    @property
     def inside(self) -> bool:
         """Whether this process simulates, one episode at a time."""
         return isinstance(self.executor, InProcessExecutor)

@@ -191,6 +191,7 @@ def test_a_scheduler_that_is_gone_is_told_and_nobody_waits(tmp_path):
         with pytest.raises(ConfigurationError, match=r"connection .* is lost") as lost:
             future.result(timeout=20.0)
         assert "--dura-resume" in lost.value.remedy
+        assert execution.is_lost, "so that the session stops, and can be resumed"
         begun_at = time.monotonic()
         execution.close()
         assert time.monotonic() - begun_at < 15.0
