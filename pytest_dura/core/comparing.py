@@ -45,6 +45,8 @@ def _gather(value: Any, path: str, above: tuple[int, ...], found: dict[str, Any]
     kind = type(value)
     if kind is float or (isinstance(value, float) and not isinstance(value, Enum)):
         found[path] = _bytes_of(value)
+    elif kind is bool:
+        found[path] = (kind.__name__, value)  # False would equal 0
     elif kind in _PLAIN:
         found[path] = value
     elif isinstance(value, Enum):

@@ -34,6 +34,8 @@ class Plain:
         (float("nan"), float("nan"), None),
         (0.0, -0.0, "the value"),
         (1, 1.0, "the value"),
+        (0, False, "the value"),
+        (True, True, None),
         (np.zeros(2), np.zeros(2), None),
         (np.zeros(2), np.zeros(2, dtype=int), "the value"),
         (np.zeros(2), np.zeros((2, 1)), "the value"),
