@@ -49,7 +49,7 @@ class Reporter:
         self._told: set[tuple[Key, bool]] = set()
         self._used: dict[str, UsedEpisodes] = {}
         self._decided: set[tuple[str, str]] = set()
-        self._components: dict[str, dict[str, Any]] = {}
+        self._components: dict[tuple[str, bytes, bool], dict[str, Any]] = {}
         self._last: JudgedEpisode | None = None
         self.traces = TraceKeeper(session)
 
@@ -222,19 +222,21 @@ class Reporter:
     def _component_used(self, generator: RoleSpec) -> str:
         """Describe a component under test; returns its name."""
         from pytest_dura.campaign.components import LocalRole
+        from pytest_dura.core.episode import canonical
         from pytest_dura.provenance.environment import describe_component
 
         component = generator.label
-        if component not in self._components:
+        key = generator.path, canonical(generator.params), generator.opaque
+        if key not in self._components:
             factory = type(generator.instance) if generator.opaque else generator.factory()
             file, root = None, self.session.config.rootpath
             if isinstance(generator, LocalRole):
                 file = root / generator.path.rpartition(":")[0]
             described = describe_component(generator.path, factory, generator.params, file, root)
             named = {"name": component, **described, "opaque": generator.opaque}
-            self._components[component] = named
-        if self._components[component] not in self._report.components:
-            self._report.components.append(self._components[component])
+            self._components[key] = named
+        if self._components[key] not in self._report.components:
+            self._report.components.append(self._components[key])
         return component
 
     def _planned(self, case: str, component: str, planned: int) -> None:

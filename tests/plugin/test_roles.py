@@ -80,6 +80,37 @@ def test_components_of_one_name_in_two_folders_are_told_apart(project):
     assert first["digest"] != second["digest"]
 
 
+OVERRIDE = """
+import pytest
+from pytest_dura import RoleSpec
+
+@pytest.fixture(scope="module")
+def generator():
+    return RoleSpec({path!r}, {params!r})
+
+@pytest.mark.dura(scenario="corridor/tight", runs=1)
+@pytest.mark.requirement("GAP-1")
+def test_it(episode): pass
+"""
+
+
+def test_classes_of_one_name_in_two_modules_pass_no_gate(project):
+    for module in ("old", "new"):
+        code = "from corridor import Careful\n\n\nclass Planner(Careful):\n    pass\n"
+        project.write(f"{module}.py", code)
+        project.write(f"test_{module}.py", OVERRIDE.format(path=f"{module}:Planner", params={}))
+    result = project.run("test_old.py", "test_new.py")
+    evidence = project.evidence()
+    assert (evidence["gate"]["result"], result.ret) == ("failed", 1)
+    told = "several components are called Planner, and verdicts go by that name: new:Planner, old:"
+    assert any(told in reason for reason in evidence["gate"]["reasons"])
+    first = evidence["component_under_test"]
+    assert [first["path"], *(one["path"] for one in first["others"])] == [
+        "new:Planner",
+        "old:Planner",
+    ]
+
+
 def test_the_option_and_a_fixture_together_are_a_usage_error(project, mode):
     project.write("conftest.py", CONFTEST)
     result = project.run("corridor/tight", "--dura-generator=corridor:Reckless", *mode)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import PurePosixPath
 from typing import Any
@@ -167,10 +169,13 @@ def _code(record: SessionRecord) -> Named:
 
 
 def _under_test(record: SessionRecord) -> Named:
-    for one in components(record):
-        if one["name"] is not None:
-            told = {key: value for key, value in one.items() if key != "others"}
-            yield f"component_under_test {one['name']}", told
+    known = [one for one in components(record) if one["name"] is not None]
+    times = Counter(one["name"] for one in known)
+    for one in known:
+        told = {key: value for key, value in one.items() if key != "others"}
+        alone = times[one["name"]] == 1
+        made = "" if alone else f" {json.dumps([one['path'], one['params']], sort_keys=True)}"
+        yield f"component_under_test {one['name']}{made}", told
 
 
 def _read_files(record: SessionRecord) -> Named:

@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 from pytest_dura.evidence.record.attempts import final_outcomes, judged_looks, question, test_of
 from pytest_dura.evidence.record.case_metrics import CaseMetrics
+from pytest_dura.evidence.record.components import Components
 from pytest_dura.evidence.record.item_report import unpacked
 from pytest_dura.evidence.record.missing_runs import missing_runs, verdicts_on_cases
 from pytest_dura.evidence.record.models import Models
@@ -46,7 +47,7 @@ class EvidenceRecord:
     header: Data
     directory: Path | None = None
     searches: Searches = field(default_factory=Searches, init=False)
-    _components: dict[str, Data] = field(default_factory=dict)
+    _components: Components = field(default_factory=Components)
     _requirements: dict[str, Data] = field(default_factory=dict)
     _cases: dict[tuple[str, str], Data] = field(default_factory=dict)
     _components_of: dict[str, list[str]] = field(default_factory=dict)
@@ -92,7 +93,7 @@ class EvidenceRecord:
             case, decides = claim["case"], test_of(item) if claim["each_run"] else item
             self._expected.setdefault((decides, claim["requirement"], case["id"]), case)
         for component in report["components"]:
-            self._components.setdefault(component["name"], component)
+            self._components.add(component)
         for requirement in report["requirements"]:
             self._requirements.setdefault(requirement["id"], requirement)
         for case in report["cases"]:
@@ -134,7 +135,7 @@ class EvidenceRecord:
     @property
     def problems(self) -> list[str]:
         """What casts doubt on the whole session; each begins with ``infrastructure:``."""
-        return sorted({*self._clashes.values(), *self._problems})
+        return sorted({*self._clashes.values(), *self._problems, *self._components.problems()})
 
     def record(self, status: Status) -> SessionRecord:
         """The record, with the keys of the design; its episodes are read as long as it is open.
@@ -144,16 +145,12 @@ class EvidenceRecord:
         """
         self._add_unheard_cases()
         verdicts = self.verdicts()
-        components = [self._components[name] for name in sorted(self._components)]
-        under_test = components[0] if components else {"name": None, "version": None}
-        if len(components) > 1:
-            under_test = under_test | {"others": components[1:]}
         head = {
             "schema_version": SCHEMA_VERSION,
             "status": status,
             **self.header,
             "reuse": self._reuse.to_json(self.header.get("reuse", ALONE)),
-            "component_under_test": under_test,
+            "component_under_test": self._components.to_json(),
             "models": self._models.to_json(),
             "requirements": [self._requirements[name] for name in sorted(self._requirements)],
             "cases": self._measured_cases(verdicts),
@@ -247,7 +244,7 @@ class EvidenceRecord:
         """An expected case with the component's name as far as the session has told it by now."""
         if case["component"] != UNKNOWN:
             return case
-        names = self._components_of.get(case["id"]) or list(self._components)
+        names = self._components_of.get(case["id"]) or self._components.names
         return {**case, "component": names[0]} if len(names) == 1 else case
 
     def _not_run(self, item: str, requirement: str, case: Data) -> Data:
