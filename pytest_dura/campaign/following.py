@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from pytest_dura.campaign.cases import Case
 from pytest_dura.campaign.chains import CausalChain, causal_chains
-from pytest_dura.campaign.episodes.memory import RECENT, Key, key_of
+from pytest_dura.campaign.episodes.memory import Key, key_of
 from pytest_dura.campaign.episodes.task import EpisodeTask
 from pytest_dura.campaign.episodes.upcoming import Upcoming
 from pytest_dura.campaign.progress import RunningCampaign
@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 TWINS = "fault-free twins"
 """What runs when it is found out what came of faults, as progress calls it."""
+RECENT = 64
+"""Episodes whose chains are kept: they are asked for while one is looked at."""
 
 
 class Following:

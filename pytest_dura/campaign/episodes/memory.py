@@ -16,8 +16,12 @@ from pytest_dura.requirements.verdicts import JudgedEpisode
 
 Key = tuple[str, int, tuple[int, ...]]
 
-RECENT = 64
-"""Episodes in memory. More of them are on disk."""
+ROOM = 64_000_000
+"""Bytes that episodes may take in memory, some 250 of 15 s each: all of a campaign, where many
+requirements look at one after the other. More of them are on disk."""
+_NUMBER = 32
+"""Bytes that a number in a list takes."""
+_SERIES = ("performance", "wall_clock", "robustness", "processing_ns")
 _STORED = tuple(one.name for one in fields(Episode) if one.name != "spec")
 
 
@@ -30,6 +34,18 @@ def key_of(task: EpisodeTask) -> Key:
     return task.spec.key, task.again, tuple(map(id, task.local))
 
 
+def size_of(episode: Episode) -> int:
+    """Bytes that an episode takes in memory: its columns, what a viewer shows, its measurements."""
+    columns = [episode.time, *episode.signals.values(), *episode.decisions.values()]
+    if episode.recording is not None:
+        columns += episode.recording.flags.values()
+        scene = episode.recording.scene
+        columns += [] if scene is None else [scene.truth.poses, scene.percept.poses]
+    series = (two for name in _SERIES for two in getattr(episode.metrics, name).values())
+    listed = sum(len(one) for two in series for one in two)
+    return sum(one.nbytes for one in columns) + _NUMBER * listed
+
+
 class EpisodeMemory:
     """The episodes that were asked for last are in memory, the others in a file without a name.
 
@@ -38,11 +54,13 @@ class EpisodeMemory:
     does whatever has a meaning in this process only, so that nothing takes over its identity.
 
     Args:
-        recent: How many are in memory.
+        room: Bytes that those in memory may take, as :func:`size_of` tells.
     """
 
-    def __init__(self, recent: int = RECENT) -> None:
-        self._most = recent
+    def __init__(self, room: int = ROOM) -> None:
+        self._room = room
+        self._sizes: dict[Key, int] = {}
+        self._taken = 0
         self._recent: OrderedDict[Key, tuple[JudgedEpisode, bool]] = OrderedDict()
         self._spilt: dict[Key, tuple[int, int]] = {}
         self._bound: dict[Key, JudgedEpisode] = {}
@@ -78,9 +96,13 @@ class EpisodeMemory:
         self._put(key_of(task), episode, elsewhere=elsewhere)
 
     def _put(self, key: Key, episode: JudgedEpisode, *, elsewhere: bool) -> None:
+        if key not in self._recent:
+            self._sizes[key] = size_of(episode)
+            self._taken += self._sizes[key]
         self._recent[key] = episode, elsewhere
-        while len(self._recent) > self._most:
+        while self._taken > self._room:
             oldest, (one, kept_elsewhere) = self._recent.popitem(last=False)
+            self._taken -= self._sizes.pop(oldest)
             if not kept_elsewhere:
                 self._spill(oldest, one)
 

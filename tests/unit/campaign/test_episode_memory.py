@@ -10,7 +10,7 @@ from handmade import SPEC, handmade
 from thermostat import Controller
 
 from pytest_dura import RoleSpec
-from pytest_dura.campaign.episodes.memory import EpisodeMemory
+from pytest_dura.campaign.episodes.memory import EpisodeMemory, size_of
 from pytest_dura.campaign.episodes.store import EpisodeStore
 from pytest_dura.campaign.episodes.task import EpisodeTask, run_episode
 from pytest_dura.campaign.loading import load_library
@@ -47,7 +47,7 @@ def had(memory, spec, simulate):
 
 
 def test_an_episode_comes_back_from_disk_as_it_was():
-    memory = EpisodeMemory(recent=1)
+    memory = EpisodeMemory(room=size_of(simulated(WARM)))
     specs = [replace(WARM, run=run, seed=run) for run in range(3)]
     first = had(memory, specs[0], simulated)
     digest = first.digest
@@ -64,7 +64,7 @@ def test_an_episode_comes_back_from_disk_as_it_was():
 
 
 def test_an_episode_from_disk_cannot_be_changed_either():
-    memory = EpisodeMemory(recent=0)
+    memory = EpisodeMemory(room=0)
     had(memory, WARM, simulated)
     again = had(memory, WARM, never)
     with pytest.raises(ValueError, match="read-only"):
@@ -76,16 +76,33 @@ def test_an_episode_from_disk_cannot_be_changed_either():
 
 
 def test_only_the_last_ones_are_in_memory():
-    memory = EpisodeMemory(recent=2)
     specs = [replace(SPEC, run=run) for run in range(4)]
+    memory = EpisodeMemory(room=2 * size_of(made(SPEC)))
     for spec in (*specs, specs[0]):
         had(memory, spec, made)
     assert [key[0] for key in memory._recent] == [specs[3].key, specs[0].key]
     assert had(memory, specs[3], never) is had(memory, specs[3], never)
 
 
+def test_one_that_is_put_again_takes_no_more_room():
+    specs = [replace(SPEC, run=run) for run in range(2)]
+    memory = EpisodeMemory(room=2 * size_of(made(SPEC)))
+    for spec in (specs[0], specs[0], specs[1]):
+        memory.put(EpisodeTask(spec), made(spec), elsewhere=False)
+    assert [key[0] for key in memory._recent] == [spec.key for spec in specs]
+
+
+def test_the_size_of_an_episode_is_that_of_its_columns_and_lists():
+    episode = simulated(WARM)
+    columns = [episode.time, *episode.signals.values(), *episode.decisions.values()]
+    times, values = episode.metrics.processing_ns["generator"]
+    assert len(times) == len(values) > 0
+    least = sum(one.nbytes for one in columns) + 32 * 2 * len(times)
+    assert least <= size_of(episode) <= 2 * least
+
+
 def test_what_cannot_be_pickled_stays_in_memory():
-    memory = EpisodeMemory(recent=0)
+    memory = EpisodeMemory(room=0)
 
     def odd(spec):
         event = Event(0, 0.0, "note", "x", "", {"data": lambda: 0})
@@ -102,13 +119,13 @@ def test_what_the_disk_has_no_room_for_stays_in_memory(monkeypatch):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("tempfile.TemporaryFile", full)
-    memory = EpisodeMemory(recent=0)
+    memory = EpisodeMemory(room=0)
     first = had(memory, SPEC, made)
     assert had(memory, SPEC, never) is first
 
 
 def test_bare_instances_are_told_apart_on_disk_too():
-    memory = EpisodeMemory(recent=0)
+    memory = EpisodeMemory(room=0)
     one, other = Controller(), Controller()
     specs = [replace(WARM, roles={"generator": RoleSpec.of(who)}) for who in (one, other, one)]
     assert specs[0].key == specs[1].key
@@ -119,7 +136,7 @@ def test_bare_instances_are_told_apart_on_disk_too():
 
 
 def test_what_is_kept_elsewhere_is_forgotten():
-    memory = EpisodeMemory(recent=1)
+    memory = EpisodeMemory(room=size_of(made(SPEC)))
     for run in range(3):
         spec = replace(SPEC, run=run)
         memory.put(EpisodeTask(spec), made(spec), elsewhere=True)
@@ -139,7 +156,7 @@ def test_what_came_of_faults_is_told_once_and_from_disk_as_well(tmp_path):
     bench = Bench(
         lambda: library,
         on_chains=lambda case, episode, chains: told.append((episode.id, len(chains))),
-        store=EpisodeStore(memory=EpisodeMemory(recent=1)),
+        store=EpisodeStore(memory=EpisodeMemory(room=0)),
     )
     for _ in range(2):
         bench.campaign("room/warm").judge(Requirement("R", check="always (headroom > -100)"))
