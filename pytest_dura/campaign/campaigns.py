@@ -111,12 +111,16 @@ class Campaign:
         asked_for = own if judge is None else judge.requirement
         subject = "" if asked_for is None else asked_for.id
         running = RunningCampaign(self.case.id, subject, self.planned, judge)
-        ahead = Upcoming(self.planned, lambda run: [bench.task(case, run) for case in cases])
+        ahead = self.upcoming(cases)
         try:
             yield running, ahead
         finally:
             bench.store.cancel()
             bench.on_progress(running.end())
+
+    def upcoming(self, cases: Sequence[Case]) -> Upcoming:
+        """The planned runs of several cases as tasks, run by run."""
+        return Upcoming(self.planned, lambda run: [self.bench.task(case, run) for case in cases])
 
     def _run(
         self, run: int, end: int, running: RunningCampaign, ahead: Iterable[EpisodeTask]

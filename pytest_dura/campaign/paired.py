@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -28,6 +28,7 @@ from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict, JudgedEpi
 
 if TYPE_CHECKING:
     from pytest_dura.campaign.campaigns import Campaign
+    from pytest_dura.campaign.episodes.task import EpisodeTask
 
 RECOVERY = "recovery_planner"
 
@@ -54,14 +55,28 @@ class PairedCampaign:
 
     def __iter__(self) -> Iterator[tuple[JudgedEpisode, JudgedEpisode]]:
         """The pairs of all planned runs."""
-        for episode in self.campaign.in_order([self.campaign.case, self.case]):
-            yield episode, self.twin(episode)
+        cases = [self.campaign.case, self.case]
+        yield from self._with_twins(self.campaign.in_order(cases), cases)
 
-    def twin(self, episode: JudgedEpisode) -> JudgedEpisode:
-        """The episode of the same run and seed without something."""
+    def twin(self, episode: JudgedEpisode, ahead: Iterable[EpisodeTask] = ()) -> JudgedEpisode:
+        """The episode of the same run and seed without something.
+
+        Args:
+            episode: One of the campaign's.
+            ahead: What will be wanted next.
+        """
         return self.campaign.bench.episode(
-            self.case, episode.spec.run, planned=self.campaign.planned
+            self.case, episode.spec.run, planned=self.campaign.planned, ahead=ahead
         )
+
+    def _with_twins(
+        self, episodes: Iterable[JudgedEpisode], cases: Sequence[Case]
+    ) -> Iterator[tuple[JudgedEpisode, JudgedEpisode]]:
+        """Each with its twin; where another process is at that, this one is at the next ones."""
+        ahead = self.campaign.upcoming(cases)
+        for episode in episodes:
+            ahead.reach(episode.spec.run)
+            yield episode, self.twin(episode, ahead)
 
     def judge(self, requirement: Requirement, check: Check | None = None) -> CampaignVerdict:
         """The verdict of a requirement on pairs; its counts are counts of pairs.
@@ -74,8 +89,8 @@ class PairedCampaign:
         judge = campaign.judge_of(requirement, check)
         campaign.failures, compared = ComponentFailures(), _Compared(requirement, check)
         runs, faulty = [], []
-        for episode in campaign.enough_for(judge, [self.case]):
-            twin = self.twin(episode)
+        episodes = campaign.enough_for(judge, [self.case])
+        for episode, twin in self._with_twins(episodes, [campaign.case, self.case]):
             judge.add(compared.add(episode, twin))
             campaign.failures.add(episode)
             campaign.failures.add(twin)

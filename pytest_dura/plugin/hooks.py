@@ -145,6 +145,18 @@ class SessionHooks:
                 pytrace=False,
             )
 
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_protocol(
+        self, item: pytest.Item, nextitem: pytest.Item | None
+    ) -> Generator[None, Any, Any]:
+        """Let a worker that has no item left help the others."""
+        found = yield
+        if nextitem is None and self.session.is_worker and self.session.plan:
+            from pytest_dura.plugin.helping import help_others
+
+            help_others(self.session, item)
+        return found
+
     @pytest.hookimpl(wrapper=True, trylast=True)
     def pytest_fixture_setup(self, request: pytest.FixtureRequest) -> Generator[None, Any, Any]:
         """Make the error of a fixture visible before others pass it on; of our tests alone."""

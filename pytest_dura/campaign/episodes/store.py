@@ -94,6 +94,13 @@ class EpisodeStore:
         self.memory.put(task, episode, elsewhere=kept)
         return episode
 
+    def holds(self, task: EpisodeTask) -> bool:
+        """Whether an episode need not be simulated: this process has it, or it is on the shelf."""
+        if self.memory.find(task) is not None:
+            return True
+        address = None if self.shelf is None else self._address(task)
+        return address is not None and self.shelf is not None and self.shelf.has(address)
+
     def cancel(self) -> None:
         """Give up what was begun ahead and nobody waits for: it is not wanted any more."""
         for flight in list(self._flights.values()):

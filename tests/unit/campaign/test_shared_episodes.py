@@ -22,6 +22,9 @@ from counted_rooms import (
 from pytest_dura.campaign.episodes.address import Addresses
 from pytest_dura.campaign.episodes.codec import pack
 from pytest_dura.campaign.episodes.shelf import CLAIM, EPISODE, Shelf
+from pytest_dura.campaign.episodes.store import EpisodeStore
+from pytest_dura.campaign.loading import load_library
+from pytest_dura.campaign.runner import Bench
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.role_spec import RoleSpec
 
@@ -290,3 +293,25 @@ def test_clearing_touches_nothing_but_what_is_ours(shelved):
     Shelf(link, "s").clear()
     assert not link.is_symlink()
     assert (outside / f"x{EPISODE}").exists()
+
+
+def test_where_a_twin_is_simulated_elsewhere_the_next_pairs_are_begun(tmp_path):
+    (tmp_path / "warm.yaml").write_text(
+        "name: room/warm\nsimulator: thermostat:Thermostat\nduration: 1.0\nruns: 3\n"
+        'roles: {generator: "thermostat:Controller", recovery_planner: "thermostat:SwitchOff"}\n'
+        "requirements: []\n"
+    )
+    asked = []
+
+    class Store(EpisodeStore):
+        def get(self, task, ahead=()):
+            asked.append((task.spec.id, [one.spec.id for one in ahead]))
+            return super().get(task, ahead)
+
+    library = load_library([tmp_path], builtin=False)
+    campaign = Bench(lambda: library, store=Store()).campaign("room/warm")
+    pairs = list(campaign.paired("recovery_planner"))
+    assert len(pairs) == 3
+    own, twin = "room/warm#{}".format, "room/warm~recovery_planner#{}".format
+    order = [name(run) for run in range(3) for name in (own, twin)]
+    assert asked == [(name, order[at - at % 2 :]) for at, name in enumerate(order)]
