@@ -16,9 +16,11 @@ from pytest_dura.requirements.verdicts import JudgedEpisode
 
 Key = tuple[str, int, tuple[int, ...]]
 
+RECENT = 256
+"""Episodes in memory at most: all of a campaign, where many requirements look at it one after the
+other. More of them are on disk."""
 ROOM = 64_000_000
-"""Bytes that episodes may take in memory, some 250 of 15 s each: all of a campaign, where many
-requirements look at one after the other. More of them are on disk."""
+"""Bytes that they may take, which is what as many of 15 s do."""
 _NUMBER = 32
 """Bytes that a number in a list takes."""
 _SERIES = ("performance", "wall_clock", "robustness", "processing_ns")
@@ -55,10 +57,11 @@ class EpisodeMemory:
 
     Args:
         room: Bytes that those in memory may take, as :func:`size_of` tells.
+        recent: How many are in memory at most.
     """
 
-    def __init__(self, room: int = ROOM) -> None:
-        self._room = room
+    def __init__(self, room: int = ROOM, recent: int = RECENT) -> None:
+        self._room, self._most = room, recent
         self._sizes: dict[Key, int] = {}
         self._taken = 0
         self._recent: OrderedDict[Key, tuple[JudgedEpisode, bool]] = OrderedDict()
@@ -100,7 +103,7 @@ class EpisodeMemory:
             self._sizes[key] = size_of(episode)
             self._taken += self._sizes[key]
         self._recent[key] = episode, elsewhere
-        while self._taken > self._room:
+        while self._taken > self._room or len(self._recent) > self._most:
             oldest, (one, kept_elsewhere) = self._recent.popitem(last=False)
             self._taken -= self._sizes.pop(oldest)
             if not kept_elsewhere:

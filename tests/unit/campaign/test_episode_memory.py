@@ -75,9 +75,10 @@ def test_an_episode_from_disk_cannot_be_changed_either():
         again.termination = "goal"
 
 
-def test_only_the_last_ones_are_in_memory():
+@pytest.mark.parametrize("bound", [{"room": 2 * size_of(made(SPEC))}, {"recent": 2}])
+def test_only_the_last_ones_are_in_memory(bound):
     specs = [replace(SPEC, run=run) for run in range(4)]
-    memory = EpisodeMemory(room=2 * size_of(made(SPEC)))
+    memory = EpisodeMemory(**bound)
     for spec in (*specs, specs[0]):
         had(memory, spec, made)
     assert [key[0] for key in memory._recent] == [specs[3].key, specs[0].key]
