@@ -11,7 +11,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Any
 
-from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.plugin.items import ScenarioItem
 
 if TYPE_CHECKING:
@@ -38,10 +37,12 @@ def help_others(session: DuraSession, last: pytest.Item) -> None:
         requirement = known[item.name]
         campaign = bench.campaign(item.planned.case, requirement=requirement)
         try:
+            if not bench.store.shares(bench.task(campaign.case)):
+                return
             if not _is_simulated(campaign, requirement):
                 campaign.judge(requirement)
-        except ConfigurationError:
-            return  # the worker that has the item tells it
+        except Exception:  # whatever it is, the worker that has the item tells it
+            return
 
 
 def _is_free(session: DuraSession, run: pytest.Session) -> bool:

@@ -77,6 +77,17 @@ def test_nobody_helps_where_the_session_may_stop_before_its_last_item(logged, mo
     assert [test for _, _, test in simulated if test == "-"] == []
 
 
+def test_nobody_helps_with_what_others_would_not_find(logged, project, monkeypatch):
+    monkeypatch.setenv("HELP_SLEEP", "0.01")
+    project.write(
+        "conftest.py",
+        "import pytest\nfrom slow import Slow\n"
+        "@pytest.fixture(scope='session')\ndef generator(): return Slow()\n",
+    )
+    _, simulated = logged("-n2", runs=6, requirements=["PAIR", "WATCH", "BASE"])
+    assert [test for _, _, test in simulated if test == "-"] == []
+
+
 def test_helping_ends_where_the_requirement_is_decided(logged):
     runs = "{until: decided, at_most: 40}"
     evidence, simulated = logged("-n2", runs=runs, requirements=["BASE", "PAIR"])
