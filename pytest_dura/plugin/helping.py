@@ -37,7 +37,8 @@ def help_others(session: DuraSession, last: pytest.Item) -> None:
         requirement = known[item.name]
         campaign = bench.campaign(item.planned.case, requirement=requirement)
         try:
-            if not bench.store.shares(bench.task(campaign.case)):
+            # A component that asks a language model is asked where that is counted, and no more.
+            if not bench.task(campaign.case).portable:
                 return
             if not _is_simulated(campaign, requirement):
                 campaign.judge(requirement)

@@ -94,10 +94,6 @@ class EpisodeStore:
         self.memory.put(task, episode, elsewhere=kept)
         return episode
 
-    def shares(self, task: EpisodeTask) -> bool:
-        """Whether other processes find an episode that this one simulates."""
-        return self.shelf is not None and self._address(task) is not None
-
     def holds(self, task: EpisodeTask) -> bool:
         """Whether an episode need not be simulated: this process has it, or it is on the shelf."""
         if self.memory.find(task) is not None:

@@ -125,7 +125,7 @@ def test_who_has_to_wait_does_what_is_free_meanwhile(tmp_path):
     assert simulated(tmp_path) == dict.fromkeys(range(N), 1)
     order = [int(one) for one in (tmp_path / "log").read_text().split()]
     # The slow one ends when all others have: whoever waited for it would have waited for ever.
-    assert order.index(0) < 2
+    assert order.index(0) < N // 2, "and it was begun before, whichever process was quicker"
 
 
 @needs_forks
