@@ -120,12 +120,11 @@ def test_what_killed_the_processes_of_another_session_is_tried_again(tmp_path):
 @needs_forks
 def test_who_has_to_wait_does_what_is_free_meanwhile(tmp_path):
     (tmp_path / "slow").write_text(f"0 {N}")
-    names = ["first", "second"]
+    names, begun = ["first", "second"], time.monotonic()
     assert in_processes([wants(tmp_path, range(N), out=name) for name in names]) == [0, 0]
     assert simulated(tmp_path) == dict.fromkeys(range(N), 1)
-    order = [int(one) for one in (tmp_path / "log").read_text().split()]
-    # The slow one ends when all others have: whoever waited for it would have waited for ever.
-    assert order.index(0) < N // 2, "and it was begun before, whichever process was quicker"
+    # The slow one ends when all others have begun, and gives up after 30 s.
+    assert time.monotonic() - begun < 25.0, "nobody waited for it idly"
 
 
 @needs_forks
