@@ -177,16 +177,15 @@ def _row(column: NDArray[Any], kinds: str = _KINDS) -> NDArray[Any]:
     return column
 
 
-_SERIES = ("performance", "wall_clock", "robustness", "processing_ns")
-
-
+SERIES = ("performance", "wall_clock", "robustness", "processing_ns")
+"""What of an episode's metrics is measured over time: two lists by name."""
 _PLAIN_NUMBERS = {float: np.dtype("<f8"), int: np.dtype("<i8")}
 
 
 def _metrics(metrics: DependabilityMetrics, columns: _Columns) -> Data:
     """Everything but the faults, which the episode tells."""
     told = {name: value for name, value in vars(metrics).items() if name != "faults"}
-    for name in _SERIES:
+    for name in SERIES:
         told[name] = {
             key: [_listed(one, columns) for one in two] for key, two in told[name].items()
         }
@@ -211,7 +210,7 @@ def _metrics_of(told: Data, columns: list[NDArray[Any]]) -> DependabilityMetrics
             key: tuple(columns[one].tolist() if isinstance(one, int) else one for one in two)
             for key, two in told[name].items()
         }
-        for name in _SERIES
+        for name in SERIES
     }
     made = {
         "violations": Counter(told["violations"]),

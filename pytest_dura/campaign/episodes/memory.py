@@ -10,6 +10,7 @@ from collections import OrderedDict
 from dataclasses import fields
 from typing import IO
 
+from pytest_dura.campaign.episodes.codec import SERIES
 from pytest_dura.campaign.episodes.task import EpisodeTask
 from pytest_dura.core.episode import Episode, EpisodeSpec
 from pytest_dura.requirements.verdicts import JudgedEpisode
@@ -23,7 +24,6 @@ ROOM = 64_000_000
 """Bytes that they may take, which is what as many of 15 s do."""
 _NUMBER = 32
 """Bytes that a number in a list takes."""
-_SERIES = ("performance", "wall_clock", "robustness", "processing_ns")
 _STORED = tuple(one.name for one in fields(Episode) if one.name != "spec")
 
 
@@ -43,7 +43,7 @@ def size_of(episode: Episode) -> int:
         columns += episode.recording.flags.values()
         scene = episode.recording.scene
         columns += [] if scene is None else [scene.truth.poses, scene.percept.poses]
-    series = (two for name in _SERIES for two in getattr(episode.metrics, name).values())
+    series = (two for name in SERIES for two in getattr(episode.metrics, name).values())
     listed = sum(len(one) for two in series for one in two)
     return sum(one.nbytes for one in columns) + _NUMBER * listed
 
