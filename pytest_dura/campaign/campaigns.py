@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from pytest_dura.campaign.asked import asked
@@ -20,7 +20,12 @@ from pytest_dura.core.errors import ConfigurationError, DuraError
 from pytest_dura.requirements.checks import Check, check_name
 from pytest_dura.requirements.model import Method, Requirement
 from pytest_dura.requirements.verdicts.campaigns import CampaignVerdict
-from pytest_dura.requirements.verdicts.episodes import JudgedEpisode, judge_episode
+from pytest_dura.requirements.verdicts.episodes import (
+    EpisodeVerdict,
+    JudgedEpisode,
+    is_unseen_crash,
+    judge_episode,
+)
 from pytest_dura.requirements.verdicts.judging import CampaignJudge
 
 if TYPE_CHECKING:
@@ -146,13 +151,29 @@ class Campaign:
         self.failures = ComponentFailures()
         faulty = []
         for episode in self.enough_for(judge):
-            judge.add(judge_episode(requirement, episode, check))
+            verdict = judge_episode(requirement, episode, check)
+            judge.add(self.with_crash(verdict, episode, check or requirement.check))
             self.failures.add(episode)
             if episode.faults:
                 faulty.append(episode.spec.run)
         # Once all have run: twins come between no two episodes of a component that remembers them.
         self.bench.follow(self.case, faulty)
         return judge.verdict()
+
+    def with_crash(
+        self, verdict: EpisodeVerdict, episode: JudgedEpisode, check: Check
+    ) -> EpisodeVerdict:
+        """The verdict, marked where the episode's crash violates nothing.
+
+        Args:
+            verdict: On the episode, or on the pair that it belongs to.
+            episode: The episode.
+            check: What it was judged by, besides the requirements of its case.
+        """
+        requirements = self.bench.requirements_of(self.case)
+        if verdict.verdict == "violated" or not is_unseen_crash(episode, requirements, check):
+            return verdict
+        return replace(verdict, unseen_crash=True)
 
     def judge_of(self, requirement: Requirement, check: Check | None) -> CampaignJudge:
         """What takes in the verdicts on this campaign's episodes.

@@ -16,7 +16,6 @@ from pytest_dura.campaign.references import (
     applied,
     check_reference,
     idle_globs,
-    too_long,
     unused_requirements,
 )
 from pytest_dura.campaign.requirement_files import Located, is_requirement_file, read_requirements
@@ -97,7 +96,6 @@ def load_library(paths: Sequence[Path | str], *, builtin: bool = True) -> Librar
     plain = {name: one.requirement for name, one in requirements.items()}
     unused = unused_requirements(scenarios, requirements, theirs)
     warnings = [
-        *too_long(scenarios, requirements),
         *idle_globs(scenarios, requirements, theirs),
     ]
     defined_in = {name: one.document.file for name, one in requirements.items()}

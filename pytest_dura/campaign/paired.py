@@ -91,7 +91,8 @@ class PairedCampaign:
         runs, faulty = [], []
         episodes = campaign.enough_for(judge, [self.case])
         for episode, twin in self._with_twins(episodes, [campaign.case, self.case]):
-            judge.add(compared.add(episode, twin))
+            verdict = compared.add(episode, twin)
+            judge.add(campaign.with_crash(verdict, episode, check or requirement.check))
             campaign.failures.add(episode)
             campaign.failures.add(twin)
             runs.append(episode.spec.run)

@@ -118,7 +118,8 @@ def check_formula(scenario: Scenario, check: Check) -> None:
 
     Raises:
         ConfigurationError: For a formula that cannot be read, a signal that the scenario's domain
-            does not have, and a window that is no multiple of the time step.
+            does not have, a window that is no multiple of the time step, and windows that reach
+        beyond the scenario's duration: its episodes could not decide them.
     """
     if not isinstance(check, str) or not check or is_function_path(check):
         return
@@ -127,6 +128,15 @@ def check_formula(scenario: Scenario, check: Check) -> None:
     if known is not None:
         parse(check, known)
     check_time_step(formula, scenario.time_step)
+    ahead = formula.horizon
+    if ahead is not None and ahead > scenario.duration * (1 + 1e-9):
+        raise ConfigurationError(
+            f"the windows of the formula reach beyond the episodes of {scenario.name!r}",
+            key="check",
+            found=f"{formula}, which looks {ahead:g} s ahead",
+            expected=f"windows that end within the scenario's duration of {scenario.duration:g} s",
+            remedy="shorten the windows, or lengthen the scenario's `duration`",
+        )
 
 
 def _known_signals(domain: Domain | None, formula: Formula) -> tuple[str, ...] | None:
@@ -157,19 +167,3 @@ def unused_requirements(
         for name, one in requirements.items()
         if name not in used and one.document.file in theirs
     }
-
-
-def too_long(scenarios: Mapping[str, Scenario], requirements: Mapping[str, Located]) -> list[str]:
-    """Formulas that look further ahead than the longest episode: undecided unless violated."""
-    found = []
-    for scenario in scenarios.values():
-        for name in scenario.requirements:
-            check = requirements[name].requirement.check
-            horizon = parse(check).horizon if check and not is_function_path(check) else None
-            if horizon is not None and horizon > scenario.duration:
-                found.append(
-                    f"{scenario.file}:{scenario.line_of('duration')}: the requirement {name!r} "
-                    f"looks {horizon:g} s ahead, but {scenario.name!r} ends after "
-                    f"{scenario.duration:g} s"
-                )
-    return found

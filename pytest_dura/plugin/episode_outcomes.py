@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -15,9 +16,21 @@ if TYPE_CHECKING:
 
 
 def outcome_of_test(
-    requirement: Requirement, episode: JudgedEpisode, error: BaseException | None
+    requirement: Requirement,
+    requirements: Sequence[Requirement],
+    episode: JudgedEpisode,
+    error: BaseException | None,
 ) -> dict[str, Any]:
-    """The verdict of a test on an episode: by its outcome, and by the requirement's own check."""
+    """The verdict of a test on an episode: by its outcome, and by the requirement's own check.
+
+    Args:
+        requirement: What the test decides.
+        requirements: Those of the episode's case.
+        episode: The episode.
+        error: What the test raised, if anything.
+    """
+    from pytest_dura.requirements.verdicts.episodes import EARLY_ENDS, is_unseen_crash
+
     word, detail = word_of_test(episode, error)
     margin = time = None
     judged = judged_by_own_check(requirement, episode)
@@ -39,6 +52,9 @@ def outcome_of_test(
         "valid_proposals": episode.metrics.valid_proposals,
         "vacuous": vacuous,
         "idle": list(episode.idle_faults),
+        "without_effect": word == "violated" and episode.validity == "invalid",
+        "ended": episode.termination if episode.termination in EARLY_ENDS else "",
+        "unseen_crash": word != "violated" and is_unseen_crash(episode, requirements),
     }
 
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 Properties = list[tuple[str, str]]
 
-_COUNTS = ("planned", "run", "violations", "invalid", "missing", "vacuous")
+_COUNTS = ("planned", "run", "violations", "without_effect", "invalid", "missing", "vacuous")
 _NAMES = {"requirement", "case", "component", "item", "episode", "counterexample"}
 _OURS = pytest.StashKey[Properties]()
 
@@ -101,6 +101,7 @@ def _of_campaign(session: DuraSession, result: ItemResult) -> Iterator[tuple[str
     yield "valid", verdict["episodes"]
     for name in _COUNTS:
         yield name, verdict[name]
+    yield "open", len(verdict["open"])
     bound = verdict["bound"]
     yield "bound_upper", bound["upper"]
     yield "bound_confidence", bound["confidence"]

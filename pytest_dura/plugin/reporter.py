@@ -285,7 +285,8 @@ class Reporter:
             report.sections.append(("dura", f"{episode.id}, replay: {command}"))
         for requirement in marked_requirements(self.session, item):
             self._requirement_used(requirement)
-            told = outcome_of_test(requirement, episode, error)
+            of_case = self.session.bench.requirements_of(target.case)
+            told = outcome_of_test(requirement, of_case, episode, error)
             if told["verdict"] == "violated":
                 self.traces.violated(episode)
             self._report.outcomes.append(

@@ -46,7 +46,8 @@ def aligned(
 COLUMNS = ("n", "flag %", "coll %", "clearance s", "grid", "recov", "alerts", "inv")
 LEGEND = (
     "n: valid runs (of those planned); flag, coll: runs with an unsafe proposal, with a collision;",
-    "clearance: mean +- sd over cleared runs (their number); grid: gridlock, not cleared in time",
+    "clearance: mean +- sd over cleared runs (their number); grid: gridlock, not cleared in time;",
+    "3*: so many collisions in runs that are invalid or missing, which are in no rate",
 )
 
 
@@ -57,7 +58,7 @@ def _row(metrics: Data, users: Sequence[str]) -> list[str]:
     return [
         str(valid) if valid == planned else f"{valid} ({planned})",
         _percent(metrics["flagged"]),
-        _percent(metrics["collided"]),
+        _percent(metrics["collided"]) + _beyond(metrics["collided"]),
         _time(metrics["clearance_time"]),
         "-" if grid is None else str(grid["valid"]),
         str(metrics["recoveries"]),
@@ -71,6 +72,12 @@ def _percent(share: Data | None) -> str:
     if share is None or share["share_of_valid"] is None:
         return "-"
     return f"{100 * share['share_of_valid']:.0f}"
+
+
+def _beyond(share: Data | None) -> str:
+    """``+3*`` for what happened in runs that are not valid."""
+    beyond = 0 if share is None else share["run"] - share["valid"]
+    return f" +{beyond}*" if beyond else ""
 
 
 def _time(clearance: Data | None) -> str:

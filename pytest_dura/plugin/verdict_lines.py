@@ -6,6 +6,7 @@ import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from pytest_dura.evidence.formats.stated import besides
 from pytest_dura.evidence.text import name, one_line
 from pytest_dura.plugin.commands import replay_command, rerun_command
 from pytest_dura.plugin.fault_lines import chain_line
@@ -65,6 +66,8 @@ def _counts(verdict: Data) -> str:
     counts = f"n = {verdict['episodes']}, {counted(verdict['violations'], 'violation')}"
     if verdict["pairs"]:
         counts = f"pairs without {verdict['pairs']['without']}: {counts}"
+    left = [told for told in besides(verdict) if not told.endswith("vacuous")]
+    counts = ", ".join([counts, *left])
     bound = verdict["bound"]
     if bound["upper"] is not None:
         counts += f", rate <= {bound['upper']:.2g} at {bound['confidence']:g}"

@@ -57,7 +57,7 @@ class RequirementJudge:
             return False
         signals = simulator.signals(ticks)
         time = [tick.time for tick in ticks]
-        found = [evaluate(formula, time, signals, complete=False) for formula in self._formulas]
+        found = [evaluate(formula, time, signals, ending="open") for formula in self._formulas]
         statuses = {one.status for one in found}
         return "violated" in statuses and "undecided" not in statuses
 
@@ -119,7 +119,7 @@ class _Looks:
         self._misjudged = not self._as_before(signals)
         while self._left and not self._misjudged:
             formula, end = self._left[0]
-            found = evaluate(formula, time, signals, complete=False, time_step=self._time_step)
+            found = evaluate(formula, time, signals, ending="open", time_step=self._time_step)
             within = end is not None and end < len(ticks)
             # A condition that never held may hold yet, and the pass would be no vacuous one.
             if found.status == "undecided" or (found.vacuous and not within):

@@ -19,7 +19,7 @@ from pytest_dura.requirements.model import Requirement
 from pytest_dura.requirements.stl.language.formula import Formula, node_text
 from pytest_dura.requirements.stl.language.nodes import Boolean, Temporal
 from pytest_dura.requirements.stl.language.reach import reach
-from pytest_dura.requirements.stl.offline.evaluation import Evaluation, evaluate
+from pytest_dura.requirements.stl.offline.evaluation import Ending, Evaluation, evaluate
 
 NAMES = ("a", "b")
 STEP = 0.1
@@ -56,9 +56,9 @@ def decided_at(
     return None
 
 
-def judged(formula: Formula, trace: Trace, *, complete: bool) -> Evaluation:
+def judged(formula: Formula, trace: Trace, *, ending: Ending) -> Evaluation:
     time = [tick * STEP for tick in range(len(trace["a"]))]
-    return evaluate(formula, time, trace, complete=complete, time_step=STEP)
+    return evaluate(formula, time, trace, ending=ending, time_step=STEP)
 
 
 def cut(trace: Trace, size: int) -> Trace:
@@ -79,11 +79,11 @@ def test_a_verdict_that_ends_an_episode_is_that_of_every_continuation() -> None:
         start = cut(trace, size)
         wholes = [{name: start[name] + more[name] for name in NAMES} for more in others]
         for formula in asked:
-            known = judged(formula, start, complete=False)
+            known = judged(formula, start, ending="open")
             ends[known.status if not known.vacuous else "vacuous"] += 1
             assert known.status in (("violated",) if violated else ("violated", "satisfied"))
             for whole in (start, trace, *wholes):
-                found = judged(formula, whole, complete=True)
+                found = judged(formula, whole, ending="time")
                 assert found.status == known.status
                 assert found.vacuous == known.vacuous
                 assert found.time == known.time
@@ -103,7 +103,7 @@ def test_an_episode_ends_as_soon_as_that_is_known_at_a_look(
     size = decided_at(asked, trace) or len(trace["a"]) + 1
     ends = {reach(formula.root, STEP) for formula in asked} - {None}
     for shorter in range(2, size):
-        found = [judged(formula, cut(trace, shorter), complete=False) for formula in asked]
+        found = [judged(formula, cut(trace, shorter), ending="open") for formula in asked]
         beyond = all(
             one.status != "undecided"
             and (not one.vacuous or (reach(formula.root, STEP) or 10**6) < shorter)
@@ -120,11 +120,11 @@ def test_nothing_behind_its_reach_changes_a_formula(
     far = reach(formula.root, STEP)
     if far is None or far >= len(trace["a"]):
         return
-    known = judged(formula, cut(trace, far + 1), complete=False)
+    known = judged(formula, cut(trace, far + 1), ending="open")
     assert known.status != "undecided"
     for more in others:
         whole = {name: trace[name][: far + 1] + more[name] for name in NAMES}
-        found = judged(formula, whole, complete=True)
+        found = judged(formula, whole, ending="time")
         assert (found.status, found.margin, found.vacuous) == (
             known.status, known.margin, known.vacuous,
         )  # fmt: skip

@@ -187,7 +187,7 @@ def test_a_verdict_is_that_of_the_truth_interval_and_its_time_that_of_the_first_
 def test_what_a_prefix_decides_the_whole_trace_confirms(
     formula: Formula, trace: dict[str, list[float]], more: dict[str, list[float]]
 ) -> None:
-    early = evaluate(formula, seconds(trace), trace, complete=False, time_step=STEP)
+    early = evaluate(formula, seconds(trace), trace, ending="open", time_step=STEP)
     longer = extended(trace, more)
     late = evaluate(formula, seconds(longer), longer, time_step=STEP)
     if early.status != "undecided":

@@ -5,12 +5,17 @@ from __future__ import annotations
 from typing import Any
 
 from pytest_dura.requirements.stl.language.parsing import parse
-from pytest_dura.requirements.stl.offline.evaluation import Evaluation, evaluate
+from pytest_dura.requirements.stl.offline.evaluation import Ending, Evaluation, evaluate
 
 
 def judge(
-    text: str, time: Any = None, *, complete: bool = True, step: float | None = None, **signals: Any
+    text: str,
+    time: Any = None,
+    *,
+    ending: Ending = "time",
+    step: float | None = None,
+    **signals: Any,
 ) -> Evaluation:
     first = next(iter(signals.values()))
     time = range(len(first)) if time is None else time
-    return evaluate(parse(text), list(time), signals, complete=complete, time_step=step)
+    return evaluate(parse(text), list(time), signals, ending=ending, time_step=step)

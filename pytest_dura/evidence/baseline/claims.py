@@ -30,7 +30,7 @@ class Claim:
         run: Episodes that were run.
         saved: Planned episodes that were not run because the verdict stood without them.
         episodes: Valid episodes.
-        violations: Those that violated the requirement.
+        violations: Those that violated the requirement; an open one is not known to.
         violating: Numbers of the runs that violated it.
         conditions: Of the case's planned runs, by number.
     """
@@ -105,7 +105,9 @@ def _claim(
         saved=_count(verdict["saved"]),
         episodes=episodes,
         violations=violations,
-        violating=frozenset(_run(one["episode"]) for one in verdict["counterexamples"]),
+        violating=frozenset(
+            _run(one["episode"]) for one in verdict["counterexamples"] if one["valid"]
+        ),
         conditions=conditions.get((case, component), {}),
     )
 

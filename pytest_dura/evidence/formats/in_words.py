@@ -75,8 +75,8 @@ def not_shown(record: SessionRecord) -> Iterator[str]:
     if spoilt:
         yield (
             f"{totals['invalid']} of {totals['episodes']} episodes are invalid and "
-            f"{totals['missing']} missing: they support nothing, and what one of them violates "
-            "counts all the same."
+            f"{totals['missing']} missing: they support nothing and enter no n. What one of them "
+            "violates fails the gate all the same."
         )
     supported = sum(one["verdict"] == "supported" for one in verdicts)
     if supported:

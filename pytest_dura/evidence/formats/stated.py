@@ -25,9 +25,17 @@ def sample(verdict: Data) -> str:
         f"{verdict['episodes']} valid of {verdict['run']} run, {verdict['planned']} planned; "
         f"{verdict['violations']} violation{'' if verdict['violations'] == 1 else 's'}"
     )
-    kinds = ("invalid", "missing", "vacuous")
-    left = [f"{verdict[kind]} {kind}" for kind in kinds if verdict[kind]]
-    return ", ".join([told, *left])
+    return ", ".join([told, *besides(verdict)])
+
+
+def besides(verdict: Data) -> list[str]:
+    """What else there is to say of a verdict's runs: ``2 ended before it was decided``."""
+    counts = {
+        "ended before it was decided": len(verdict["open"]),
+        "violated without effect of the fault": verdict["without_effect"],
+        **{word: verdict[word] for word in ("invalid", "missing", "vacuous")},
+    }
+    return [f"{count} {what}" for what, count in counts.items() if count]
 
 
 def bound(verdict: Data) -> str:

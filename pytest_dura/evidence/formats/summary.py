@@ -203,7 +203,7 @@ def _replay(session: str, episode: str) -> str:
 
 
 _VERDICTS = ["verdict", "waiver", "requirement", "case", "component", "valid n", "violations",
-             "invalid", "missing", "upper bound"]  # fmt: skip
+             "open", "without effect", "invalid", "missing", "upper bound"]  # fmt: skip
 _REQUIREMENTS = ["requirement", "kind", "text", "supported", "violated", "undecided", "untested"]
 _CASES = ["case", "component", "planned", "run", "valid", "invalid", "missing", "flagged",
           "collided", "gridlock", "clearance time"]  # fmt: skip
@@ -219,7 +219,8 @@ def _name(text: str | None) -> str:
 
 
 def _verdict(one: Data) -> str:
-    counts = (one[key] for key in ("episodes", "violations", "invalid", "missing"))
+    counts = [one["episodes"], one["violations"], len(one["open"])]
+    counts += [one[key] for key in ("without_effect", "invalid", "missing")]
     waiver = "-" if one["waiver"] is None else "waived"
     names = (_name(one[key]) for key in ("requirement", "case", "component"))
     return _row([one["verdict"], waiver, *names, *counts, bound(one)])
@@ -245,7 +246,9 @@ def _case(one: Data) -> str:
     rates = []
     for key in ("flagged", "collided", "gridlock"):
         rate = metrics[key]
-        rates.append("-" if rate is None else f"{rate['valid']} of {metrics['valid']}")
+        shown = "-" if rate is None else f"{rate['valid']} of {metrics['valid']}"
+        beyond = 0 if rate is None else rate["run"] - rate["valid"]
+        rates.append(f"{shown}, {beyond}*" if beyond else shown)
     time = metrics["clearance_time"]
     shown = "-"
     if time is not None and time["mean"] is not None:

@@ -37,7 +37,7 @@ def final_outcomes(told: Sequence[Data]) -> list[Data]:
     return list(final.values())
 
 
-WORST_FIRST = ("violated", "missing", "invalid", "satisfied")
+WORST_FIRST = ("violated", "missing", "open", "invalid", "satisfied")
 
 
 def worst_by_episode(final: list[Data]) -> list[EpisodeVerdict]:

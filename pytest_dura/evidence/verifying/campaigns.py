@@ -8,17 +8,17 @@ from __future__ import annotations
 
 import math
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from pytest_dura.evidence.plain import plain
 from pytest_dura.evidence.record.session_record import SessionRecord
-from pytest_dura.evidence.verifying.margins import JUDGED, distribution, margin_problems
+from pytest_dura.evidence.verifying.margins import distribution, is_judged, margin_problems
 from pytest_dura.evidence.verifying.pairs import pair_problems
 from pytest_dura.requirements.model import Requirement
 from pytest_dura.requirements.verdicts.campaigns import EVERY_EPISODE, CampaignVerdict
-from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict, EpisodeWord
+from pytest_dura.requirements.verdicts.episodes import EARLY_ENDS, EpisodeVerdict, EpisodeWord
 from pytest_dura.requirements.verdicts.judging import CampaignJudge
 
 Data = Mapping[str, Any]
@@ -34,6 +34,7 @@ class _Run:
 
     episode: str
     validity: str
+    termination: str
     proposals: int
     valid_proposals: int
     idle: tuple[str, ...]
@@ -54,6 +55,7 @@ class _Case:
         self.runs[number] = _Run(
             episode["id"],
             episode["validity"],
+            episode["termination"],
             metrics["proposals"],
             metrics["valid_proposals"],
             tuple(one["id"] for one in episode["faults"] if one["manifested_at"] is None),
@@ -74,6 +76,10 @@ def verdict_problems(record: SessionRecord, judged: Judged) -> Iterator[str]:
             cases[episode["case"], episode["component"]].add(episode)
     plans = {(one["id"], one["component"]): one["planned"] for one in record["cases"]}
     known = {one["id"]: one for one in record["requirements"]}
+    of_cases = {(one["id"], one["component"]): one["requirements"] for one in record["cases"]}
+    verdicts_on: dict[tuple[str, str], list[Data]] = defaultdict(list)
+    for one in record["verdicts"]:
+        verdicts_on[one["case"], one["component"]].append(one)
     for number, one in enumerate(record["verdicts"]):
         name = f"verdict {one['requirement']} on {one['case']}"
         own, other = cases[one["case"], one["component"]], None
@@ -82,9 +88,27 @@ def verdict_problems(record: SessionRecord, judged: Judged) -> Iterator[str]:
         if one["pairs"] is not None:
             other = cases[one["pairs"]["case"], one["component"]]
         on_traces = {episode: was for (at, episode), was in judged.items() if at == number}
-        check = _Check(one, known.get(one["requirement"], {}), own, other, on_traces)
+        place = one["case"], one["component"]
+        seen = _violating(verdicts_on[place], one["run"], of_cases.get(place, ()))
+        check = _Check(one, known.get(one["requirement"], {}), own, other, on_traces, seen)
         for problem in check.problems():
             yield f"{name}: {problem}"
+
+
+def _violating(
+    verdicts: Sequence[Data], runs: int, requirements: Collection[str]
+) -> set[str] | None:
+    """Episodes that violate any requirement on a case; ``None`` if not each of them was judged.
+
+    Args:
+        verdicts: Those on the case.
+        runs: How many runs of it are looked at.
+        requirements: Those of the case.
+    """
+    judged = {one["requirement"] for one in verdicts if one["run"] >= runs}
+    if not judged.issuperset(requirements):
+        return None
+    return {counter["episode"] for one in verdicts for counter in one["counterexamples"]}
 
 
 @dataclass(frozen=True)
@@ -96,6 +120,8 @@ class _Check:
     own: _Case
     twins: _Case | None
     on_traces: Mapping[str, EpisodeVerdict]
+    seen_elsewhere: Collection[str] | None
+    """Episodes that violate a requirement of the case, where each of these has a verdict."""
 
     def problems(self) -> Iterator[str]:
         yield from margin_problems(self.verdict, self.on_traces.values())
@@ -113,13 +139,39 @@ class _Check:
             return
         looked_at = self._looked_at()
         violated = {counterexample["episode"] for counterexample in one["counterexamples"]}
-        valid = sum(run.validity == "valid" or run.episode in violated for run in looked_at)
+        # A violation that was seen before an infrastructure error counts.
+        valid = sum(
+            run.validity == "valid" or (run.validity == "missing" and run.episode in violated)
+            for run in looked_at
+        )
         if one["episodes"] > valid:
             yield f"{one['episodes']} episodes are valid to it, and {valid} are"
         if violated - {run.episode for run in looked_at}:
             yield f"{min(violated)} is its counterexample, and none of its runs"
+        yield from self._early_ends(looked_at)
         if len(looked_at) == one["run"] and self.own.alike:
             yield from self._decided_again(looked_at)
+
+    def _early_ends(self, runs: Sequence[_Run]) -> Iterator[str]:
+        """Whether runs that are open, crashed or without effect ended in such a way."""
+        one = self.verdict
+        ends = {run.episode: run for run in runs}
+        for episode in one["open"]:
+            if episode in ends and ends[episode].termination not in EARLY_ENDS:
+                yield f"{episode} is open, and it ended by {ends[episode].termination}"
+        for episode in one["unseen_crashes"]:
+            if episode in ends and ends[episode].termination != "critical":
+                yield f"{episode} crashed unseen, and it ended by {ends[episode].termination}"
+        for violated in one["counterexamples"]:
+            run = ends.get(violated["episode"])
+            if run is not None and violated["valid"] == (run.validity == "invalid"):
+                yield f"{run.episode} is {run.validity}, and its violation says otherwise"
+        if self.seen_elsewhere is None:
+            return
+        for run in runs:
+            seen = run.episode in self.seen_elsewhere or run.episode in one["unseen_crashes"]
+            if run.termination == "critical" and not seen and one["verdict"] == "supported":
+                yield f"supported, although {run.episode} crashed and violates nothing"
 
     def _unheard(self) -> str | None:
         """A run that it rests on and that is not recorded."""
@@ -156,7 +208,7 @@ class _Check:
             gives = f"{known[0].verdict}: {known[0].reason}" if known else "another number of runs"
             yield f"{self.verdict['verdict']}: {self.verdict['reason']}; its runs give {gives}"
         if sure and all(run.episode in self.on_traces for run in runs):
-            margins = [run.margin for run in told if run.verdict in JUDGED]
+            margins = [run.margin for run in told if is_judged(run)]
             if self.verdict["margins"] != plain(distribution(margins)):
                 yield "the distribution of its margins is not that of its traces"
             if self.verdict["vacuous"] != sum(run.vacuous for run in told):
@@ -171,19 +223,26 @@ class _Check:
         one = self.verdict
         violated = {said["episode"]: said for said in one["counterexamples"]}
         left = Counter(
-            satisfied=one["episodes"] - one["violations"],
-            invalid=one["invalid"],
+            satisfied=one["episodes"] - one["violations"] - len(one["open"]),
+            open=len(one["open"]),
+            invalid=one["invalid"] - one["without_effect"],
             missing=one["missing"],
-            violated=one["violations"],
+            violated=one["violations"] + one["without_effect"],
         )
         sure, vacuous, found = True, one["vacuous"], []
-        least = Counter(run.validity for run in runs if run.episode not in violated)
+        least = Counter(
+            run.validity
+            for run in runs
+            if run.episode not in violated and run.episode not in one["open"]
+        )
         exact = least["valid"] == left["satisfied"] and least["invalid"] == left["invalid"]
         for run in runs:
             traced, said = self.on_traces.get(run.episode), violated.get(run.episode)
             word: EpisodeWord = "satisfied"
             if said is not None:
                 word = "violated"
+            elif run.episode in one["open"]:
+                word = "open"
             elif traced is not None and traced.verdict != "violated":
                 word = traced.verdict
             elif run.validity != "valid":
@@ -191,7 +250,8 @@ class _Check:
                 word = "missing" if run.validity == "missing" or not left["invalid"] else "invalid"
             elif not left["satisfied"]:
                 word = "invalid" if left["invalid"] else "missing"
-            sure &= exact or said is not None or traced is not None
+            known = said is not None or traced is not None or word == "open"
+            sure &= exact or known
             left[word] -= 1
             empty = vacuous > 0 and word == "satisfied" and (traced is None or traced.vacuous)
             vacuous -= empty
@@ -211,6 +271,9 @@ class _Check:
                     run.valid_proposals,
                     empty,
                     run.idle,
+                    without_effect=word == "violated" and run.validity == "invalid",
+                    ended=run.termination if run.termination in EARLY_ENDS else "",
+                    unseen_crash=run.episode in one["unseen_crashes"],
                 )
             )
         return None if any(left.values()) else (found, sure)

@@ -11,8 +11,11 @@ from pytest_dura.requirements.verdicts.campaigns import Margins
 from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict
 
 Data = Mapping[str, Any]
-JUDGED = ("satisfied", "violated")
-"""What counts as a valid episode of a verdict."""
+
+
+def is_judged(verdict: EpisodeVerdict) -> bool:
+    """Whether an episode's margin is one of its campaign's: it is valid, and not open."""
+    return verdict.valid and verdict.verdict != "open"
 
 
 def distribution(margins: Iterable[float | None]) -> dict[str, Any] | None:
@@ -29,8 +32,11 @@ def margin_problems(verdict: Data, on_traces: Iterable[EpisodeVerdict]) -> Itera
         on_traces: What traces say of its episodes.
     """
     margins = verdict["margins"]
-    listed = [counterexample["margin"] for counterexample in verdict["counterexamples"]]
-    order = [(one["margin"] or 0.0, one["episode"]) for one in verdict["counterexamples"]]
+    listed = [one["margin"] for one in verdict["counterexamples"] if one["valid"]]
+    order = [
+        (not one["valid"], one["margin"] or 0.0, one["episode"])
+        for one in verdict["counterexamples"]
+    ]
     if order != sorted(order):
         yield "its counterexamples are not in the order of their margins"
     if (margins is None) != (verdict["margin"] is None):
@@ -51,7 +57,7 @@ def _distribution(
         yield f"its least margin is {verdict['margin']}, and its distribution has {margins['min']}"
     if not len(listed) <= margins["n"] <= verdict["episodes"]:
         yield f"{margins['n']} margins of {verdict['episodes']} episodes"
-    traced = [one.margin for one in on_traces if one.verdict in JUDGED and one.margin is not None]
+    traced = [one.margin for one in on_traces if is_judged(one) and one.margin is not None]
     for margin in (*listed, *traced):
         if not margins["min"] <= margin <= margins["max"]:
             yield f"its margins begin at {margins['min']}, and one is {margin}"

@@ -152,15 +152,27 @@ def _verdict(
         yield f"{name}: the requirement is not listed"
     if (one["case"], one["component"]) not in cases:
         yield f"{name}: the case is not listed"
+    named = [counterexample["episode"] for counterexample in one["counterexamples"]]
+    for episode in (*named, *one["open"], *one["unseen_crashes"]):
+        if (episode, one["component"]) not in episodes:
+            yield f"{name}: its episode {episode} is not listed"
+    yield from _counts(name, one)
+    yield from _word(name, one)
+
+
+def _counts(name: str, one: Data) -> Iterator[str]:
+    """Whether the counts of a verdict go together."""
     if one["episodes"] + one["invalid"] + one["missing"] != one["run"]:
         yield f"{name}: valid, invalid and missing episodes do not add up to {one['run']}"
-    if one["violations"] != len(one["counterexamples"]) or one["violations"] > one["episodes"]:
-        listed = len(one["counterexamples"])
-        yield f"{name}: {one['violations']} violations, and {listed} counterexamples"
-    for counterexample in one["counterexamples"]:
-        if (counterexample["episode"], one["component"]) not in episodes:
-            yield f"{name}: its counterexample {counterexample['episode']} is not listed"
-    yield from _word(name, one)
+    valid = sum(counterexample["valid"] for counterexample in one["counterexamples"])
+    listed = valid, len(one["counterexamples"]) - valid
+    if (one["violations"], one["without_effect"]) != listed:
+        counts = f"{one['violations']} violations, {one['without_effect']} without effect"
+        yield f"{name}: {counts}, and {listed[0]} and {listed[1]} counterexamples"
+    if one["violations"] + len(one["open"]) > one["episodes"]:
+        yield f"{name}: more violations and open episodes than the {one['episodes']} valid ones"
+    if one["without_effect"] > one["invalid"]:
+        yield f"{name}: more violations without effect than the {one['invalid']} invalid episodes"
 
 
 def _word(name: str, one: Data) -> Iterator[str]:
@@ -168,10 +180,12 @@ def _word(name: str, one: Data) -> Iterator[str]:
     bound, word = one["bound"], one["verdict"]
     exact = bound["method"] == METHOD
     if exact and one["episodes"]:
-        upper = upper_bound(one["violations"], one["episodes"], bound["confidence"])
+        worst = one["violations"] + len(one["open"])
+        upper = upper_bound(min(worst, one["episodes"]), one["episodes"], bound["confidence"])
         if bound["upper"] is None or not isclose(bound["upper"], upper, rel_tol=1e-9):
             yield f"{name}: the bound is {bound['upper']}, and its counts give {upper}"
-    if word == "violated" and not one["violations"] and one["pairs"] is None:
+    broken = one["violations"] or one["without_effect"]
+    if word == "violated" and not broken and one["pairs"] is None:
         yield f"{name}: violated without a violation"
     if word != "supported":
         return
@@ -179,8 +193,11 @@ def _word(name: str, one: Data) -> Iterator[str]:
         yield f"{name}: supported, {one['episodes']} episodes valid and {one['missing']} missing"
     if one["run"] + one["saved"] < one["planned"]:
         yield f"{name}: supported with {one['run']} of {one['planned']} planned runs"
-    if bound["at_most"] is None and one["violations"]:
-        yield f"{name}: supported with {one['violations']} violations"
+    if bound["at_most"] is None and (one["violations"] or one["open"]):
+        counts = f"{one['violations']} violations and {len(one['open'])} open episodes"
+        yield f"{name}: supported with {counts}"
+    if one["without_effect"] or one["unseen_crashes"]:
+        yield f"{name}: supported, although an invalid run violates it or a crash violates nothing"
     too_high = exact and bound["at_most"] is not None
     if too_high and (bound["upper"] is None or bound["upper"] > bound["at_most"]):
         yield f"{name}: supported with a bound of {bound['upper']} above {bound['at_most']}"

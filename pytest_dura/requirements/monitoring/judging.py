@@ -58,8 +58,10 @@ def judge_monitor(
             )
         claims.add((verdict.requirement, verdict.component))
         alarms = seen.alarms.get(monitor, ())
-        if verdict.verdict in ("invalid", "missing"):
-            tally.counts[verdict.verdict] += 1
+        if verdict.verdict == "missing":
+            tally.counts["missing"] += 1
+        elif not verdict.valid or verdict.verdict == "open":  # an open one may yet be violated
+            tally.counts["invalid"] += 1
         elif verdict.verdict == "satisfied":
             tally.negative(alarms, seen.duration)
         elif verdict.time is None:

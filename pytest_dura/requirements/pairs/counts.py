@@ -50,9 +50,11 @@ class Pair:
 
     @property
     def word(self) -> PairWord:
-        """Which runs violated it; ``incomplete`` if one of them is invalid or missing."""
+        """Which runs violated it; ``incomplete`` if one of them is not known to."""
         words = self.with_it.verdict, self.without.verdict
-        if not {"satisfied", "violated"}.issuperset(words):
+        if not {"satisfied", "violated"}.issuperset(words) or (
+            self.with_it.without_effect or self.without.without_effect
+        ):
             return "incomplete"
         return _WORDS[words[0] == "violated", words[1] == "violated"]
 
@@ -69,9 +71,9 @@ _WORDS: dict[tuple[bool, bool], PairWord] = {
 class PairCounts:
     """How many pairs violated a requirement in which of their runs.
 
-    The first five counts add up to ``pairs``. A pair with an invalid or missing run is incomplete,
-    as what the other run came to cannot be compared; a violation in it stands in ``violated_with``
-    or ``violated_without`` all the same.
+    The first five counts add up to ``pairs``. A pair with an invalid, missing or open run is
+    incomplete, as what the other run came to cannot be compared; a violation in it stands in
+    ``violated_with`` or ``violated_without`` all the same.
 
     Args:
         pairs: All pairs.
@@ -79,7 +81,7 @@ class PairCounts:
         only_without: Violated only without it.
         both: Violated in both runs.
         neither: Violated in neither.
-        incomplete: One run is invalid or missing.
+        incomplete: One run is invalid, missing or open.
         acted_only_with: Those of ``only_with`` in which recovery acted; and so on.
         acted_only_without: As above.
         acted_both: As above.

@@ -62,10 +62,13 @@ def pair_verdict(with_it: EpisodeVerdict, without: EpisodeVerdict) -> EpisodeVer
     words = with_it.verdict, without.verdict
     spoilt = next((one for one in ("missing", "invalid") if one in words), None)
     if spoilt is not None:
-        side = with_it if with_it.verdict == spoilt else without
-        twin = "" if side is with_it else f", in {side.episode}"
-        detail = f"{side.detail}{twin}"
-        return replace(with_it, verdict=side.verdict, margin=None, time=None, detail=detail)
+        return _as_side(with_it, with_it if with_it.verdict == spoilt else without, spoilt)
+    if "open" in words and words[0] != "satisfied" and words[1] != "violated":
+        return _as_side(with_it, with_it if words[0] == "open" else without, "open")
+    if (with_it.without_effect or without.without_effect) and words != ("violated", "satisfied"):
+        # Nothing was violated only with it, and the runs are no sample of runs with the fault.
+        side = with_it if with_it.without_effect else without
+        return _as_side(with_it, side, "invalid")
     margins = with_it.margin, without.margin
     margin = None
     if margins[0] is not None and margins[1] is not None:
@@ -77,6 +80,20 @@ def pair_verdict(with_it: EpisodeVerdict, without: EpisodeVerdict) -> EpisodeVer
     vacuous = with_it.vacuous and without.vacuous
     return replace(
         with_it, verdict="satisfied", margin=margin, time=None, detail=detail, vacuous=vacuous
+    )
+
+
+def _as_side(with_it: EpisodeVerdict, side: EpisodeVerdict, verdict: EpisodeWord) -> EpisodeVerdict:
+    """The pair as invalid, missing or open as one of its runs is."""
+    twin = "" if side is with_it else f", in {side.episode}"
+    return replace(
+        with_it,
+        verdict=verdict,
+        margin=None,
+        time=None,
+        detail=f"{side.detail}{twin}",
+        without_effect=False,
+        ended=side.ended,
     )
 
 

@@ -20,6 +20,9 @@ EVERY_EPISODE = "every episode"
 class Bound:
     """The one-sided upper confidence bound on the rate of violations, over valid episodes.
 
+    An open episode counts as a violation: what it would have shown is not known, and the component
+    may have caused its end.
+
     ``upper`` is ``None`` where there is none: without a valid episode, and for a sequential
     probability ratio test that has not accepted. ``at_most`` is the rate that was to be
     supported, ``None`` where every episode must satisfy the requirement.
@@ -53,11 +56,16 @@ class Margins:
 
 @dataclass(frozen=True, slots=True)
 class Counterexample:
-    """An episode that violated the requirement, when first, and by how much (negative margin)."""
+    """An episode that violated the requirement, when first, and by how much (negative margin).
+
+    ``valid`` is false for a run that a planned fault left without effect: the violation counts, and
+    is none of the runs with that fault.
+    """
 
     episode: str
     time: float | None
     margin: float | None
+    valid: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,15 +91,22 @@ class CampaignVerdict:
         planned: Episodes that were planned, or may be run at most.
         run: Episodes that were run, missing and invalid ones included.
         saved: Planned episodes that were not run because the campaign was decided without them.
-        episodes: Valid episodes: those that satisfied or violated the requirement.
-        violations: Episodes that violated it.
-        invalid: Episodes that say nothing of it.
+        episodes: Valid episodes, the n of every rate and bound: those that satisfied or violated
+            the requirement, and the open ones.
+        violations: Valid episodes that violated it.
+        open: Ids of valid episodes that ended before it was decided, by a crash, a halt or the
+            violation of something else. The bound counts each as a violation.
+        unseen_crashes: Ids of episodes that ended critical and violate no requirement of their
+            case.
+        without_effect: Invalid episodes that violated it all the same, without effect of the fault.
+        invalid: Episodes that are no sample of it, those without effect included.
         missing: Episodes that an infrastructure error ended.
         vacuous: Episodes that satisfied it because its condition never held.
         bound: Bound on the rate of violations.
         margin: Worst robustness over valid episodes.
         margins: How the robustness is distributed.
-        counterexamples: The violating episodes, the largest violation first.
+        counterexamples: The violating episodes, the valid ones first, of each kind the largest
+            violation first.
         pairs: For a requirement on pairs, what the two runs of each pair came to.
         spoilt: The first missing episode, or else the first invalid one.
     """
@@ -107,6 +122,9 @@ class CampaignVerdict:
     saved: int
     episodes: int
     violations: int
+    open: tuple[str, ...]
+    unseen_crashes: tuple[str, ...]
+    without_effect: int
     invalid: int
     missing: int
     vacuous: int
@@ -119,7 +137,11 @@ class CampaignVerdict:
 
     def to_json(self) -> dict[str, Any]:
         """Plain data for the evidence record."""
-        return asdict(self) | {"counterexamples": [asdict(one) for one in self.counterexamples]}
+        return asdict(self) | {
+            "open": list(self.open),
+            "unseen_crashes": list(self.unseen_crashes),
+            "counterexamples": [asdict(one) for one in self.counterexamples],
+        }
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> CampaignVerdict:
@@ -128,6 +150,8 @@ class CampaignVerdict:
         return cls(
             **{
                 **data,
+                "open": tuple(data["open"]),
+                "unseen_crashes": tuple(data["unseen_crashes"]),
                 "bound": Bound(**data["bound"]),
                 "margins": None if margins is None else Margins(**margins),
                 "counterexamples": tuple(Counterexample(**one) for one in data["counterexamples"]),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
@@ -25,19 +25,30 @@ from pytest_dura.requirements.model import Requirement
 from pytest_dura.requirements.stl.language.formula import Formula, unknown_signal
 from pytest_dura.requirements.stl.language.nodes import conjuncts
 from pytest_dura.requirements.stl.language.parsing import parse
-from pytest_dura.requirements.stl.offline.evaluation import Evaluation, evaluate
+from pytest_dura.requirements.stl.offline.evaluation import Ending, Evaluation, evaluate
 from pytest_dura.requirements.verdicts.accounts import never_measured, untold
 from pytest_dura.requirements.verdicts.sealed import SealedColumns
 
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-EpisodeWord = Literal["satisfied", "violated", "invalid", "missing"]
+EpisodeWord = Literal["satisfied", "violated", "open", "invalid", "missing"]
 
-_EARLY = {
+EARLY_ENDS = {
+    "critical": "the episode ended critical",
+    "halt": "the episode was halted",
     "violation": "the episode ended at a violation of something else",
     "decided": "the episode ended once the requirements of its case were decided",
 }
+"""Ends that come before the time limit or the goal, and that the component may have caused."""
+_ENDINGS: dict[str, Ending] = {
+    "critical": "stopped",
+    "halt": "stopped",
+    "goal": "goal",
+    "violation": "open",
+    "decided": "open",
+}
+"""What an episode's termination is for its trace; otherwise it is the time limit."""
 _WHOLE = (
     "run it with --dura-end=complete if that is known with hindsight: the episode ended once the "
     "requirements of its case were decided"
@@ -52,7 +63,8 @@ class EpisodeVerdict:
         requirement: Id of the requirement.
         episode: Id of the episode, ``case#run``.
         component: Name of the component under test.
-        verdict: ``satisfied``, ``violated``, ``invalid`` or ``missing``.
+        verdict: ``satisfied``, ``violated``, ``open`` (the episode ended before it was decided),
+            ``invalid`` or ``missing``.
         margin: Robustness; ``None`` where there is no trace to measure it on.
         time: Seconds at which the requirement was violated first, for a violation.
         detail: Why, in words.
@@ -62,6 +74,10 @@ class EpisodeVerdict:
         valid_proposals: How often it answered with a valid action.
         idle: Ids of planned faults that never manifested. A valid episode has such where hits are
             drawn.
+        without_effect: Whether it is violated in a run that is invalid, since a planned fault never
+            manifested: the violation counts, and the run is no sample of runs with that fault.
+        ended: How the episode ended, if that was an early end: a key of :data:`EARLY_ENDS`.
+        unseen_crash: Whether the episode ended critical and violates no requirement of its case.
     """
 
     requirement: str
@@ -75,6 +91,14 @@ class EpisodeVerdict:
     valid_proposals: int
     vacuous: bool = False
     idle: tuple[str, ...] = ()
+    without_effect: bool = False
+    ended: str = ""
+    unseen_crash: bool = False
+
+    @property
+    def valid(self) -> bool:
+        """Whether the run counts for this requirement: in its n, its bound and its tables."""
+        return self.verdict in ("satisfied", "violated", "open") and not self.without_effect
 
     def to_json(self) -> dict[str, Any]:
         """Plain data."""
@@ -116,6 +140,7 @@ def judge_episode(
             remedy="add a check, or judge it in test code",
         )
     word, result = judged(check, episode)
+    early = episode.termination in EARLY_ENDS
     return EpisodeVerdict(
         requirement=requirement.id,
         episode=episode.id,
@@ -128,7 +153,32 @@ def judge_episode(
         valid_proposals=episode.metrics.valid_proposals,
         vacuous=result.vacuous and word == "satisfied",
         idle=episode.idle_faults,
+        without_effect=word == "violated" and episode.validity == "invalid",
+        ended=episode.termination if early else "",
     )
+
+
+def is_unseen_crash(
+    episode: Episode, requirements: Iterable[Requirement], check: Check | None = None
+) -> bool:
+    """Whether an episode ended critical and violates none of the requirements of its case.
+
+    Args:
+        episode: The episode.
+        requirements: Of its case; those on pairs are no judgement of a single episode.
+        check: Another check that it was judged by.
+    """
+    if episode.termination != "critical":
+        return False
+    checks = [one.check for one in requirements if one.check and one.paired is None]
+    return not any(_violates(known, episode) for known in ([check, *checks] if check else checks))
+
+
+def _violates(check: Check, episode: Episode) -> bool:
+    try:
+        return judged(check, episode)[0] == "violated"
+    except ConfigurationError:  # reported where the requirement itself is judged
+        return False
 
 
 def judged(check: Check, episode: Episode) -> tuple[EpisodeWord, CheckResult]:
@@ -161,6 +211,9 @@ def _by_formula(formula: Formula, episode: Episode) -> tuple[EpisodeWord, CheckR
         return spoilt[0], result(spoilt[1])
     if found.status == "undecided":
         range_ = f"robustness between {found.lower:.3g} and {found.upper:.3g}"
+        early = EARLY_ENDS.get(episode.termination)
+        if gap is None and early is not None:
+            return "open", result(f"{early}: {found.detail}: {range_}")
         return "invalid", result(gap or f"{found.detail}: {range_}")
     return "satisfied", result(found.detail, holds=True)
 
@@ -168,7 +221,10 @@ def _by_formula(formula: Formula, episode: Episode) -> tuple[EpisodeWord, CheckR
 def _by_function(
     function: Callable[..., Any], name: str, episode: Episode
 ) -> tuple[EpisodeWord, CheckResult]:
-    """A function sees complete episodes only: it cannot know what a prefix may become."""
+    """A function sees complete episodes only: it cannot know what a prefix may become.
+
+    An episode that ended critical, or was halted, is complete: nothing follows it.
+    """
     if episode.failure is not None or episode.ticks == 0:
         detail = episode.failure or "the episode has no samples"
         return "missing", CheckResult(False, detail=detail)
@@ -185,7 +241,7 @@ def _by_function(
         return "violated", result
     spoilt = _spoilt(episode)
     if spoilt is None and episode.ended_early:
-        spoilt = "invalid", _EARLY[episode.termination]
+        spoilt = "open", EARLY_ENDS[episode.termination]
     if spoilt is not None:
         return spoilt[0], CheckResult(False, result.margin, None, spoilt[1])
     return "satisfied", result
@@ -231,13 +287,13 @@ def evaluate_episode(formula: Formula, episode: Episode) -> tuple[Evaluation | N
             undecided = Evaluation("undecided", np.inf, -np.inf, np.inf, None, 0.0, gap)
             return undecided, gap
     # Who judged that the episode may end early did not ask for every formula.
-    complete = samples == episode.ticks and episode.failure is None and not episode.ended_early
+    whole = samples == episode.ticks and episode.failure is None
     cut = {name: column[:samples] for name, column in columns.items()}
     found = evaluate(
         formula,
         episode.time[:samples],
         cut,
-        complete=complete,
+        ending=_ENDINGS.get(episode.termination, "time") if whole else "open",
         time_step=episode.spec.time_step,
     )
     if episode.termination == "decided" and found.status == "satisfied":

@@ -21,7 +21,7 @@ from pytest_dura.requirements.verdicts.campaigns import (
     CampaignWord,
     Margins,
 )
-from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict
+from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict, EpisodeWord
 from pytest_dura.requirements.verdicts.standing_out import counterexamples, first_spoilt, idle
 
 MAX_INVALID_SHARE = 0.2
@@ -64,6 +64,10 @@ class CampaignJudge:
             check_share("at_most", requirement.at_most, above=0.0)
         self.method = method_of(requirement, until_decided=until_decided)
         self.test = rate_test(requirement, self.method, planned)
+        """Decides whether the rate is supported; an open episode counts as a violation."""
+        self._rejecting = rate_test(requirement, self.method, planned)
+        """Decides whether the rate is violated; only true violations count as such."""
+        self._after_support = 0
 
     @property
     def sequential(self) -> bool:
@@ -103,10 +107,20 @@ class CampaignJudge:
                 remedy="judge the episodes of each component apart",
             )
         self.verdicts.append(verdict)
-        self._counts[verdict.verdict] += 1
-        counts = self.sequential and verdict.verdict in ("satisfied", "violated")
-        if self.test is not None and counts and self.test.decision is None:
-            self.test.update(verdict.verdict == "violated")
+        self._counts["without effect" if verdict.without_effect else verdict.verdict] += 1
+        if self.sequential and verdict.valid:
+            self._test(verdict.verdict)
+
+    def _test(self, word: EpisodeWord) -> None:
+        """Count a valid episode in the tests of the rate, as far as they have not decided."""
+        if self.test is None or self._rejecting is None:
+            return
+        if self.test.decision == "supported":
+            self._after_support += word != "satisfied"
+        elif self.test.decision is None:
+            self.test.update(word != "satisfied")
+        if self._rejecting.decision is None:
+            self._rejecting.update(word == "violated")
 
     @property
     def decided(self) -> bool:
@@ -115,20 +129,20 @@ class CampaignJudge:
             return False
         if self._count("missing"):
             return True  # undecided, unless it was violated before
-        if self.test is None:
-            return self._count("violated") > 0
+        if self.test is None or self._rejecting is None:
+            return self._count("violated") + self._count("without effect") > 0
         # A test that can only come out against the component goes on all the same: "undecided"
         # may be excused, "violated" may not.
         if self.test.decision == "supported":
             # Too many invalid or vacuous episodes stand against it, which further ones may mend.
             return not self._obstacles(decided=True)
-        return self.test.decision is not None
+        return self._rejecting.decision == "violated"
 
     def verdict(self) -> CampaignVerdict:
         """The verdict on what was added so far."""
         word, reason = self._decide()
-        judged = [one for one in self.verdicts if one.verdict in ("satisfied", "violated")]
-        margins = [one.margin for one in judged if one.margin is not None]
+        valid = [one for one in self.verdicts if one.valid]
+        margins = [one.margin for one in valid if one.margin is not None and one.verdict != "open"]
         early = self.sequential and self.decided and word != "undecided"
         return CampaignVerdict(
             requirement=self.requirement.id,
@@ -140,15 +154,18 @@ class CampaignJudge:
             planned=self.planned,
             run=len(self.verdicts),
             saved=max(0, self.planned - len(self.verdicts)) if early else 0,
-            episodes=len(judged),
+            episodes=len(valid),
             violations=self._count("violated"),
-            invalid=self._count("invalid"),
+            open=tuple(one.episode for one in valid if one.verdict == "open"),
+            unseen_crashes=tuple(one.episode for one in self.verdicts if one.unseen_crash),
+            without_effect=self._count("without effect"),
+            invalid=self._invalid,
             missing=self._count("missing"),
-            vacuous=sum(one.vacuous for one in judged),
-            bound=self._bound(len(judged)),
+            vacuous=sum(one.vacuous for one in valid),
+            bound=self._bound(len(valid)),
             margin=min(margins) if margins else None,
             margins=Margins.of(margins),
-            counterexamples=counterexamples(judged),
+            counterexamples=counterexamples(self.verdicts),
             spoilt=first_spoilt(self.verdicts),
         )
 
@@ -157,21 +174,31 @@ class CampaignJudge:
 
     @property
     def _valid(self) -> int:
-        return self._count("satisfied") + self._count("violated")
+        """The n of every rate and bound."""
+        return self._count("satisfied") + self._count("violated") + self._count("open")
+
+    @property
+    def _invalid(self) -> int:
+        return self._count("invalid") + self._count("without effect")
 
     def _bound(self, valid: int) -> Bound:
         confidence, at_most = self.requirement.confidence, self.requirement.at_most
         if self.test is None or self.method == "fixed":
-            upper = upper_bound(self._count("violated"), valid, confidence) if valid else None
+            worst = self._count("violated") + self._count("open")
+            upper = upper_bound(worst, valid, confidence) if valid else None
             return Bound(confidence, upper, METHOD, at_most)
         return Bound(confidence, self.test.upper if valid else None, self.test.method, at_most)
 
     def _decide(self) -> tuple[CampaignWord, str]:
         violations, valid = self._count("violated"), self._valid
         counts = f"{violations} of {valid} valid {self._noun} violated it"
+        if self._count("open"):
+            counts += f", {self._count('open')} ended before it was decided"
         if self.test is None:
             if violations:
                 return "violated", counts
+            if self._count("without effect"):
+                return "violated", self._violated_without_effect()
             obstacles = self._obstacles()
             if obstacles:
                 return "undecided", "; ".join(obstacles)
@@ -180,10 +207,14 @@ class CampaignJudge:
             return self._decide_fixed(counts)
         return self._decide_sequential(self.test, counts)
 
+    def _violated_without_effect(self) -> str:
+        count = f"{self._count('without effect')} of {self._invalid} invalid {self._noun}"
+        return f"violated, without effect of the fault, in {count}"
+
     def _decide_sequential(self, test: SequentialTest, counts: str) -> tuple[CampaignWord, str]:
         limit, confidence = self.requirement.at_most, self.requirement.confidence
         told = f"{counts}; {self.method} at {confidence:g} confidence"
-        if test.decision == "violated":
+        if self._rejecting is not None and self._rejecting.decision == "violated":
             # What this test shows is weaker than its word: the limit itself may hold.
             p0 = self.requirement.p0
             why = "" if p0 is None else f", since the rate is above p0 = {p0:g}"
@@ -203,7 +234,8 @@ class CampaignJudge:
         assert at_most is not None
         violations, valid = self._count("violated"), self._valid
         if violations:
-            # What was not run or is missing counts as satisfied here: it may not make a violation.
+            # What was not run, is missing or open counts as satisfied here: it may not make a
+            # violation.
             open_runs = self._count("missing") + max(0, self.planned - len(self.verdicts))
             lower = lower_bound(violations, valid + open_runs, confidence)
             if lower > at_most:
@@ -214,18 +246,22 @@ class CampaignJudge:
         obstacles = self._obstacles(decided=self.decided)
         if obstacles:
             return "undecided", "; ".join(obstacles)
-        upper = upper_bound(violations, valid, confidence)
+        upper = upper_bound(violations + self._count("open"), valid, confidence)
         reason = f"{counts}: at {confidence:g} confidence the rate is at most {upper:.3g}"
         if upper <= at_most:
             return "supported", reason
-        reason += f", which does not support {at_most:g}"
+        # More runs beside these would be a second look at them, which breaks the level.
         needed = runs_needed(at_most, confidence, violations)
-        return "undecided", f"{reason}; {needed} {self._noun} with {violations} violations would"
+        return "undecided", (
+            f"{reason}, which does not support {at_most:g}; decide it by a sequential method "
+            f"(e-process, sprt), or by a new plan on a fresh seed: {needed} {self._noun} allow "
+            f"{violations} violations"
+        )
 
     def _obstacles(self, *, decided: bool = False) -> list[str]:
         """Everything for which this campaign cannot support a claim."""
         run, valid = len(self.verdicts), self._valid
-        missing, invalid = self._count("missing"), self._count("invalid")
+        missing, invalid = self._count("missing"), self._invalid
         found = []
         if run < self.planned and not decided:
             found.append(f"only {run} of {self.planned} planned {self._noun} were run")
@@ -236,10 +272,20 @@ class CampaignJudge:
             found.append(f"{invalid} of {run} {self._noun} are invalid, {share}")
         if not valid:
             found.append(f"none of the {self._noun} was valid")
+        found += self._early_ends()
+        if self.test is not None and self._count("without effect"):
+            found.append(self._violated_without_effect())
+        if self._after_support:
+            before = 0 if self.test is None else self.test.episodes
+            found.append(
+                f"supported after {before} {self._noun}, and {self._after_support} after these "
+                "violated it or ended before it was decided"
+            )
         satisfied = self._count("satisfied")
-        if valid and satisfied == valid == sum(one.vacuous for one in self.verdicts):
+        vacuous = sum(one.vacuous for one in self.verdicts)
+        if satisfied and satisfied == vacuous and not self._count("violated"):
             found.append(f"its condition held in none of the {valid} valid {self._noun} (vacuous)")
-        never = idle([one for one in self.verdicts if one.verdict in ("satisfied", "violated")])
+        never = idle([one for one in self.verdicts if one.valid])
         if never:
             found.append(f"{', '.join(never)} manifested in none of the {valid} valid {self._noun}")
         asked = sum(one.proposals for one in self.verdicts)
@@ -248,6 +294,29 @@ class CampaignJudge:
             ticks = f"{answered} of {asked} ticks"
             found.append(f"the component made a valid proposal at only {ticks}")
         return found
+
+    def _early_ends(self) -> list[str]:
+        """Runs whose end the component may have caused, where no bound counts them."""
+        found = []
+        open_ = [one for one in self.verdicts if one.verdict == "open"]
+        if open_ and self.test is None:
+            count = f"{len(open_)} of {self._valid} valid {self._noun}"
+            found.append(f"{count} ended before it was decided ({_ends(open_)})")
+        unharmed = [one for one in self.verdicts if one.verdict == "invalid" and one.ended]
+        if unharmed:
+            count = f"{len(unharmed)} invalid {self._noun}"
+            found.append(f"{count} ended before a fault had an effect ({_ends(unharmed)})")
+        unseen = [one.episode for one in self.verdicts if one.unseen_crash]
+        if unseen:
+            runs = f"{unseen[0]} and {len(unseen) - 1} more" if unseen[1:] else unseen[0]
+            found.append(f"a crash that no requirement sees: {runs} ended critical")
+        return found
+
+
+def _ends(verdicts: Sequence[EpisodeVerdict]) -> str:
+    """How the runs ended, with their numbers, such as ``8 critical, 1 halt``."""
+    ends = Counter(one.ended for one in verdicts)
+    return ", ".join(f"{count} {end}" for end, count in sorted(ends.items()))
 
 
 def judge_campaign(

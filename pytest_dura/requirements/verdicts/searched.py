@@ -27,7 +27,7 @@ class SearchVerdict:
     Args:
         requirement: Id of the requirement.
         episode: Id of the episode.
-        word: ``satisfied``, ``violated``, ``invalid`` or ``missing``.
+        word: ``satisfied``, ``violated``, ``open``, ``invalid`` or ``missing``.
         margin: Robustness; ``None`` where there is no trace to measure it on, and for a check that
             gives none.
         time: Seconds at which it was violated first, for a violation.

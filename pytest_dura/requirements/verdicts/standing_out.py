@@ -27,7 +27,16 @@ def first_spoilt(verdicts: Sequence[EpisodeVerdict]) -> Spoilt | None:
 
 
 def counterexamples(judged: Sequence[EpisodeVerdict]) -> tuple[Counterexample, ...]:
-    """The violating ones of valid episodes, the largest violation first."""
+    """The violating episodes, the valid ones first, of each kind the largest violation first."""
     violated = [one for one in judged if one.verdict == "violated"]
-    violated.sort(key=lambda one: (one.margin if one.margin is not None else 0.0, one.episode))
-    return tuple(Counterexample(one.episode, one.time, one.margin) for one in violated)
+    violated.sort(
+        key=lambda one: (
+            one.without_effect,
+            one.margin if one.margin is not None else 0.0,
+            one.episode,
+        )
+    )
+    return tuple(
+        Counterexample(one.episode, one.time, one.margin, not one.without_effect)
+        for one in violated
+    )

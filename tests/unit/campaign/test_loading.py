@@ -129,11 +129,17 @@ def test_built_in_requirements_that_nobody_uses_are_no_warning(
     assert not load_library([]).unused
 
 
-def test_a_library_warns_of_formulas_beyond_the_episode(tmp_path: Path) -> None:
-    (tmp_path / "requirements.yaml").write_text(requirement("A", "eventually[0:9] (x > 0)"))
+def test_a_window_beyond_the_episode_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "requirements.yaml"
+    file.write_text(requirement("A", "eventually[0:9] (x > 0)"))
     (tmp_path / "room.yaml").write_text(scenario("room", "A"))
-    (warning,) = load_library([tmp_path], builtin=False).warnings
-    assert "'A' looks 9 s ahead, but 'room' ends after 4 s" in warning
+    with pytest.raises(ConfigurationError) as caught:
+        load_library([tmp_path], builtin=False)
+    assert str(caught.value).startswith(f"{file}:5: the windows of the formula reach beyond")
+    assert "which looks 9 s ahead" in str(caught.value)
+    assert "the scenario's duration of 4 s" in str(caught.value)
+    file.write_text(requirement("A", "eventually[0:4] (x > 0)"))
+    assert not load_library([tmp_path], builtin=False).warnings
 
 
 def test_a_scenario_cannot_rest_on_a_requirement_without_a_check(tmp_path: Path) -> None:

@@ -76,7 +76,7 @@ def test_a_complete_session_is_not_called_incomplete(html):
 def test_a_verdict_states_its_counts_bound_margin_and_counterexample(html):
     words = row(html, verdict_anchor("SAF-1", "a/clear+ghost"))
     assert words.startswith(
-        "a/clear+ghost ✗ violated 2 / 2 1 0 0 0 ≤ 97.5 % at 95 %1 allowed: none"
+        "a/clear+ghost ✗ violated 2 / 2 1 0 0 0 0 ≤ 97.5 % at 95 %1 allowed: none"
     )
     assert "-0.5 / 0.5" in words
     assert "1 of 2 valid episodes violated it" in words
@@ -427,8 +427,10 @@ def test_a_matrix_has_the_fewer_headings_in_its_columns():
     assert (high["corner"], high["rows"][2]["cells"]) == ("Requirement", [(2, 0)])
 
 
-SURE = {"check": "gap > 0", "run": 2, "pairs": None, "invalid": 0, "missing": 0, "saved": 0}
-RUN = {"planned": True, "run": 1, "validity": "valid"}
+SURE = {
+    "check": "gap > 0", "run": 2, "pairs": None, "open": [], "invalid": 0, "missing": 0, "saved": 0,
+}  # fmt: skip
+RUN = {"id": "case#1", "planned": True, "run": 1, "validity": "valid"}
 
 
 @pytest.mark.parametrize(
@@ -441,6 +443,8 @@ RUN = {"planned": True, "run": 1, "validity": "valid"}
         ({}, {"planned": False}, "not judged"),
         ({}, {"validity": "invalid"}, "invalid"),
         ({}, {"validity": "missing"}, "missing"),
+        ({"open": ["case#1"]}, {}, "open"),
+        ({"open": ["case#0"]}, {}, "satisfied"),
         ({"pairs": {}}, {}, "not violated"),
         ({"invalid": 1}, {}, "not violated"),
         ({"saved": 1}, {}, "not violated"),
@@ -466,7 +470,7 @@ def test_a_reason_of_the_gate_leads_to_its_verdict(html):
 def test_a_cell_of_the_heat_map_says_on_what_it_rests_and_whether_that_is_enough():
     one = verdict("SAF-1", "a/clear+ghost", ("violated", "invalid", "invalid"))
     words = section(render(session_record(verdicts=[one])), "faults")
-    assert "1/1 ✗ of 3 run" in words
+    assert "1/1 ✗ SEC" in words
     one = verdict("SAF-1", "a/clear+ghost", ("satisfied",), planned=3)
     html = render(session_record(verdicts=[one]))
     assert "? undecided 0/1 SEC" in section(html, "faults")

@@ -135,10 +135,11 @@ def test_a_rate_that_n_supports() -> None:
 def test_a_rate_that_n_cannot_support_is_undecided_and_says_what_would() -> None:
     found = judge(some(satisfied=58), at_most=0.05)
     assert found.verdict == "undecided"
-    assert "does not support 0.05; 59 episodes with 0 violations would" in found.reason
+    assert "which does not support 0.05; decide it by a sequential method" in found.reason
+    assert "or by a new plan on a fresh seed: 59 episodes allow 0 violations" in found.reason
     found = judge(some(satisfied=91, violated=1), at_most=0.05)
     assert found.verdict == "undecided"
-    assert "93 episodes with 1 violations would" in found.reason
+    assert "on a fresh seed: 93 episodes allow 1 violations" in found.reason
 
 
 def test_a_rate_that_is_exceeded() -> None:
@@ -192,7 +193,8 @@ def test_the_record_has_the_keys_of_the_design_and_survives_json() -> None:
     plain = json.loads(json.dumps(found.to_json()))
     assert set(plain) >= KEYS_OF_THE_RECORD
     assert set(plain["bound"]) >= {"confidence", "upper", "method"}
-    assert plain["counterexamples"] == [{"episode": "case#1", "time": 2.0, "margin": -1.0}]
+    counterexample = {"episode": "case#1", "time": 2.0, "margin": -1.0, "valid": True}
+    assert plain["counterexamples"] == [counterexample]
     assert plain["vacuous"] == 0
     assert CampaignVerdict.from_json(plain) == found
 
@@ -219,12 +221,14 @@ def test_nothing_is_saved_where_runs_ended_for_want_of_an_answer() -> None:
     assert (found.verdict, found.saved) == ("undecided", 0)
 
 
-def test_what_is_run_after_the_decision_is_counted_and_changes_nothing() -> None:
-    verdicts = some(satisfied=74, violated=3)
+def test_a_violation_after_a_sequential_acceptance_is_not_supported() -> None:
     rule = Requirement("R", at_most=0.05, method="e-process")
+    found = judge_campaign(rule, "case", some(satisfied=76), planned=100)
+    assert (found.verdict, found.episodes, found.saved) == ("supported", 76, 24)
+    verdicts = [*some(satisfied=74), *(one(run, "violated", -1.0) for run in (75, 76, 77))]
     found = judge_campaign(rule, "case", verdicts, planned=100)
-    assert (found.verdict, found.episodes, found.violations) == ("supported", 77, 3)
-    assert (found.run, found.saved) == (77, 23)
+    assert (found.verdict, found.episodes, found.violations) == ("undecided", 77, 3)
+    assert "supported after 74 episodes, and 3 after these violated it" in found.reason
 
 
 @pytest.mark.parametrize("method", ["e-process", "sprt", "fixed"])

@@ -196,10 +196,10 @@ def test_an_episode_that_ended_early_has_no_signals_that_hindsight_gives() -> No
 def test_nothing_else_is_read_from_an_episode_that_ended_early() -> None:
     found = run(WARM)
     own = judge_episode(Requirement("R", check="always (temperature < 1000)"), found)
-    assert own.verdict == "invalid"
+    assert own.verdict == "open"
     assert "does not decide" in own.detail
     function = judge_episode(Requirement("R"), found, lambda _: CheckResult(True))
-    assert function.verdict == "invalid"
+    assert function.verdict == "open"
     assert "once the requirements of its case were decided" in function.detail
     violated = judge_episode(Requirement("R"), found, lambda _: False)
     assert violated.verdict == "violated"

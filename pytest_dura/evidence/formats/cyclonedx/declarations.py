@@ -30,7 +30,10 @@ _PREDICATES = {
     "violated": "The evidence refutes that {what}",
     "undecided": "The evidence does not decide whether {what}",
 }
-_FIGURES = ("verdict", "planned", "run", "episodes", "violations", "invalid", "missing", "bound")
+_FIGURES = (
+    "verdict", "planned", "run", "episodes", "violations", "open", "without_effect", "invalid",
+    "missing", "bound",
+)  # fmt: skip
 
 
 def declarations(record: SessionRecord) -> Data:
@@ -162,7 +165,7 @@ def _counterexamples(number: int, verdict: Data, places: Mapping[Any, Any]) -> D
     for one in found[:LISTED]:
         index, trace = places.get((one["episode"], verdict["component"]), (None, None))
         shown = name(one["episode"], NAME_LIMIT)
-        contents = _json({"time": one["time"], "margin": one["margin"]})
+        contents = _json({key: one[key] for key in ("time", "margin", "valid")})
         if index is not None:
             contents["url"] = f"{RECORD}#/episodes/{index}"
         data.append({"name": shown, "contents": contents})

@@ -172,9 +172,15 @@ class _Maker:
             challenges=self.identifier("G"),
             url=self.url,
             alias=self.alias("challenge"),
-            brief=(f"{self.verdict['violations']} of {self.verdict['episodes']}", "violate it"),
+            brief=self._challenge_brief(),
         )
         yield from evidence
+
+    def _challenge_brief(self) -> tuple[str, str]:
+        verdict = self.verdict
+        if verdict["without_effect"] and not verdict["violations"]:
+            return f"{verdict['without_effect']} violate it", "without effect"
+        return f"{verdict['violations']} of {verdict['episodes']}", "violate it"
 
     def _challenge_text(self, told: int) -> str:
         verdict = self.verdict
@@ -184,8 +190,13 @@ class _Maker:
             "undecided": ", which decide nothing yet",
         }[verdict["verdict"]]
         what = "pairs" if verdict["pairs"] is not None else "episodes"
-        rest = verdict["violations"] - told
+        rest = len(verdict["counterexamples"]) - told
         more = f" {rest} more stand in the record." if told and rest > 0 else ""
+        if verdict["without_effect"] and not verdict["violations"]:
+            return (
+                f"{verdict['without_effect']} of {verdict['invalid']} invalid {what} violate "
+                f"{self.requirement} in {self.where}, without effect of the fault.{more}"
+            )
         return (
             f"{verdict['violations']} of {verdict['episodes']} valid {what} violate "
             f"{self.requirement} in {self.where}{how}.{more}"
@@ -197,6 +208,7 @@ class _Maker:
         margin = "" if one["margin"] is None else f", margin {one['margin']:.4g}"
         known = self.facts.counterexamples.get((episode, self.verdict["component"]), {})
         seed = f", seed {known['seed']}" if known else ""
+        effect = "" if one["valid"] else ", without effect of the fault"
         trace = known.get("trace")
         given = evidence_option(self.record["command"])
         models = {key: name(one) for key, one in model_options(self.record["command"]).items()}
@@ -206,7 +218,7 @@ class _Maker:
             layers["trace"] = name(str(trace["file"]))
         return Element(
             self.identifier("CSn", str(index)),
-            f"Episode {name(episode)} violates it{when}{margin}{seed}.",
+            f"Episode {name(episode)} violates it{when}{margin}{seed}{effect}.",
             url=f"{self.url}/counterexamples/{index}",
             layers=layers,
             brief=("run " + name(episode).rpartition("#")[2][:10], when.strip()),

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from pytest_dura.evidence.formats.stated import besides
 from pytest_dura.evidence.text import name, one_line
 
 Data = Mapping[str, Any]
@@ -54,10 +55,9 @@ def verdict_text(verdict: Data, *, several: bool) -> str:
 def evidence_text(verdict: Data) -> str:
     """The counts and the bound of a verdict, as they stand in the record."""
     what = "pairs" if verdict["pairs"] is not None else "episodes"
-    others = [f"{verdict[key]} {key}" for key in ("invalid", "missing", "vacuous") if verdict[key]]
     runs = f"{verdict['run']} run, {verdict['planned']} planned"
     told = [
-        ", ".join([f"n = {verdict['episodes']} valid {what} of {runs}", *others]),
+        ", ".join([f"n = {verdict['episodes']} valid {what} of {runs}", *besides(verdict)]),
         f"violations: {verdict['violations']}",
         _upper(verdict["bound"]),
     ]

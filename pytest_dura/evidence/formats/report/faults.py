@@ -46,6 +46,8 @@ def _faults(case: Data) -> list[str]:
 def _heat(record: SessionRecord, left_out: Collection[str]) -> Data:
     """Violating among valid episodes, by fault and requirement, over all cases with that fault.
 
+    Runs in which a fault had no effect are no sample of runs with it, and stand in no cell.
+
     Args:
         record: The record.
         left_out: Names of faults without a row; only folded cases have them.
@@ -77,11 +79,10 @@ def _cell(verdicts: list[Data] | None) -> Data:
     if not verdicts:
         return {"word": "untested"}
     n = sum(one["episodes"] for one in verdicts)
-    run = sum(one["run"] for one in verdicts)
     violations = sum(one["violations"] for one in verdicts)
     if not n:
         return {"word": "no valid episode"}
     step = sum(violations / n > bound for bound in STEPS)
     doubt = not violations and any(one["verdict"] == "undecided" for one in verdicts)
-    counts = {"n": n, "run": run, "violations": violations}
+    counts = {"n": n, "violations": violations}
     return {"word": "", "step": step, "doubt": doubt, **counts}

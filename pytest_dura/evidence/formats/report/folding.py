@@ -62,5 +62,8 @@ def _is_plain(case: Data, verdicts: list[Data]) -> bool:
 
 
 def _passed(verdict: Data) -> bool:
-    against = ("violations", "invalid", "missing", "waiver", "attempts", "counterexamples")
+    against = (
+        "violations", "open", "without_effect", "invalid", "missing", "waiver", "attempts",
+        "counterexamples",
+    )  # fmt: skip
     return verdict["verdict"] == "supported" and not any(verdict[key] for key in against)

@@ -106,7 +106,8 @@ def _judged(record: SessionRecord, one: Listed) -> list[Data]:
         ]
         if against and one.violates:
             told |= {"time": against[0]["time"], "margin": against[0]["margin"]}
-            violated.append({**told, "verdict": "violated"})
+            note = "" if against[0]["valid"] else "without effect of the fault"
+            violated.append({**told, "verdict": "violated", "note": note})
         else:
             word, note = _unviolated(verdict, one.episode)
             others.append({**told, "verdict": word, "note": note})
@@ -124,6 +125,8 @@ def _unviolated(verdict: Data, episode: Data) -> tuple[str, str]:
         return "not judged", "the verdict rests on other runs"
     if episode["validity"] != "valid":
         return episode["validity"], ""
+    if episode["id"] in verdict["open"]:
+        return "open", "the episode ended before it was decided"
     if verdict["pairs"] is not None:
         return "not violated", "judged on pairs of runs"
     if verdict["invalid"] or verdict["missing"] or verdict["saved"]:

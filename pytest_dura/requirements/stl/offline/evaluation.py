@@ -5,7 +5,7 @@ from __future__ import annotations
 from bisect import bisect_left
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,17 +20,38 @@ from pytest_dura.requirements.stl.offline.values import Values
 from pytest_dura.requirements.stl.offline.windows import Array
 
 Status = Literal["satisfied", "violated", "undecided"]
+Ending = Literal["time", "goal", "stopped", "open"]
+"""How a trace ended, which says what its last sample decides:
+
+- ``time``: at its time limit. Operators without a window range over the trace; a window that leaves
+  it sees unknown samples there.
+- ``goal``: at the component's goal. The trace is judged as it stands, windows are cut at its end.
+- ``stopped``: nothing happens any more, after a crash or a halt. What was to happen eventually does
+  not; what was to hold always is known for the trace alone.
+- ``open``: it is a prefix, and anything may follow.
+"""
 
 UNIFORM = 0.01
 """Share of the time step by which the distance of two samples may differ from it."""
 
+
+def _modes(ending: Ending, truth: bool) -> tuple[Mode, Mode]:
+    """Modes of the least and of the greatest value that the ending leaves possible.
+
+    A cut window is the greatest value of a trace that was stopped: in negation normal form, cutting
+    takes from ``eventually`` and ``until`` what would have to happen, and from ``always`` what
+    could go wrong. Where a formula is negated, the two modes change places and the two operators as
+    well.
+    """
+    cut = Mode(truth=truth)
+    least, greatest = (Mode(unknown, ending != "time", truth) for unknown in (-np.inf, np.inf))
+    if ending == "goal":
+        return cut, cut
+    return (least, cut) if ending == "stopped" else (least, greatest)
+
+
 _MODES = {
-    (complete, truth): (
-        Mode(unknown=-np.inf, open_end=not complete, truth=truth),
-        Mode(unknown=np.inf, open_end=not complete, truth=truth),
-    )
-    for complete in (True, False)
-    for truth in (True, False)
+    (ending, truth): _modes(ending, truth) for ending in get_args(Ending) for truth in (True, False)
 }
 
 
@@ -84,19 +105,16 @@ def evaluate(
     time: ArrayLike,
     signals: Mapping[str, ArrayLike],
     *,
-    complete: bool = True,
+    ending: Ending = "time",
     time_step: float | None = None,
 ) -> Evaluation:
     """Judge one trace.
-
-    A bounded window that leaves the trace sees unknown samples there. Operators without a window
-    range over the episode: to the last sample of a complete trace, and beyond that of a prefix.
 
     Args:
         formula: What to judge by.
         time: Seconds of each sample, at even distances, shape ``(n,)`` with ``n`` of at least 1.
         signals: Columns of shape ``(n,)`` by name.
-        complete: Whether the trace is the whole episode.
+        ending: How the trace ended, see :data:`Ending`.
         time_step: Seconds from sample to sample, by default their median distance.
 
     Raises:
@@ -117,11 +135,11 @@ def evaluate(
     frame.refuse_not_finite()
     with np.errstate(all="ignore"):
         values = Values(plan.program, frame)
-        return _evaluation(plan, values, complete)
+        return _evaluation(plan, values, ending)
 
 
-def _evaluation(plan: Plan, values: Values, complete: bool) -> Evaluation:
-    parts = [_judged(conjunct, values, complete) for conjunct in plan.conjuncts]
+def _evaluation(plan: Plan, values: Values, ending: Ending) -> Evaluation:
+    parts = [_judged(conjunct, values, ending) for conjunct in plan.conjuncts]
     violated = [part for part in parts if part.status == "violated"]
     undecided = [part for part in parts if part.status == "undecided"]
     status = (violated or undecided or parts)[0].status
@@ -139,14 +157,22 @@ def _evaluation(plan: Plan, values: Values, complete: bool) -> Evaluation:
         time=None if decided is None else float(times[decided]),
         worst_time=float(times[index]),
         detail=_detail(violated, undecided, worst, float(times[-1])),
-        vacuous=status == "satisfied"
-        and plan.has_implication
-        and vacuous(plan.formula.root, plan.program, values, complete=complete),
+        vacuous=status == "satisfied" and _vacuous(plan, values, ending, worst.margin),
     )
 
 
-def _judged(conjunct: Conjunct, values: Values, complete: bool) -> _Part:
-    least, greatest = _MODES[complete, False]
+def _vacuous(plan: Plan, values: Values, ending: Ending, margin: float) -> bool:
+    """Whether no condition ever held, or every window lies behind the end that was cut."""
+    if ending == "goal" and margin == np.inf:
+        return True
+    complete = ending in ("time", "goal")
+    return plan.has_implication and vacuous(
+        plan.formula.root, plan.program, values, complete=complete
+    )
+
+
+def _judged(conjunct: Conjunct, values: Values, ending: Ending) -> _Part:
+    least, greatest = _MODES[ending, False]
     lower, at_lower = conjunct.at_start(values, least)
     upper, at_upper = conjunct.at_start(values, greatest)
     if lower == upper:
@@ -154,16 +180,16 @@ def _judged(conjunct: Conjunct, values: Values, complete: bool) -> _Part:
         margin, index = lower, at_upper if conjunct.is_minimum else at_lower
     else:
         margin, index = conjunct.at_start(values, TRUNCATED)
-    status = _status(conjunct, values, complete, lower, upper)
+    status = _status(conjunct, values, ending, lower, upper)
     decided = _violation(conjunct, values) if status == "violated" else None
     return _Part(conjunct, status, margin, lower, upper, index, decided)
 
 
 def _status(
-    conjunct: Conjunct, values: Values, complete: bool, lower: float, upper: float
+    conjunct: Conjunct, values: Values, ending: Ending, lower: float, upper: float
 ) -> Status:
     """The verdict. Only a margin of zero does not tell it: that satisfies >= and violates >."""
-    least, greatest = _MODES[complete, True]
+    least, greatest = _MODES[ending, True]
     if lower > 0 or (lower == 0 and conjunct.at_start(values, least)[0] > 0):
         return "satisfied"
     if upper < 0 or (upper == 0 and conjunct.at_start(values, greatest)[0] < 0):
@@ -176,7 +202,7 @@ def _violation(conjunct: Conjunct, values: Values) -> int:
 
     A prefix that decides it has none but such continuations, so that bisection finds the first.
     """
-    greatest = _MODES[False, True][1]
+    greatest = _MODES["open", True][1]
     last: int = values.frame.shape[-1] - 1
     if conjunct.at_start(values, greatest)[0] >= 0:
         return last  # no prefix decides it, but the end of the episode

@@ -131,14 +131,14 @@ def test_what_the_end_of_a_trace_leaves_open(
 
 
 def test_a_prefix_decides_only_what_no_further_sample_can_change() -> None:
-    assert judge("always (x > 0)", x=[1, 2], complete=False).status == "undecided"
-    assert judge("always (x > 0)", x=[1, -2], complete=False).status == "violated"
-    assert judge("eventually (x > 0)", x=[-1, -2], complete=False).status == "undecided"
-    assert judge("eventually (x > 0)", x=[-1, 2], complete=False).status == "satisfied"
-    assert judge("always[0:1] (x > 0)", x=[1, 2], complete=False).status == "satisfied"
-    assert judge("(x > 0) until (x > 5)", x=[1, 2], complete=False).status == "undecided"
-    assert judge("(x > 0) until (x > 5)", x=[1, -2], complete=False).status == "violated"
-    assert judge("(x > 0) until (x > 5)", x=[1, 6], complete=False).status == "satisfied"
+    assert judge("always (x > 0)", x=[1, 2], ending="open").status == "undecided"
+    assert judge("always (x > 0)", x=[1, -2], ending="open").status == "violated"
+    assert judge("eventually (x > 0)", x=[-1, -2], ending="open").status == "undecided"
+    assert judge("eventually (x > 0)", x=[-1, 2], ending="open").status == "satisfied"
+    assert judge("always[0:1] (x > 0)", x=[1, 2], ending="open").status == "satisfied"
+    assert judge("(x > 0) until (x > 5)", x=[1, 2], ending="open").status == "undecided"
+    assert judge("(x > 0) until (x > 5)", x=[1, -2], ending="open").status == "violated"
+    assert judge("(x > 0) until (x > 5)", x=[1, 6], ending="open").status == "satisfied"
 
 
 def test_a_response_that_fails_is_decided_when_its_window_ends() -> None:

@@ -90,4 +90,4 @@ def test_only_a_satisfied_formula_is_vacuous() -> None:
 def test_a_condition_that_a_prefix_leaves_open_has_not_held() -> None:
     text = "(always (x > 0)) implies (y > 0)"
     assert not judge(text, x=[1, 2], y=[1, 1]).vacuous
-    assert judge(text, x=[1, 2], y=[1, 1], complete=False).vacuous
+    assert judge(text, x=[1, 2], y=[1, 1], ending="open").vacuous
