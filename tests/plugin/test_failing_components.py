@@ -128,7 +128,9 @@ def test_a_violation_on_an_invalid_episode_is_a_violation(project):
     project.write("test_it.py", TEST.format("idle"))
     project.run("test_it.py").assert_outcomes(failed=2)
     (verdict,) = project.evidence()["verdicts"]
-    assert (verdict["verdict"], verdict["violations"]) == ("violated", 2)
+    assert (verdict["verdict"], verdict["violations"]) == ("violated", 0)
+    assert (verdict["without_effect"], verdict["invalid"], verdict["episodes"]) == (2, 2, 0)
+    assert verdict["reason"].startswith("violated, without effect of the fault")
 
 
 def test_a_test_cannot_pass_on_a_missing_episode(project):

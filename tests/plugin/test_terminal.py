@@ -78,7 +78,7 @@ def test_requirements_undecided_for_one_reason_are_told_once(project):
     lines = section(project.run("corridor/broken"))
     assert "undecided: GAP-1, GO-1 on corridor/broken (Careful)" in lines
     start = lines.index("undecided  corridor/broken (Careful)")
-    assert lines[start + 1] == " " * 11 + "n = 0, 0 violations, every episode"
+    assert lines[start + 1] == " " * 11 + "n = 0, 0 violations, 3 missing, every episode"
     assert lines[start + 2].startswith(" " * 11 + "GAP-1")
     reruns = [line for line in lines if line.startswith("  rerun:")]
     assert reruns == ["  rerun:  pytest corridor/broken"]

@@ -1,0 +1,211 @@
+"""Runs that end early, and runs in which a fault had no effect: what they count as, and where."""
+
+from __future__ import annotations
+
+import json
+import re
+from xml.etree import ElementTree as ET
+
+import pytest
+from corridors import IDLE, expect, requirement, scenario
+
+from pytest_dura.requirements.statistics import upper_bound
+
+CRASHES = '''
+"""A corridor that crashes, or reaches its goal, at a tick that the world names."""
+
+from corridor import Corridor
+from pytest_dura import Assessed, Assessment, SafetyMonitor, Tick
+
+
+class Crashes(Corridor):
+    def reset(self, scenario, seed):
+        world = scenario["world"]
+        self.crash, self.goal = world.get("crash", 0), world.get("goal", 0)
+        return super().reset(scenario, seed)
+
+    def _tick(self):
+        made = super()._tick()
+        crashed = self.crash and self.index >= self.crash
+        return Tick(
+            made.index, made.time, made.truth, made.channels,
+            critical="ran into VICTIM" if crashed else None,
+            goal=bool(self.goal and self.index >= self.goal),
+        )
+
+
+class Refuses(SafetyMonitor):
+    def run(self, view):
+        return Assessment(Assessed.UNSAFE, reasons=("no further",))
+'''
+
+
+@pytest.fixture
+def crashing(project):
+    """The project with the module `crashes`."""
+    project.write("crashes.py", CRASHES)
+    return project
+
+
+def crash(project, check, *, world="{crash: 2}", duration=1.0, **keys):
+    """The scenario `corridor/it` on `Crashes`, judged by one requirement R-1."""
+    requirement(project, check, at_most=keys.pop("at_most", None))
+    wanted = {"requirements": "[R-1]", "runs": 3, **keys}
+    scenario(project, simulator="crashes:Crashes", world=world, duration=duration, **wanted)
+
+
+LATE = "always[0.5:0.8] (x < 50)"
+"""A window that begins after the crash."""
+
+
+def test_runs_that_crash_before_a_window_count_as_violations(crashing):
+    sees = "requirements: [{id: SEES-1, text: No crash., kind: safety, check: 'always (x < 0.15)'}]"
+    crashing.write("scenarios/requirements_SEES-1.yaml", sees)
+    variation = "{world.crash: {choice: [2, 0, 0, 0, 0, 0, 0, 0]}}"
+    crash(
+        crashing, LATE, at_most=0.05, runs=80, variation=variation, requirements="[R-1, SEES-1]"
+    )  # fmt: skip
+    result = crashing.run("corridor/it::R-1")
+    found = expect(crashing, result, "undecided", "ended before it was decided")
+    opened = len(found["open"])
+    assert 3 <= opened <= 20
+    assert (found["episodes"], found["violations"], found["run"]) == (80, 0, 80)
+    assert found["bound"]["upper"] == upper_bound(opened, 80, 0.95)
+    assert f"{opened} ended before it was decided" in result.stdout.str()
+    ends = {one["id"]: one["termination"] for one in crashing.evidence()["episodes"]}
+    assert {name for name, end in ends.items() if end == "critical"} == set(found["open"])
+
+
+def test_one_open_run_leaves_a_requirement_without_a_rate_undecided(crashing):
+    crash(crashing, LATE, variation="{world.crash: {choice: [2, 0]}}", runs=6)
+    result = crashing.run("corridor/it")
+    found = expect(crashing, result, "undecided", "ended before it was decided (")
+    assert 0 < len(found["open"]) < 6
+    assert re.search(r"\d of 6 valid episodes ended before it was decided \(\d critical\)",
+                     found["reason"])  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "check",
+    [
+        "eventually[0:0.9] (x >= 100)",
+        "eventually (x >= 100)",
+        "(x < 100) until (x >= 100)",
+        "not always[0:0.9] (x < 100)",
+    ],
+)
+def test_an_eventuality_that_is_due_at_a_crash_is_violated(crashing, check):
+    crash(crashing, check)
+    found = expect(crashing, crashing.run("corridor/it"), "violated", "valid episodes violated it")
+    assert (found["violations"], found["open"]) == (found["episodes"], [])
+
+
+def test_a_halt_leaves_open_what_was_to_hold_always(crashing):
+    crash(crashing, "always (x < 50)", world="{}", monitor="crashes:Refuses")
+    file = crashing.path / "scenarios/corridor/it.yaml"
+    file.write_text(file.read_text() + "policy: halt\n")
+    result = crashing.run("corridor/it")
+    found = expect(crashing, result, "undecided", "ended before it was decided")
+    assert len(found["open"]) == found["episodes"] > 0
+
+
+@pytest.mark.parametrize(
+    "check, word", [(LATE, "undecided"), ("always[0.1:0.8] (x < 50)", "supported"),
+                    ("always (x < 50)", "supported"), ("eventually[0:0.8] (x >= 50)", "violated")]
+)  # fmt: skip
+def test_an_end_by_goal_is_judged_on_the_trace_as_it_stands(crashing, check, word):
+    # The first window lies behind the end altogether: such passes are vacuous.
+    crash(crashing, check, world="{goal: 2}")
+    found = expect(crashing, crashing.run("corridor/it"), word)
+    assert (found["open"], found["invalid"]) == ([], 0)
+    assert ("vacuous" in found["reason"]) == (word == "undecided")
+
+
+def test_a_window_beyond_the_duration_is_refused_at_its_place(crashing):
+    crash(crashing, "eventually[0:60] (x >= 100)")
+    result = crashing.run("corridor/it")
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    told = result.stderr.str()
+    assert "requirements_R-1.yaml:2: the windows of the formula reach beyond the episodes" in told
+    assert "which looks 60 s ahead" in told
+    assert "the scenario's duration of 1 s" in told
+
+
+def test_a_crash_that_no_requirement_sees_is_undecided(crashing):
+    crash(crashing, "eventually (x >= 0)")
+    result = crashing.run("corridor/it")
+    reason = "a crash that no requirement sees: corridor/it#0"
+    found = expect(crashing, result, "undecided", reason)
+    assert len(found["unseen_crashes"]) == found["run"]
+    assert found["open"] == []
+
+
+def test_a_crash_that_another_requirement_sees_is_no_obstacle(crashing):
+    sees = "requirements: [{id: SEES-1, text: No crash., kind: safety, check: 'always (x < 0.15)'}]"
+    crashing.write("scenarios/requirements_SEES-1.yaml", sees)
+    crash(crashing, "eventually (x >= 0)", requirements="[R-1, SEES-1]")
+    result = crashing.run("corridor/it")
+    expect(crashing, result, "supported", ret=1)
+    expect(crashing, result, "violated", requirement="SEES-1")
+
+
+def test_an_invalid_run_that_violates_fails_the_gate_in_words_of_its_own(project):
+    requirement(project, "always (gap > 0)")
+    scenario(
+        project, world="{wall: 1.0}", generator="Reckless", faults=IDLE, fault_injector="Idle",
+        requirements="[R-1]",
+    )  # fmt: skip
+    result = project.run("corridor/it", "--dura-undecided=warn")
+    found = expect(project, result, "violated", "violated, without effect of the fault, in 3 of 3")
+    assert (found["episodes"], found["violations"], found["invalid"]) == (0, 0, 3)
+    assert (found["without_effect"], found["bound"]["upper"]) == (3, None)
+    assert [one["valid"] for one in found["counterexamples"]] == [False] * 3
+    assert "valid episodes violated it" not in result.stdout.str()
+
+
+def test_a_rate_is_not_supported_beside_invalid_runs_that_violate(project):
+    requirement(project, "always (gap > 3)", at_most=0.9)
+    late = "{choice: [0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 0.4]}"  # after 0.4 s nothing is decided
+    scenario(
+        project, runs=30, requirements="[R-1]", world="{wall: 99.0}",
+        faults="[{type: ghost-obstacle, activation: {at: 0.1}}]",
+        variation=f"{{faults.ghost-obstacle.activation.at: {late},"
+        " world.wall: {choice: [3.2, 99.0]}}",
+        fault_injector="oddities:Nudge",
+    )  # fmt: skip
+    result = project.run("corridor/it")
+    found = expect(project, result, "undecided", "violated, without effect of the fault")
+    assert found["without_effect"] > 0
+    assert 0 < found["violations"] < found["episodes"]
+    assert found["bound"]["upper"] == upper_bound(found["violations"], found["episodes"], 0.95)
+
+
+def test_every_format_agrees_on_runs_without_effect_of_the_fault(project):
+    requirement(project, "always (gap > 0)")
+    scenario(
+        project, world="{wall: 1.0}", generator="Reckless", faults=IDLE, fault_injector="Idle",
+        requirements="[R-1]",
+    )  # fmt: skip
+    result = project.run("corridor/it", "--junit-xml=junit.xml", "--alluredir=allure")
+    words = "violated, without effect of the fault, in 3 of 3 invalid episodes"
+    folder = project.path / "dura-evidence"
+    terminal = " ".join(result.stdout.str().split())
+    assert words in terminal
+    assert "n = 0, 0 violations, 3 violated without effect of the fault, 3 invalid" in terminal
+    assert re.search(r"corridor/it +0 \(2\) .*\+3\*", result.stdout.str())
+    report = (folder / "report.html").read_text()
+    assert words in report
+    assert "3 of 3 valid" not in report
+    assert re.search(r"0/0\s*<small><abbr[^>]*>\+3\*", report)
+    summary = (folder / "summary.md").read_text()
+    assert "0 of 0, 3\\*" in summary or "0 of 0, 3*" in summary
+    gsn = (folder / "assurance-case.gsn.yaml").read_text()
+    assert "3 of 3 invalid episodes violate R-1" in " ".join(gsn.split())
+    cyclonedx = (folder / "cyclonedx.json").read_text()
+    assert "3 violated without effect of the fault" in cyclonedx
+    xml = ET.parse(project.path / "junit.xml")
+    properties = {one.get("name"): one.get("value") for one in xml.iter("property")}
+    assert (properties["valid"], properties["violations"]) == ("0", "0")
+    assert (properties["without_effect"], properties["invalid"]) == ("3", "3")
+    results = [json.loads(file.read_text()) for file in project.path.glob("allure/*result.json")]
+    assert any(words in json.dumps(one) for one in results)
