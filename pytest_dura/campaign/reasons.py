@@ -50,18 +50,25 @@ def reasons(
         lines.append(f"measure:  {paired.measure}, which may grow by {paired.change_at_most:g}")
     if paired is not None:
         lines.append(f"pairs:    with {paired.without}, and without")
-    if verdict.counterexamples:
-        worst = verdict.counterexamples[0]
-        lines.append(f"worst:    {describe_counterexample(asdict(worst))}")
-        others = [one.episode.rpartition("#")[2] for one in verdict.counterexamples[1:]]
-        if others:
-            lines.append(f"also in:  {_runs(others)}")
+    lines += _violations(verdict)
     if spoilt is not None and spoilt.verdict == "invalid":
         lines.append(f"invalid:  {spoilt.episode}: {spoilt.detail}")
     if failures.first:
         lines.append(f"component: {failures}")
     # What a component says must not read as a line of ours.
     return [line.replace("\n", "\n    ") for line in lines]
+
+
+def _violations(verdict: CampaignVerdict) -> list[str]:
+    if not verdict.counterexamples:
+        return []
+    lines = [f"worst:    {describe_counterexample(asdict(verdict.counterexamples[0]))}"]
+    others = [one.episode.rpartition("#")[2] for one in verdict.counterexamples[1:]]
+    if others:
+        lines.append(f"also in:  {_runs(others)}")
+    if verdict.without_effect:
+        lines.append(f"invalid:  in {verdict.without_effect} of them no fault had an effect")
+    return lines
 
 
 def describe_counterexample(example: Mapping[str, Any]) -> str:

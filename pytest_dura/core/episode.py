@@ -259,7 +259,7 @@ class Episode:
     def validity(self) -> Validity:
         """Missing after an infrastructure error; invalid if a planned fault never manifested.
 
-        A violation counts all the same: requirements look at the signals first.
+        What an invalid episode violates fails the gate all the same.
         """
         if self.failure is not None:
             return "missing"

@@ -134,6 +134,8 @@ def _show_episode(
         from pytest_dura.campaign.reasons import describe_counterexample
 
         terminal.line(f"  worst:  {describe_counterexample(verdict['counterexamples'][0])}")
+        if not verdict["counterexamples"][0]["valid"]:
+            terminal.line(f"  invalid: {episode.get('invalid_reason')}")
         # What ended the episode before its time, if anything did.
         for event in episode["events"]:
             if event["kind"] == "critical":

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Literal
 
 from pytest_dura.requirements.statistics.sequential import (
@@ -118,6 +119,7 @@ class EProcess(CountingTest):
         return rejected
 
 
+@lru_cache(maxsize=2**16)  # campaigns of one requirement look at the same counts
 def log_e_value(violations: int, episodes: int, rate: float, side: _Side = "below") -> float:
     """Natural logarithm of the e-value against "the true rate is not on this side of ``rate``".
 
