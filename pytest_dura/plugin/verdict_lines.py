@@ -63,7 +63,10 @@ def show_verdicts(session: DuraSession, terminal: Any, record: SessionRecord) ->
 
 def _counts(verdict: Data) -> str:
     """The figures that the verdict rests on."""
-    counts = f"n = {verdict['episodes']}, {counted(verdict['violations'], 'violation')}"
+    from pytest_dura.evidence.formats.stated import also_without
+
+    violations = counted(verdict["violations"], "violation") + also_without(verdict)
+    counts = f"n = {verdict['episodes']}, {violations}"
     if verdict["pairs"]:
         counts = f"pairs without {verdict['pairs']['without']}: {counts}"
     left = [told for told in besides(verdict) if not told.endswith("vacuous")]
