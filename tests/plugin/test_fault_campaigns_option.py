@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import pytest
 from corridors import scenario
 
@@ -206,7 +208,8 @@ def test_no_fault_is_blamed_for_what_happens_without_it(project):
     (fault,) = record["cases"][0]["metrics"]["faults"]
     assert (fault["judged"], fault["violated"], fault["violated_without"]) == (3, 0, 3)
     (verdict,) = record["verdicts"]
-    assert (verdict["verdict"], verdict["violations"], verdict["also_without"]) == ("violated", 3, 3)
+    assert verdict["verdict"] == "violated"
+    assert (verdict["violations"], verdict["also_without"]) == (3, 3)
     terminal = result.stdout.str()
     row = next(line for line in result.outlines if line.startswith("noise on corridor/it "))
     assert row.split()[-1] == "0+3"
@@ -239,7 +242,7 @@ def test_an_alert_before_the_component_reads_the_fault_has_detected_it(project):
         "        alerts = (Alert('jump', 'gap'),) if view.percept['gap'] > 4 else ()\n"
         "        return SecurityAssessment(alerts=alerts)\n",
     )
-    once = "{type: bias, target: gap, activation: {at: 0.5}, duration: 0.6, parameters: {offset: 5}}"
+    once = BIAS.replace("at: 0.5}", "at: 0.5}, duration: 0.6")
     near_the_wall(
         project,
         generator="slow:Slow",
@@ -443,3 +446,43 @@ def test_of_several_components_the_one_that_violates_is_reduced(project):
     result = project.run("a", "b", *replay)
     assert result.ret == 0
     assert "  the same" in result.outlines
+
+
+def conformance(project):
+    """Of each requirement in the session's CycloneDX file: its score, if any, and why."""
+    document = json.loads((project.path / "dura-evidence/cyclonedx.json").read_text())
+    names = [one["identifier"] for one in document["definitions"]["standards"][0]["requirements"]]
+    entries = document["declarations"]["attestations"][0]["map"]
+    return {
+        name: (entry["conformance"].get("score"), entry["conformance"]["rationale"])
+        for name, entry in zip(names, entries, strict=True)
+    }
+
+
+def test_a_green_gate_reads_as_full_conformance_where_two_scenarios_have_other_faults(project):
+    near_the_wall(project, name="it", faults=f"[{NOISE}]")
+    near_the_wall(project, name="too", faults=f"[{DRIFT}]")
+    result = project.run("corridor/it", "corridor/too")
+    assert result.ret == 0
+    untested = [one for one in project.evidence()["coverage"]["cells"] if one["verdict"] is None]
+    assert untested, "each fault in the other scenario, which nobody declared"
+    assert [score for score, _ in conformance(project).values()] == [1]
+
+
+def test_a_partly_decided_requirement_has_no_conformance_score_and_a_violated_one_has_0(project):
+    near_the_wall(project, faults=f"[{NOISE}]", requirements="[GAP-1, GO-1]")
+    assert project.run("corridor/it::GAP-1").ret == 0
+    (score, _), (left_out, why) = conformance(project).values()
+    assert (score, left_out) == (1, None)
+    assert "1 untested, no verdict. No score" in why
+    near_the_wall(project, name="bad", faults=f"[{BIAS}]")
+    near_the_wall(project, name="too")
+    assert project.run("corridor/bad", "corridor/too").ret == 1
+    ((score, why),) = conformance(project).values()
+    assert score == 0
+    assert "1 of 2 verdicts supported; 1 violated. 0: it was violated" in why
+    near_the_wall(project, name="bad", faults=f"[{LATE}]")
+    assert project.run("corridor/bad", "corridor/too", "--dura-undecided=warn").ret == 0
+    ((score, why),) = conformance(project).values()
+    assert score is None
+    assert "1 of 2 verdicts supported; 1 undecided. No score" in why
