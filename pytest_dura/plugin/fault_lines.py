@@ -10,10 +10,10 @@ from pytest_dura.plugin.tables import Data, aligned
 COLUMNS = ("runs", "act", "manif", "prop", "det", "after s", "recov", "after s", "viol")
 LEGEND = (
     "act, manif: runs in which it became active, changed what the component read; of the latter,",
-    "prop: proposals left those of the fault-free twin; det: an alert, median time from activation;",
-    "recov: recovery acted, median time from manifestation; viol: a requirement was violated from",
-    "manifestation on; a+b: b more runs violate nothing that they keep without the fault; a/b: a of",
-    "the b runs in which that is known; -: it is known of none",
+    "prop: proposals left those of the fault-free twin; det: an alert, median time from when it",
+    "became active; recov: recovery acted, median time from manifestation; viol: a requirement was",
+    "violated from then on; a+b: b more runs violated only what they violate without it, too; a/b:",
+    "a of the b runs in which that is known; -: it is known of none",
 )
 
 
