@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from typing import Any
 
 from pytest_dura.core.episode import Episode
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.metrics import FaultRecord
-from pytest_dura.core.propagation import Divergence, PropagationWord
+from pytest_dura.core.propagation import Divergence, OutcomeWord, PropagationWord, outcome_of
 from pytest_dura.requirements.model import Requirement
 from pytest_dura.requirements.verdicts.episodes import judge_episode
-
-OutcomeWord = Literal["idle", "masked", "contained", "tolerated", "violated", "missing"]
 
 
 @dataclass(frozen=True)
@@ -26,9 +24,7 @@ class CausalChain:
             never manifested or that was not measured.
         propagated_at: When they did.
         unknown: Why that cannot be said.
-        outcome: ``idle`` (never active), ``masked`` (active, never manifested), ``contained`` (it
-            changed no proposal), ``tolerated`` (it may have, and nothing was violated),
-            ``violated``, or ``missing`` (the episode cannot tell).
+        outcome: See :func:`outcome_of`.
         violated: Requirements that were violated from its manifestation on.
         violated_without: Those among them that the fault-free twin violates, too; ``None`` if
             there is no twin to tell.
@@ -89,25 +85,16 @@ def _chain(
         for name, time in violated.items()
         if since is not None and (time is None or time >= since - 1e-9)
     )
-    outcome: OutcomeWord
-    if reached:
-        outcome = "violated"
-    elif episode.failure is not None:
-        outcome = "missing"
-    elif fault.activated_at is None:
-        outcome = "idle"
-    elif since is None:
-        outcome = "masked"
-    else:
-        outcome = "contained" if found is not None and found.word == "contained" else "tolerated"
+    also = None if without is None else tuple(name for name in reached if name in without)
+    word = found.word if found is not None else None
     return CausalChain(
         fault,
-        found.word if found is not None else None,
+        word,
         found.at if found is not None else None,
         found.reason if found is not None else "",
-        outcome,
+        outcome_of(fault, word, reached, also, missing=episode.failure is not None),
         reached,
-        None if without is None else tuple(name for name in reached if name in without),
+        also,
     )
 
 

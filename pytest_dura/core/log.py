@@ -68,6 +68,7 @@ class EpisodeLog:
         self._open: dict[tuple[str, str], str] = {}
         self._violated_at: dict[str, int] = {}
         self._alerts: dict[Alert, str] = {}
+        self._detections: dict[str, tuple[float, str, str]] = {}
         self._accounts: list[Mapping[str, Any]] = []
         self._account: Mapping[str, Any] = NOTHING
         self._recovery: str | None = None
@@ -175,9 +176,13 @@ class EpisodeLog:
 
     def _followed(self, tick: Tick, late: set[str], verdict: Assessed) -> None:
         """Detection and recovery of this tick, for the faults whose consequence they can be."""
-        alert, role = next(iter(self._alerts.items()), (None, None))
+        for alert, role in list(self._alerts.items())[:1]:
+            self._detected(tick, alert, role, late)
         for record in self.metrics.faults.values():
             first = record.manifested_at
+            if first is not None and record.detected_at is None and record.id in self._detections:
+                detection = self._detections[record.id]
+                record.detected_at, record.detected_by, record.pattern = detection
             if first is None or (record.id in late and first == tick.time):
                 continue
             acceptable = self._recovery is None and verdict is not Assessed.UNSAFE
@@ -185,13 +190,22 @@ class EpisodeLog:
                 record.recovered_at = tick.time
             if not _in_time(record, tick.time):
                 continue
-            if alert is not None and record.detected_at is None:
-                record.detected_at, record.detected_by = tick.time, role
-                record.pattern = alert.pattern
             if self._recovery is not None and record.recovery_at is None:
                 record.recovery_at, record.recovery = tick.time, self._recovery
         self._alerts.clear()
         self._recovery = None
+
+    def _detected(self, tick: Tick, alert: Alert, role: str, late: set[str]) -> None:
+        """Note an alert for each fault that it can answer, whether it has manifested by now or not.
+
+        What changes the command does so when the alerts of its first tick have been raised.
+        """
+        for record in self.metrics.faults.values():
+            began, at_end = record.began_at, record.on_command or record.id in late
+            if began is None or (at_end and began == tick.time):
+                continue
+            if _in_time(record, tick.time):
+                self._detections.setdefault(record.id, (tick.time, role, alert.pattern))
 
     def recovered(self, tick: Tick, recovery: Recovery, nanoseconds: int) -> None:
         """The RecoveryPlanner has replaced the proposal."""

@@ -10,15 +10,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+COMMAND = "command"
+"""The command channel: what is on its way to the actuators."""
+
 
 @dataclass
 class FaultRecord:
     """One fault from plan to recovery; times in s, ``None`` for what did not happen.
 
     A fault manifests when the value of a channel that the Generator read at that tick, or the
-    command, was changed. Detection and recovery are looked for from the first manifestation until
-    one second after the fault's end, and after it where the command was changed, since that
-    happens at the end of a tick.
+    command, was changed. Detection is looked for from the fault's activation on: a monitor may read
+    a channel before the Generator does. It counts where the fault manifests then or later. Recovery
+    is looked for from the first manifestation on. Both end one second after the fault's end. A
+    fault of the command is answered after the tick at which it began, since it acts at its end.
 
     Args:
         id: Its name in the episode.
@@ -27,7 +31,7 @@ class FaultRecord:
         activated_at: First tick at which it acted.
         manifested_at: First tick at which it manifested.
         deactivated_at: First tick at which the latest activation no longer acted.
-        detected_at: First alert.
+        detected_at: First alert while it was active.
         detected_by: Name of the role that raised it.
         pattern: Pattern of that alert.
         recovery_at: First recovery action.
@@ -67,9 +71,23 @@ class FaultRecord:
         return _between(self.activated_at, self.manifested_at)
 
     @property
+    def on_command(self) -> bool:
+        """Whether it acts on the command, or a part of it."""
+        return self.target.partition(".")[0] == COMMAND
+
+    @property
+    def began_at(self) -> float | None:
+        """From when on an alert answers it: activation, or manifestation if that comes first.
+
+        An injector need not report activations.
+        """
+        times = [time for time in (self.activated_at, self.manifested_at) if time is not None]
+        return min(times, default=None)
+
+    @property
     def detection_latency(self) -> float | None:
-        """Seconds from manifestation to the first alert."""
-        return _between(self.manifested_at, self.detected_at)
+        """Seconds from activation to the first alert, see :attr:`began_at`."""
+        return _between(self.began_at, self.detected_at)
 
     @property
     def recovery_latency(self) -> float | None:

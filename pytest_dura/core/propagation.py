@@ -1,9 +1,9 @@
-"""Propagation: whether a fault reached what the component proposes, by fault-free twins."""
+"""Propagation: what a fault reached and what came of it, by fault-free twins."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from typing import Literal
 
@@ -13,6 +13,9 @@ from pytest_dura.core.episode import Episode
 from pytest_dura.core.metrics import FaultRecord
 
 PropagationWord = Literal["propagated", "contained", "unknown"]
+OutcomeWord = Literal[
+    "idle", "masked", "contained", "tolerated", "violated", "violated also without it", "missing"
+]
 
 
 @dataclass(frozen=True)
@@ -99,6 +102,41 @@ class Divergence:
             return Propagation("propagated", self.at)
         reason = f"proposals differed already from {self.at:.2f} s on, through another fault"
         return Propagation("unknown", reason=reason)
+
+
+def outcome_of(
+    fault: FaultRecord,
+    propagation: str | None,
+    violated: Collection[str],
+    violated_without: Collection[str] | None,
+    *,
+    missing: bool,
+) -> OutcomeWord:
+    """What came of a fault in one episode.
+
+    ``idle`` (never active), ``masked`` (active, never manifested), ``contained`` (it changed no
+    proposal), ``tolerated`` (it may have, and nothing was violated), ``violated``, ``violated also
+    without it`` (all that was violated is violated without any fault, too), or ``missing`` (the
+    episode cannot tell).
+
+    Args:
+        fault: From plan to recovery.
+        propagation: Whether the proposals left those of the fault-free twin, if that is known.
+        violated: Requirements that were violated from its manifestation on.
+        violated_without: Those among them that the fault-free twin violates, too; ``None`` without
+            a twin: then no violation can be said to be there without the fault.
+        missing: Whether an infrastructure error ended the episode.
+    """
+    if violated:
+        own = set(violated).difference(violated_without or ())
+        return "violated" if own else "violated also without it"
+    if missing:
+        return "missing"
+    if fault.activated_at is None and fault.manifested_at is None:
+        return "idle"
+    if fault.manifested_at is None:
+        return "masked"
+    return "contained" if propagation == "contained" else "tolerated"
 
 
 def _common_end(one: Episode, other: Episode) -> float | None:

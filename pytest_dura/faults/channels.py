@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.metrics import COMMAND
 from pytest_dura.faults.model import Fault, Kind
-from pytest_dura.faults.targets import COMMAND, MESSAGES, Target
+from pytest_dura.faults.targets import MESSAGES, Target
 
 
 @dataclass(frozen=True)

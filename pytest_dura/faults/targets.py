@@ -11,11 +11,8 @@ from typing import Any
 import numpy as np
 
 from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.metrics import COMMAND
 from pytest_dura.core.state import Lazy
-
-COMMAND = "command"
-"""The command channel: what is on its way to the actuators."""
-
 
 MESSAGES = ("prompt", "model")
 """Channels of the component's own: what it puts before a model, and how the model is reached."""

@@ -10,8 +10,9 @@ from pytest_dura.plugin.tables import Data, aligned
 COLUMNS = ("runs", "act", "manif", "prop", "det", "after s", "recov", "after s", "viol")
 LEGEND = (
     "act, manif: runs in which it became active, changed what the component read; of the latter,",
-    "prop: proposals left those of the fault-free twin; det: an alert; recov: recovery acted; each",
-    "with the median time from manifestation; viol: a requirement was violated from then on; a/b:",
+    "prop: proposals left those of the fault-free twin; det: an alert, median time from when it",
+    "became active; recov: recovery acted, median time from manifestation; viol: a requirement was",
+    "violated from then on; a+b: b more runs violated only what they violate without it, too; a/b:",
     "a of the b runs in which that is known; -: it is known of none",
 )
 
@@ -34,7 +35,7 @@ def fault_table(cases: Sequence[Data]) -> list[str]:
 
 def _row(fault: Data) -> list[str]:
     propagated = _known(fault["propagated"], fault["followed"], fault["manifested"])
-    violated = _known(fault["violated"], fault["judged"], fault["run"])
+    violated = _known(fault["violated"], fault["judged"], fault["run"], fault["violated_without"])
     return [
         str(fault["run"]),
         str(fault["activated"]),
@@ -48,11 +49,19 @@ def _row(fault: Data) -> list[str]:
     ]
 
 
-def _known(count: int, known: int, whole: int) -> str:
-    """A count; with the number of runs in which it is known, if that is not all of them."""
+def _known(count: int, known: int, whole: int, apart: int = 0) -> str:
+    """A count; with the number of runs in which it is known, if that is not all of them.
+
+    Args:
+        count: Runs.
+        known: Runs in which it is known.
+        whole: All runs.
+        apart: Runs that are counted beside it.
+    """
+    shown = f"{count}+{apart}" if apart else str(count)
     if known == whole:
-        return str(count)
-    return f"{count}/{known}" if known else "-"
+        return shown
+    return f"{shown}/{known}" if known else "-"
 
 
 def _median(latency: Data | None) -> str:

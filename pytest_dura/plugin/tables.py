@@ -139,7 +139,7 @@ def _pair_row(verdict: Data, switching: Data | None) -> list[str]:
 MONITOR_COLUMNS = ("TP", "FN", "FP", "TN", "precision", "recall", "lead s", "false/h")
 MONITOR_LEGEND = (
     "runs without recovery: violated, flagged in the 5 s before (TP) or not (FN); not violated,",
-    "flagged (FP) or not (TN); lead: median from flag to violation, for faults from their effect",
+    "flagged (FP) or not (TN); lead: median from flag to violation, for faults from activation",
     "to the alert; false/h: false alarms per simulated hour",
 )
 

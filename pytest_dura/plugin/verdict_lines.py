@@ -6,7 +6,7 @@ import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from pytest_dura.evidence.formats.stated import besides
+from pytest_dura.evidence.formats.stated import also_without, besides
 from pytest_dura.evidence.text import name, one_line
 from pytest_dura.plugin.commands import replay_command, rerun_command
 from pytest_dura.plugin.fault_lines import chain_line
@@ -63,7 +63,8 @@ def show_verdicts(session: DuraSession, terminal: Any, record: SessionRecord) ->
 
 def _counts(verdict: Data) -> str:
     """The figures that the verdict rests on."""
-    counts = f"n = {verdict['episodes']}, {counted(verdict['violations'], 'violation')}"
+    violations = counted(verdict["violations"], "violation") + also_without(verdict)
+    counts = f"n = {verdict['episodes']}, {violations}"
     if verdict["pairs"]:
         counts = f"pairs without {verdict['pairs']['without']}: {counts}"
     left = [told for told in besides(verdict) if not told.endswith("vacuous")]

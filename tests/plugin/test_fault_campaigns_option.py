@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import json
+
 import pytest
 from corridors import scenario
+
+from pytest_dura.evidence.verifying import verify_bundle
 
 INJECTOR = "pytest_dura.faults.injector:CampaignInjector"
 BIAS = "{type: bias, target: gap, activation: {at: 0.5}, parameters: {offset: 5.0}}"
@@ -173,6 +177,91 @@ def test_the_causal_chain_is_in_the_record_the_table_and_the_failure(project):
     assert " ".join(line.strip() for line in lines[start:end]) == (
         "fault:  bias: planned 0.50, activated 0.50, manifested 0.50, propagated 0.50, violated"
     )
+
+
+def test_no_fault_is_blamed_for_what_happens_without_it(project):
+    project.write(
+        "heedless.py",
+        "from corridor import Reckless\n"
+        "class Heedless(Reckless):\n"
+        "    def propose(self, view):\n"
+        "        view.percept['gap']\n"
+        "        return super().propose(view)\n",
+    )
+    scenario(
+        project,
+        world="{wall: 3.0}",
+        duration=3.0,
+        generator="heedless:Heedless",
+        fault_injector=INJECTOR,
+        requirements="[GAP-1]",
+        faults=f"[{NOISE}]",
+        runs=3,
+    )
+    result = project.run("corridor/it")
+    assert result.ret == 1
+    record = project.evidence()
+    for episode in record["episodes"]:
+        (noise,) = episode["faults"]
+        assert (noise["violated"], noise["violated_without"]) == (["GAP-1"], ["GAP-1"])
+        assert noise["outcome"] == "violated also without it"
+    (fault,) = record["cases"][0]["metrics"]["faults"]
+    assert (fault["judged"], fault["violated"], fault["violated_without"]) == (3, 0, 3)
+    (verdict,) = record["verdicts"]
+    assert verdict["verdict"] == "violated"
+    assert (verdict["violations"], verdict["also_without"]) == (3, 3)
+    terminal = result.stdout.str()
+    row = next(line for line in result.outlines if line.startswith("noise on corridor/it "))
+    assert row.split()[-1] == "0+3"
+    assert "3 violations (3 of them also without the faults)" in terminal
+    assert "violated also without it" in " ".join(terminal.split())
+    bundle = project.path / "dura-evidence"
+    told = "3 violations (3 of them also without the faults)"
+    assert told in (bundle / "summary.md").read_text()
+    assert told in (bundle / "cyclonedx.json").read_text()
+    report = " ".join((bundle / "report.html").read_text().split())
+    assert "3 of 3 violations also without the faults, by the same seed" in report
+    assert "<small>3 also without it</small>" in report
+    assert "<td>3 violated also without it</td>" in report
+    argument = " ".join((bundle / "assurance-case.gsn.yaml").read_text().split())
+    assert "violations: 3 (3 of them also without the faults)" in argument
+    assert verify_bundle(bundle).problems == []
+
+
+def test_an_alert_before_the_component_reads_the_fault_has_detected_it(project):
+    project.write(
+        "slow.py",
+        "from pytest_dura import Alert, Generator, Proposal, SecurityAssessment, SecurityAssessor\n"
+        "class Slow(Generator):\n"
+        "    def propose(self, view):\n"
+        "        if view.index % 10 == 0:\n"
+        "            view.percept['gap']\n"
+        "        return Proposal(0.0)\n"
+        "class Quick(SecurityAssessor):\n"
+        "    def run(self, view):\n"
+        "        alerts = (Alert('jump', 'gap'),) if view.percept['gap'] > 4 else ()\n"
+        "        return SecurityAssessment(alerts=alerts)\n",
+    )
+    once = BIAS.replace("at: 0.5}", "at: 0.5}, duration: 0.6")
+    near_the_wall(
+        project,
+        generator="slow:Slow",
+        security_assessor="slow:Quick",
+        faults=f"[{once}]",
+        runs=3,
+    )
+    result = project.run("corridor/it")
+    record = project.evidence()
+    for episode in record["episodes"]:
+        (bias,) = episode["faults"]
+        times = [bias[f"{step}_at"] for step in ("activated", "detected", "manifested")]
+        assert times == pytest.approx([0.5, 0.5, 1.0])
+        assert bias["detection_latency"] == 0.0
+    (fault,) = record["cases"][0]["metrics"]["faults"]
+    assert (fault["manifested"], fault["detected"], fault["rates"]["detection"]) == (3, 3, 1.0)
+    row = next(line for line in result.outlines if line.startswith("bias on corridor/it "))
+    assert row.split()[7:9] == ["3", "0.0"]
+    assert verify_bundle(project.path / "dura-evidence").problems == []
 
 
 def test_the_table_names_the_whole_case_of_several_faults(project):
@@ -357,3 +446,43 @@ def test_of_several_components_the_one_that_violates_is_reduced(project):
     result = project.run("a", "b", *replay)
     assert result.ret == 0
     assert "  the same" in result.outlines
+
+
+def conformance(project):
+    """Of each requirement in the session's CycloneDX file: its score, if any, and why."""
+    document = json.loads((project.path / "dura-evidence/cyclonedx.json").read_text())
+    names = [one["identifier"] for one in document["definitions"]["standards"][0]["requirements"]]
+    entries = document["declarations"]["attestations"][0]["map"]
+    return {
+        name: (entry["conformance"].get("score"), entry["conformance"]["rationale"])
+        for name, entry in zip(names, entries, strict=True)
+    }
+
+
+def test_a_green_gate_reads_as_full_conformance_where_two_scenarios_have_other_faults(project):
+    near_the_wall(project, name="it", faults=f"[{NOISE}]")
+    near_the_wall(project, name="too", faults=f"[{DRIFT}]")
+    result = project.run("corridor/it", "corridor/too")
+    assert result.ret == 0
+    untested = [one for one in project.evidence()["coverage"]["cells"] if one["verdict"] is None]
+    assert untested, "each fault in the other scenario, which nobody declared"
+    assert [score for score, _ in conformance(project).values()] == [1]
+
+
+def test_a_partly_decided_requirement_has_no_conformance_score_and_a_violated_one_has_0(project):
+    near_the_wall(project, faults=f"[{NOISE}]", requirements="[GAP-1, GO-1]")
+    assert project.run("corridor/it::GAP-1").ret == 0
+    (score, _), (left_out, why) = conformance(project).values()
+    assert (score, left_out) == (1, None)
+    assert "1 untested, no verdict. No score" in why
+    near_the_wall(project, name="bad", faults=f"[{BIAS}]")
+    near_the_wall(project, name="too")
+    assert project.run("corridor/bad", "corridor/too").ret == 1
+    ((score, why),) = conformance(project).values()
+    assert score == 0
+    assert "1 of 2 verdicts supported; 1 violated. 0: it was violated" in why
+    near_the_wall(project, name="bad", faults=f"[{LATE}]")
+    assert project.run("corridor/bad", "corridor/too", "--dura-undecided=warn").ret == 0
+    ((score, why),) = conformance(project).values()
+    assert score is None
+    assert "1 of 2 verdicts supported; 1 undecided. No score" in why

@@ -184,7 +184,7 @@ def test_everything_says_that_a_shard_is_a_part(project):
     statement = json.loads((folder / "test-result.intoto.json").read_text())
     assert statement["predicate"]["result"] == "WARNED"
     attested = json.loads((folder / "cyclonedx.json").read_text())["declarations"]["attestations"]
-    assert {one["conformance"]["score"] for one in attested[0]["map"]} == {0}
+    assert not any("score" in one["conformance"] for one in attested[0]["map"])
     assert verify_bundle(folder).problems == []
 
 

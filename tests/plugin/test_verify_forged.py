@@ -147,6 +147,15 @@ CHANGES = {
     "parameters are covered": lambda r: r["coverage"]["parameters"][0].update(covered=1.0),
     "a figure of a case": lambda r: r["cases"][0]["metrics"].update(alerts=99),
     "a chain": lambda r: episode(r, lambda one: one["faults"])["faults"][0].update(detected_at=0.2),
+    "a fault that was not violated through": lambda r: episode(r, lambda one: one["faults"])[
+        "faults"
+    ][0].update(outcome="violated also without it"),
+    "a latency": lambda r: episode(r, lambda one: one["faults"])["faults"][0].update(
+        manifestation_latency=0.3
+    ),
+    "violations also without the faults": lambda r: verdict(
+        r, requirement="GAP-1", case="corridor/nudged"
+    ).update(also_without=0),
     "a fault that manifested": lambda r: episode(r, lambda one: one["case"] == "corridor/idle")[
         "faults"
     ][0].update(manifested_at=0.1),

@@ -85,7 +85,7 @@ def verdict(requirement, case, words, *, planned=None, waiver=None, **changes):
     )
     told = {
         **judged.to_json(), "check": REQUIREMENTS[requirement].check, "paired": None,
-        "item": f"{case}::{requirement}", "waiver": waiver, "attempts": [],
+        "also_without": None, "item": f"{case}::{requirement}", "waiver": waiver, "attempts": [],
     }  # fmt: skip
     return told | changes
 

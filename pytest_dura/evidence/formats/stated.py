@@ -24,6 +24,7 @@ def sample(verdict: Data) -> str:
     told = (
         f"{verdict['episodes']} valid of {verdict['run']} run, {verdict['planned']} planned; "
         f"{verdict['violations']} violation{'' if verdict['violations'] == 1 else 's'}"
+        f"{also_without(verdict)}"
     )
     return ", ".join([told, *besides(verdict)])
 
@@ -36,6 +37,12 @@ def besides(verdict: Data) -> list[str]:
         **{word: verdict[word] for word in ("invalid", "missing", "vacuous")},
     }
     return [f"{count} {what}" for what, count in counts.items() if count]
+
+
+def also_without(verdict: Data) -> str:
+    """How many of a verdict's violations are not the faults' doing; empty if none is known."""
+    count = verdict["also_without"]
+    return f" ({count} of them also without the faults)" if count else ""
 
 
 def bound(verdict: Data) -> str:

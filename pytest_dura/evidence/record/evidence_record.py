@@ -11,6 +11,7 @@ from typing import Any, Literal
 from pytest_dura.evidence.record.attempts import final_outcomes, judged_looks, question, test_of
 from pytest_dura.evidence.record.case_metrics import CaseMetrics
 from pytest_dura.evidence.record.components import Components
+from pytest_dura.evidence.record.faults import SharedViolations
 from pytest_dura.evidence.record.item_report import unpacked
 from pytest_dura.evidence.record.missing_runs import missing_runs, verdicts_on_cases
 from pytest_dura.evidence.record.models import Models
@@ -145,6 +146,9 @@ class EvidenceRecord:
         """
         self._add_unheard_cases()
         verdicts = self.verdicts()
+        shared = SharedViolations(verdicts)
+        cases = self._measured_cases(verdicts, shared)
+        counts = zip(verdicts, shared.to_json(), strict=True)
         head = {
             "schema_version": SCHEMA_VERSION,
             "status": status,
@@ -153,8 +157,8 @@ class EvidenceRecord:
             "component_under_test": self._components.to_json(),
             "models": self._models.to_json(),
             "requirements": [self._requirements[name] for name in sorted(self._requirements)],
-            "cases": self._measured_cases(verdicts),
-            "verdicts": verdicts,
+            "cases": cases,
+            "verdicts": [{**verdict, "also_without": count} for verdict, count in counts],
             "searches": self.searches.to_json(self._waivers),
             "monitors": [self._monitors[key] for key in sorted(self._monitors)],
         }
@@ -275,7 +279,7 @@ class EvidenceRecord:
         if clash is not None and verdict["verdict"] == "supported":
             verdict["verdict"], verdict["reason"] = "undecided", clash
 
-    def _measured_cases(self, verdicts: list[Data]) -> list[Data]:
+    def _measured_cases(self, verdicts: list[Data], shared: SharedViolations) -> list[Data]:
         """The cases, with what their planned episodes come to and which of them are missing."""
         metrics = {key: CaseMetrics() for key in self._cases}
         heard: dict[tuple[str, str], set[int]] = {key: set() for key in self._cases}
@@ -283,6 +287,7 @@ class EvidenceRecord:
             key = episode["case"], episode["component"]
             if episode["planned"] and key in metrics:
                 metrics[key].add(episode)
+                shared.add(episode)
                 heard[key].add(episode["spec"]["run"])
         judged = verdicts_on_cases(verdicts)
         return [

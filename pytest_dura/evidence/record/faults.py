@@ -5,7 +5,7 @@ from __future__ import annotations
 import statistics
 from array import array
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 Data = Mapping[str, Any]
@@ -32,7 +32,7 @@ RATES: Mapping[str, tuple[str, str]] = {
 
 STEPS = (
     "run", "activated", "manifested", "followed", "propagated",
-    "detected", "recovery", "recovered", "judged", "violated",
+    "detected", "recovery", "recovered", "judged", "violated", "violated_without",
 )  # fmt: skip
 LATENCIES = ("detection_latency", "recovery_latency", "time_to_recover")
 
@@ -75,11 +75,14 @@ class FaultMetrics:
         over those in which the fault manifested: ``propagated`` beside ``followed``, in which that
         is known, ``detected``, ``recovery`` (recovery acted) and ``recovered`` (control was handed
         back). ``violated`` stands beside ``judged``, the episodes whose outcome is known: without a
-        verdict on a campaign nobody asked for it. Rates are shares of those that could: of
+        verdict on a campaign nobody asked for it. What the run of the same seed violates without
+        the fault as well is none of its doing: episodes that violated no more than that are no part
+        of ``violated``, but ``violated_without``. Rates are shares of those that could: of
         activation and manifestation over all runs, of propagation over those followed, of
         detection over those manifested, of recovery over those in which it acted; ``None`` where
-        there are none. Latencies are seconds from the manifestation on: to the alert, to the first
-        recovery action, and from there until the proposal was acceptable again.
+        there are none. Latencies are seconds: from the activation to the alert, from the
+        manifestation to the first recovery action, and from there until the proposal was acceptable
+        again.
         """
         return [self._of_fault(name, counts) for name, counts in self._counts.items()]
 
@@ -96,6 +99,40 @@ class FaultMetrics:
         }
 
 
+class SharedViolations:
+    """Counts, verdict by verdict, the violations that no fault can have caused.
+
+    The run of the same seed without any fault violates the requirement as well.
+
+    Args:
+        verdicts: Of the record.
+    """
+
+    def __init__(self, verdicts: Sequence[Data]) -> None:
+        self._counts: list[int | None] = [None] * len(verdicts)
+        self._wanted: dict[tuple[str, str], list[tuple[int, str]]] = {}
+        for place, verdict in enumerate(verdicts):
+            valid = [one["episode"] for one in verdict["counterexamples"] if one["valid"]]
+            for episode in valid:
+                key = verdict["component"], episode
+                self._wanted.setdefault(key, []).append((place, verdict["requirement"]))
+
+    def add(self, episode: Data) -> None:
+        """Take in a planned episode, of :func:`with_chains`."""
+        for place, requirement in self._wanted.get((episode["component"], episode["id"]), ()):
+            known = [
+                requirement in fault["violated_without"]
+                for fault in episode["faults"]
+                if requirement in fault["violated"] and fault["violated_without"] is not None
+            ]
+            if known:
+                self._counts[place] = (self._counts[place] or 0) + any(known)
+
+    def to_json(self) -> list[int | None]:
+        """For each verdict how many; ``None`` where that was measured of no violation."""
+        return self._counts
+
+
 def _passed(fault: Data) -> list[str]:
     """The steps that a fault passed in one episode."""
     reached = fault["manifested_at"] is not None
@@ -110,6 +147,7 @@ def _passed(fault: Data) -> list[str]:
         "recovered": reached and fault["recovered_at"] is not None,
         "judged": fault["outcome"] not in (None, "missing"),
         "violated": fault["outcome"] == "violated",
+        "violated_without": fault["outcome"] == "violated also without it",
     }
     return [step for step in STEPS if passed[step]]
 

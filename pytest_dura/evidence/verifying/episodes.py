@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from pytest_dura.core.metrics import FaultRecord
+from pytest_dura.core.propagation import outcome_of
 from pytest_dura.core.seeding import derive_seed
 
 Data = Mapping[str, Any]
@@ -18,7 +20,8 @@ def episode_problems(episode: Data, case: Data, base_seed: int) -> Iterator[str]
         case: Its case.
         base_seed: From which the seeds of planned runs follow.
     """
-    for problem in (*_inputs(episode, case, base_seed), *_metrics(episode)):
+    own = (*_inputs(episode, case, base_seed), *_metrics(episode), *_chains(episode))
+    for problem in own:
         yield f"episode {episode['id']}: {problem}"
 
 
@@ -82,6 +85,32 @@ def _metrics(episode: Data) -> Iterator[str]:
                 f"{one['id']} manifested at {one['manifested_at']} s, and its events "
                 f"say {first.get(one['id'])}"
             )
+
+
+def _chains(episode: Data) -> Iterator[str]:
+    """Whether latencies and outcome of each fault follow from the rest of its chain."""
+    alerts = {event["time"] for event in episode["events"] if event["kind"] == "alert"}
+    for told in episode["faults"]:
+        name = told["id"]
+        fault = FaultRecord(**{key: told[key] for key in FaultRecord.__dataclass_fields__})
+        for latency, seconds in fault.latencies().items():
+            if told[latency] != seconds:
+                yield f"{name}: {latency} is {told[latency]} s, and its times give {seconds}"
+        detected, began = fault.detected_at, fault.began_at
+        if detected is not None and (not fault.success or began is None or detected < began):
+            yield f"{name}: detected at {detected} s, and no alert of then can answer it"
+        elif detected is not None and detected not in alerts:
+            yield f"{name}: detected at {detected} s, and its events say of no alert then"
+        also = told["violated_without"]
+        if extra := sorted({*(also or ())} - {*told["violated"]}):
+            yield f"{name}: {extra[0]} is violated without it, and not with it"
+        outcome = told["outcome"]
+        missing = episode["failure"] is not None
+        again = outcome_of(fault, told["propagation"], told["violated"], also, missing=missing)
+        if outcome is None and told["violated"]:
+            yield f"{name}: violated, and it has no outcome"
+        if outcome not in (None, again):
+            yield f"{name}: its outcome is {outcome!r}, and its chain gives {again!r}"
 
 
 def _tallies(metrics: Data, decisions: int) -> Iterator[str]:

@@ -9,6 +9,7 @@ from typing import Any
 from pytest_dura.evidence.plain import plain
 from pytest_dura.evidence.record.case_metrics import CaseMetrics
 from pytest_dura.evidence.record.coverage import coverage
+from pytest_dura.evidence.record.faults import SharedViolations
 from pytest_dura.evidence.record.missing_runs import missing_runs, verdicts_on_cases
 from pytest_dura.evidence.record.session_record import SessionRecord
 from pytest_dura.evidence.record.timings import timings
@@ -43,11 +44,15 @@ def recomputed_problems(record: SessionRecord) -> Iterator[str]:
 def _cases(record: SessionRecord) -> Iterator[str]:
     metrics: dict[Key, CaseMetrics] = defaultdict(CaseMetrics)
     heard: dict[Key, set[int]] = defaultdict(set)
+    shared = SharedViolations(record["verdicts"])
     for episode in record.episodes():
         if episode["planned"]:
+            shared.add(episode)
             key = episode["case"], episode["component"]
             metrics[key].add(episode)
             heard[key].add(episode["spec"]["run"])
+    told = [one["also_without"] for one in record["verdicts"]]
+    yield from _differences("verdicts: also_without", told, shared.to_json())
     judged = verdicts_on_cases(record["verdicts"])
     for one in record["cases"]:
         key, name = (one["id"], one["component"]), f"case {one['id']}"

@@ -30,6 +30,8 @@ class Watch:
         manifested_at: Seconds at which a fault manifested first, if one did.
         detected_at: Seconds at which a manifested fault was detected first, if one was.
         intervention: How a monitor's word changed what was carried out, if it did.
+        began_at: Seconds from which on an alert could detect a fault that manifested, by then or
+            later: its activation. By default its manifestation.
     """
 
     episode: str
@@ -41,6 +43,7 @@ class Watch:
     manifested_at: float | None = None
     detected_at: float | None = None
     intervention: str | None = None
+    began_at: float | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Plain data."""
@@ -81,6 +84,7 @@ def watch(episode: Episode) -> Watch:
         manifested_at=_first(fault.manifested_at for fault in faults),
         detected_at=_first(fault.detected_at for fault in faults),
         intervention=_intervention(episode),
+        began_at=_first(fault.began_at for fault in faults if fault.success),
     )
 
 

@@ -98,7 +98,8 @@ def judge_alerts(watches: Iterable[Watch]) -> MonitorQuality:
         elif seen.manifested_at is None:
             tally.negative(seen.alerts, seen.duration)
         else:
-            tally.attacked(seen.alerts, seen.manifested_at, seen.detected_at)
+            began = seen.manifested_at if seen.began_at is None else seen.began_at
+            tally.attacked(seen.alerts, began, seen.detected_at)
     target, component = _one_claim({(FAULTS, seen.component) for seen in found})
     return tally.quality(ALERTS, target, component, None)
 
@@ -125,13 +126,13 @@ class _Tally:
             self._missed(alarms, late=len(in_time) < len(alarms))
 
     def attacked(
-        self, alerts: tuple[Stretch, ...], manifested_at: float, detected_at: float | None
+        self, alerts: tuple[Stretch, ...], began_at: float, detected_at: float | None
     ) -> None:
         if detected_at is None:
-            self._missed(alerts, late=any(last >= manifested_at for _, last in alerts))
+            self._missed(alerts, late=any(last >= began_at for _, last in alerts))
         else:
             self.counts["true_positives"] += 1
-            self.delays.append(detected_at - manifested_at)
+            self.delays.append(detected_at - began_at)
 
     def _missed(self, alarms: tuple[Stretch, ...], *, late: bool) -> None:
         self.counts["false_negatives"] += 1

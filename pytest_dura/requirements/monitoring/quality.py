@@ -16,8 +16,9 @@ class MonitorQuality:
     a true positive if an alarm stood at some time in ``[t - horizon, t)``: one that begins at t
     comes too late, and one that was withdrawn before t - horizon is not about it. The lead time is
     t less the beginning of the first such alarm, ``horizon`` at most. For faults, an episode is
-    positive if a fault manifested, and a true positive if one was detected (``FaultRecord``); the
-    delay is from the first manifestation to the first detection.
+    positive if a fault manifested, and a true positive if one was detected (``FaultRecord``): from
+    its activation on, since a monitor may read a fake before the component does. The delay is from
+    the first activation of one that manifested to the first detection.
 
     Args:
         monitor: Role name of the monitor, or ``alerts``.
@@ -31,7 +32,7 @@ class MonitorQuality:
         late: False negatives with an alarm from t on; for faults, with an alert that came after
             the window in which it would have detected the fault.
         early: The other false negatives with an alarm: all of them withdrawn before t - horizon;
-            for faults, before the first manifestation.
+            for faults, before the first activation.
         untimed: Violated episodes whose check tells no time; in none of the counts above.
         invalid: Invalid episodes; in none of the counts above.
         missing: Missing episodes; in none of the counts above.

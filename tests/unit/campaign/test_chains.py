@@ -55,11 +55,15 @@ def test_a_violation_before_it_manifested_is_none_of_its_doing() -> None:
     assert (chain.outcome, chain.violated) == ("tolerated", ())
 
 
-def test_what_the_twin_violates_too_is_told() -> None:
+def test_what_the_twin_violates_too_is_not_the_faults_doing() -> None:
     faulty, twin = episode(5, 0, 0, **MANIFEST), episode(5, 0.5, 5)
     (chain,) = causal_chains(faulty, [FREE, NEAR], twin, Divergence(0.1))
     assert chain.violated == ("SAF-1", "SAF-2")
     assert chain.violated_without == ("SAF-2",)
+    assert chain.outcome == "violated"
+    (chain,) = causal_chains(faulty, [NEAR], twin, Divergence(0.1))
+    assert (chain.violated, chain.violated_without) == (("SAF-2",), ("SAF-2",))
+    assert chain.outcome == "violated also without it"
     for missing in (None, episode(5, 0.5, 5, failure="infrastructure: x")):
         (alone,) = causal_chains(faulty, [FREE, NEAR], missing)
         assert (alone.violated, alone.violated_without) == (("SAF-1", "SAF-2"), None)

@@ -214,14 +214,14 @@ def alerts_at(*ticks: int) -> Any:
     "ticks, detected",
     [
         ((), None),
-        ((2, 4), None),  # before it manifests: a false alarm
+        ((2, 4), None),  # before it begins: a false alarm
         ((2, 6, 7), 6),
         ((5,), 5),
         ((18,), 18),  # one second after its end is still in time
         ((19,), None),
     ],
 )
-def test_detection_is_the_first_alert_from_manifestation_to_shortly_after(
+def test_detection_is_the_first_alert_from_activation_to_shortly_after(
     ticks: tuple[int, ...], detected: int | None
 ) -> None:
     episode = with_faults(Controller(), seconds=2.5, security_assessor=alerts_at(*ticks))
@@ -233,6 +233,64 @@ def test_detection_is_the_first_alert_from_manifestation_to_shortly_after(
         assert (fault.detected_by, fault.pattern) == ("security_assessor", f"pattern-{detected}")
         assert fault.detection_latency == pytest.approx((detected - 5) * 0.1)
     assert episode.metrics.alerts == len(ticks)
+
+
+def reading_each_second(view: Any) -> Proposal:
+    """A component at 1 Hz beside monitors at 10 Hz."""
+    if view.index % 10 == 0:
+        view.percept["thermometer"]
+    return Proposal(0.5)
+
+
+LONG = {**BIAS, "duration": 1.0}
+
+
+@pytest.mark.parametrize(
+    "ticks, detected",
+    [
+        ((5,), 5),  # five ticks before the component reads it
+        ((4, 7, 12), 7),
+        ((4,), None),
+        ((25,), 25),
+        ((26,), None),
+    ],
+)
+def test_an_alert_before_the_component_reads_the_fake_has_detected_it(
+    ticks: tuple[int, ...], detected: int | None
+) -> None:
+    episode = with_faults(
+        reading_each_second, LONG, seconds=3.0, security_assessor=alerts_at(*ticks)
+    )
+    (fault,) = episode.faults
+    assert (fault.activated_at, fault.manifested_at) == (pytest.approx(0.5), pytest.approx(1.0))
+    if detected is None:
+        assert (fault.detected_at, fault.detection_latency) == (None, None)
+    else:
+        assert fault.detected_at == pytest.approx(detected * 0.1)
+        assert fault.detection_latency == pytest.approx(detected * 0.1 - 0.5)
+        assert fault.pattern == f"pattern-{detected}"
+
+
+def test_a_command_fault_is_not_detected_at_the_tick_at_whose_end_it_first_acts() -> None:
+    command = {"id": "weak", "target": "command"}
+
+    class Reported(Scripted):
+        def run(self, view: Any) -> Injection:
+            return Injection(("weak",)) if view.index == 3 else Injection()
+
+    def detected(*ticks: int) -> float | None:
+        (fault,) = with_faults(
+            lambda view: Proposal(1.0),
+            command,
+            fault_injector=Reported({}, dict.fromkeys((6, 7), "weak")),
+            security_assessor=alerts_at(*ticks),
+        ).faults
+        assert (fault.activated_at, fault.manifested_at) == (pytest.approx(0.3), pytest.approx(0.6))
+        return fault.detected_at
+
+    assert detected(3) is None
+    assert detected(3, 4) == pytest.approx(0.4)
+    assert detected(6) == pytest.approx(0.6)
 
 
 def test_the_role_that_alerts_first_has_detected_it() -> None:

@@ -58,9 +58,9 @@ def test_each_step_is_counted_over_those_that_could_take_it() -> None:
     assert metrics(IDLE)["rates"]["propagation"] is None
 
 
-def test_latencies_run_from_the_manifestation() -> None:
+def test_latencies_run_from_activation_to_alert_and_from_manifestation_to_recovery() -> None:
     found = metrics(CONTAINED, SPREAD)
-    assert found["detection_latency"] == {"median": 0.75, "max": 1.0}
+    assert found["detection_latency"] == {"median": 1.0, "max": 1.5}
     assert found["recovery_latency"] == {"median": 1.0, "max": 1.0}
     assert abs(found["time_to_recover"]["median"] - 0.3) < 1e-9
     assert metrics(IDLE)["detection_latency"] is None
@@ -107,6 +107,17 @@ def test_a_violation_that_nobody_asked_for_is_no_zero() -> None:
 
     assert [last(unasked), last(missing), last(CONTAINED)] == ["-", "-", "0"]
     assert [last(unasked, SPREAD, CONTAINED), last(SPREAD, CONTAINED)] == ["1/2", "1"]
+
+
+def test_what_is_violated_without_the_fault_as_well_is_not_its_doing() -> None:
+    shared = {**SPREAD, "outcome": "violated also without it"}
+    found = metrics(shared, SPREAD, CONTAINED)
+    assert (found["judged"], found["violated"], found["violated_without"]) == (3, 1, 1)
+    case = {"id": "road/free", "component": "C", "metrics": {"faults": [found]}}
+    assert fault_table([case])[1].split()[-1] == "1+1"
+    case = {"id": "road/free", "component": "C", "metrics": {"faults": [metrics(shared)]}}
+    assert fault_table([case])[1].split()[-1] == "0+1"
+    assert chain_line(shared).endswith("recovered 2.30, violated also without it")
 
 
 def test_the_chain_in_words() -> None:

@@ -17,6 +17,12 @@ UNDECIDED = verdict("SAF-1", "a/clear", ("satisfied",), planned=9)
 WAIVED = VIOLATED | {"waiver": {"kind": "xfail", "reason": "known"}}
 
 
+def searched(word):
+    """A search, as far as a declaration reads it."""
+    outcome = {"requirement": "SAF-1", "word": word}
+    return {"case": "a/clear", "waiver": None, "baselines": [], "outcomes": [outcome]}
+
+
 def statement(tmp_path, **changes):
     record = session_record(tmp_path, **changes)
     write_record(tmp_path, record)
@@ -59,34 +65,44 @@ def test_a_counterexample_speaks_against_a_claim_that_is_supported_all_the_same(
     "changes, score",
     [
         ({"verdicts": [SUPPORTED]}, 1),
-        ({"verdicts": [SUPPORTED, UNDECIDED]}, 0),
-        ({"verdicts": [UNDECIDED]}, 0),
+        ({"verdicts": [SUPPORTED, UNDECIDED]}, None),
+        ({"verdicts": [UNDECIDED]}, None),
         ({"verdicts": [VIOLATED]}, 0),
-        ({"verdicts": [WAIVED]}, 0),
-        ({"verdicts": [SUPPORTED | {"waiver": {"kind": "skip", "reason": ""}}]}, 0),
-        ({"verdicts": []}, 0),
-        ({"verdicts": [SUPPORTED], "status": "running"}, 0),
-        ({"verdicts": [SUPPORTED], "gate": PASSED | {"result": "incomplete"}}, 0),
+        ({"verdicts": [SUPPORTED, VIOLATED]}, 0),
+        ({"verdicts": [VIOLATED, UNDECIDED], "status": "running"}, 0),
+        ({"verdicts": [WAIVED]}, None),
+        ({"verdicts": [SUPPORTED | {"waiver": {"kind": "skip", "reason": ""}}]}, None),
+        ({"verdicts": []}, None),
+        ({"verdicts": [SUPPORTED], "status": "running"}, None),
+        ({"verdicts": [SUPPORTED], "gate": PASSED | {"result": "incomplete"}}, None),
+        ({"verdicts": [SUPPORTED], "searches": [searched("falsified")]}, 0),
+        ({"verdicts": [SUPPORTED], "searches": [searched("not repeatable")]}, None),
+        ({"verdicts": [SUPPORTED], "searches": [searched("nothing found")]}, 1),
     ],
 )
-def test_conformance_is_all_or_nothing(changes, score):
-    entry = declared(**changes)["declarations"]["attestations"][0]["map"][1]
-    assert entry["conformance"]["score"] == score
-    assert ("not attested" in entry["conformance"]["rationale"]) == (score == 0)
+def test_conformance_is_shown_refuted_or_has_no_score(changes, score):
+    cases = [one for one in session_record()["cases"] if one["id"] == "a/clear"]
+    entry = declared(cases=cases, **changes)["declarations"]["attestations"][0]["map"][1]
+    assert entry["conformance"].get("score") == score
+    rationale = entry["conformance"]["rationale"]
+    assert ("not attested" in rationale) == (score is None)
+    assert ("was violated" in rationale) == (score == 0)
 
 
-def test_an_untested_cell_leaves_conformance_open():
-    cell = {
-        "requirement": "SAF-1",
-        "scenario": "a/clear",
-        "faults": "x",
-        "case": "c",
-        "verdict": None,
-    }
-    coverage = {"cells": [cell], "left_out": 0, "parameters": []}
-    entry = declared(verdicts=[SUPPORTED], coverage=coverage)["declarations"]["attestations"][0]
-    assert entry["map"][1]["conformance"]["score"] == 0
-    assert "1 untested" in entry["map"][1]["conformance"]["rationale"]
+def test_a_declared_case_without_a_verdict_leaves_conformance_open():
+    entry = declared(verdicts=[SUPPORTED])["declarations"]["attestations"][0]["map"][1]
+    assert "score" not in entry["conformance"]
+    assert "1 untested" in entry["conformance"]["rationale"]
+
+
+def test_cells_and_cases_that_nobody_declared_do_not_count_against_conformance():
+    cases = session_record()["cases"]
+    ghost = {**cases[1], "requirements": ["SEC-1"]}
+    by_hand = {**cases[1], "id": "a/clear+none", "planned": 0}
+    switched_off = {**cases[1], "id": "a/clear~recovery_planner", "without": ["recovery_planner"]}
+    for extra in (ghost, by_hand, switched_off):
+        record = declared(verdicts=[SUPPORTED], cases=[cases[0], extra])
+        assert record["declarations"]["attestations"][0]["map"][1]["conformance"]["score"] == 1
 
 
 def test_a_bound_never_stands_without_its_n_nor_as_a_confidence():

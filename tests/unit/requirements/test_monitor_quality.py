@@ -356,6 +356,31 @@ def test_alerts_of_a_real_loop_with_and_without_a_fault() -> None:
     assert found.delays == (0.0,)
 
 
+def test_alerts_count_from_the_activation_on_where_the_component_reads_seldom() -> None:
+    def reading_each_second(view: Any) -> Proposal:
+        if view.index % 10 == 0:
+            view.percept["thermometer"]
+        return Proposal(0.0)
+
+    watches = [
+        watch(
+            run_loop(
+                Says(reading_each_second),
+                policy="log_only",
+                seconds=2.0,
+                security_assessor=JumpWatch(),
+                fault_injector=Bias(),
+                spec={"faults": ({**BIAS, "activation": {"at": at}, "duration": 0.8},)},
+            )
+        )
+        for at in (0.3, 0.6, 1.0)
+    ]
+    assert [one.manifested_at for one in watches] == [1.0, 1.0, 1.0]
+    found = judge_alerts(watches)
+    assert (found.recall, found.early) == (1.0, 0)
+    assert found.delays == pytest.approx((0.0, 0.0, 0.0))
+
+
 def test_silence_is_no_miss_where_nobody_could_speak() -> None:
     with pytest.raises(ConfigurationError, match=r"no assessor was asked in case#0"):
         judge_alerts([seen(0, alerts=None)])

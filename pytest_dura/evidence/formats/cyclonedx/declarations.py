@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -18,6 +18,7 @@ from pytest_dura.evidence.formats.cyclonedx.parts import (
 )
 from pytest_dura.evidence.formats.stated import UNREVIEWED, bound, components, part, sample
 from pytest_dura.evidence.plain import plain
+from pytest_dura.evidence.record.searches import AGAINST, NOTHING, standing
 from pytest_dura.evidence.record.session_record import SessionRecord
 from pytest_dura.evidence.text import name, one_line, visible
 
@@ -192,9 +193,7 @@ def _map(record: SessionRecord) -> Iterator[Data]:
     verdicts: dict[str, list[tuple[int, Data]]] = defaultdict(list)
     for number, verdict in enumerate(record["verdicts"]):
         verdicts[verdict["requirement"]].append((number, verdict))
-    untested: dict[str, int] = defaultdict(int)
-    for cell in record["coverage"]["cells"]:
-        untested[cell["requirement"]] += cell["verdict"] is None
+    untested = _declared_and_untested(record)
     for number, requirement in enumerate(record["requirements"]):
         own = verdicts[requirement["id"]]
         against = [f"claim/{place}" for place, one in own if one["verdict"] == "violated"]
@@ -204,16 +203,48 @@ def _map(record: SessionRecord) -> Iterator[Data]:
             "claims": claims,
             "counterClaims": against,
             "conformance": _conformance(
-                record, [one for _, one in own], untested[requirement["id"]]
+                record, requirement["id"], [one for _, one in own], untested[requirement["id"]]
             ),
         }
 
 
-def _conformance(record: SessionRecord, verdicts: list[Data], untested: int) -> Data:
-    words = [one["verdict"] for one in verdicts]
-    doubts = [
-        f"{count} {word}" for word in ("violated", "undecided") if (count := words.count(word))
-    ]
+def _declared_and_untested(record: SessionRecord) -> Counter[str]:
+    """Of each requirement, how many planned cases declare it and have no verdict on it.
+
+    Other cells of the coverage table, a fault of one scenario in another one, nobody declared.
+    """
+    judged = {(one["requirement"], one["case"], one["component"]) for one in record["verdicts"]}
+    compared = {one["pairs"]["case"] for one in record["verdicts"] if one["pairs"] is not None}
+    compared -= {case for _, case, _ in judged}
+    return Counter(
+        requirement
+        for case in record["cases"]
+        if case["planned"] and not case["without"] and case["id"] not in compared
+        for requirement in case["requirements"]
+        if (requirement, case["id"], case["component"]) not in judged
+    )
+
+
+def _searched(record: SessionRecord, requirement: str) -> Counter[str]:
+    """What searches have against a requirement that no waiver excuses, counted by word."""
+    return Counter(
+        word
+        for one in record["searches"]
+        if one["waiver"] is None
+        for outcome in one["outcomes"]
+        if outcome["requirement"] == requirement and (word := standing(one, outcome)) != NOTHING
+    )
+
+
+def _conformance(
+    record: SessionRecord, requirement: str, verdicts: list[Data], untested: int
+) -> Data:
+    """The score where it is decided: 1 or 0, see the package; and the reason, always."""
+    words = Counter(one["verdict"] for one in verdicts)
+    refuted = any(one["verdict"] == "violated" and one["waiver"] is None for one in verdicts)
+    searched = _searched(record, requirement)
+    doubts = [f"{words[word]} {word}" for word in ("violated", "undecided") if words[word]]
+    doubts += [f"{count} {AGAINST[word]}" for word, count in searched.items()]
     if waived := sum(one["waiver"] is not None for one in verdicts):
         doubts.append(f"{waived} waived")
     if untested:
@@ -224,9 +255,12 @@ def _conformance(record: SessionRecord, verdicts: list[Data], untested: int) -> 
         doubts.append(f"{part(record)} alone")
     if not verdicts:
         doubts.append("no verdict")
-    told = f"{words.count('supported')} of {len(words)} verdicts supported"
-    if doubts:
-        rationale = f"{told}; {', '.join(doubts)}. 0 says that conformance is not attested"
-    else:
+    told = f"{words['supported']} of {len(verdicts)} verdicts supported"
+    if not doubts:
         rationale = f"{told}, each on the episodes and with the bound in its evidence"
-    return {"score": 0 if doubts else 1, "rationale": f"{rationale}; {UNREVIEWED}."}
+        return {"score": 1, "rationale": f"{rationale}; {UNREVIEWED}."}
+    rationale = f"{told}; {', '.join(doubts)}"
+    if refuted or searched["falsified"]:
+        return {"score": 0, "rationale": f"{rationale}. 0: it was violated; {UNREVIEWED}."}
+    rationale = f"{rationale}. No score: conformance is not attested, nor refuted"
+    return {"rationale": f"{rationale}; {UNREVIEWED}."}

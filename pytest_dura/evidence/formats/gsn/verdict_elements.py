@@ -19,6 +19,7 @@ from pytest_dura.evidence.formats.gsn.wording import (
 )
 from pytest_dura.evidence.formats.report.anchors import requirement_anchor, verdict_anchor
 from pytest_dura.evidence.formats.report.folding import folded_cases
+from pytest_dura.evidence.formats.stated import also_without
 from pytest_dura.evidence.record.session_record import SessionRecord
 from pytest_dura.evidence.text import name
 from pytest_dura.evidence.views.replay_command import evidence_option, model_options, replay_command
@@ -199,7 +200,7 @@ class _Maker:
             )
         return (
             f"{verdict['violations']} of {verdict['episodes']} valid {what} violate "
-            f"{self.requirement} in {self.where}{how}.{more}"
+            f"{self.requirement} in {self.where}{how}{also_without(verdict)}.{more}"
         )
 
     def _counterexample(self, index: int, one: Data) -> Element:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from pytest_dura.evidence.formats.stated import besides
+from pytest_dura.evidence.formats.stated import also_without, besides
 from pytest_dura.evidence.text import name, one_line
 
 Data = Mapping[str, Any]
@@ -58,7 +58,7 @@ def evidence_text(verdict: Data) -> str:
     runs = f"{verdict['run']} run, {verdict['planned']} planned"
     told = [
         ", ".join([f"n = {verdict['episodes']} valid {what} of {runs}", *besides(verdict)]),
-        f"violations: {verdict['violations']}",
+        f"violations: {verdict['violations']}{also_without(verdict)}",
         _upper(verdict["bound"]),
     ]
     if verdict["margin"] is not None:

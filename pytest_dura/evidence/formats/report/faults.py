@@ -84,5 +84,6 @@ def _cell(verdicts: list[Data] | None) -> Data:
         return {"word": "no valid episode"}
     step = sum(violations / n > bound for bound in STEPS)
     doubt = not violations and any(one["verdict"] == "undecided" for one in verdicts)
-    counts = {"n": n, "violations": violations}
+    also = sum(one["also_without"] or 0 for one in verdicts)
+    counts = {"n": n, "violations": violations, "also_without": also}
     return {"word": "", "step": step, "doubt": doubt, **counts}
