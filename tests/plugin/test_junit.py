@@ -115,6 +115,8 @@ def test_a_scenario_item_has_the_figures_of_its_verdict(junit, project):
         "run": "2",
         "valid": "2",
         "violations": "2",
+        "open": "0",
+        "without_effect": "0",
         "invalid": "0",
         "missing": "0",
         "vacuous": "0",

@@ -22,7 +22,7 @@ from pytest_dura.evidence.record.spool import EpisodeSpool
 from pytest_dura.requirements.model import Requirement
 from pytest_dura.requirements.verdicts.judging import judge_campaign
 
-SCHEMA_VERSION = "1"
+SCHEMA_VERSION = "2"
 NO_QUESTION = {"check": "", "paired": None}
 """Of a verdict that no campaign was asked for."""
 UNKNOWN = "unknown"
