@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 
+from pytest_dura.evidence.record.evidence_record import SCHEMA_VERSION
 from pytest_dura.requirements.model import Requirement
 from pytest_dura.requirements.verdicts import EpisodeVerdict, judge_campaign
 
@@ -47,7 +48,7 @@ def record(*verdicts, seed=0, walls=None, **changes):
         for run in range(one["run"])
     ]  # fmt: skip
     told = {
-        "schema_version": "1", "status": "complete", "created": "2026-01-02T03:04:05+00:00",
+        "schema_version": SCHEMA_VERSION, "status": "complete", "created": "2026-01-02T03:04:05+00:00",
         "base_seed": seed, "component_under_test": {"name": "C", "digest": "d"},
         "requirements": [{"id": "R", "check": "gap > 0", "paired": None}],
         "episodes": episodes, "verdicts": list(verdicts),

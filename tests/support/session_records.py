@@ -7,6 +7,7 @@ from pathlib import Path
 
 from baseline_records import spec
 
+from pytest_dura.evidence.record.evidence_record import SCHEMA_VERSION
 from pytest_dura.evidence.record.session_record import SessionRecord
 from pytest_dura.requirements.model import Requirement
 from pytest_dura.requirements.verdicts import EpisodeVerdict, judge_campaign
@@ -100,7 +101,7 @@ def session_record(directory=Path("nowhere"), **changes):
         "PERF-1", "a/clear", ("violated", "satisfied"), waiver={"kind": "xfail", "reason": "known"}
     )
     told = {
-        "schema_version": "1", "status": "complete", "created": "2026-01-02T03:04:05+00:00",
+        "schema_version": SCHEMA_VERSION, "status": "complete", "created": "2026-01-02T03:04:05+00:00",
         "finished": "2026-01-02T03:05:05+00:00",
         "tool": {"name": "pytest-dura", "version": "0.1.0", "code": "0" * 64},
         "command": "pytest --dura-scenarios", "base_seed": 0, "evidence_level": "violations",

@@ -12,6 +12,7 @@ from pytest_dura.evidence.bundle import directory
 from pytest_dura.evidence.bundle.manifest import MANIFEST
 from pytest_dura.evidence.formats import all_formats
 from pytest_dura.evidence.plain import plain
+from pytest_dura.evidence.record.evidence_record import SCHEMA_VERSION
 from pytest_dura.evidence.record.session_record import SessionRecord
 
 
@@ -34,7 +35,13 @@ def test_what_is_no_data_is_refused():
         plain({"a": [object()]})
 
 
-RECORD = {"schema_version": "1", "text": "gap ≥ 0.5", "number": 0.1, "cases": [], "episodes": []}
+RECORD = {
+    "schema_version": SCHEMA_VERSION,
+    "text": "gap ≥ 0.5",
+    "number": 0.1,
+    "cases": [],
+    "episodes": [],
+}
 
 
 def write(folder, record):
@@ -109,7 +116,9 @@ def test_a_link_is_replaced_and_never_followed(tmp_path):
 
 
 def test_a_record_without_episodes_is_none(tmp_path):
-    (tmp_path / "evidence.json").write_text('{"schema_version": "1", "episodes": {}}')
+    (tmp_path / "evidence.json").write_text(
+        json.dumps({"schema_version": SCHEMA_VERSION, "episodes": {}})
+    )
     with pytest.raises(ConfigurationError, match="no episodes"):
         directory.read_session_record(tmp_path)
 
