@@ -48,7 +48,8 @@ def record(*verdicts, seed=0, walls=None, **changes):
         for run in range(one["run"])
     ]  # fmt: skip
     told = {
-        "schema_version": SCHEMA_VERSION, "status": "complete", "created": "2026-01-02T03:04:05+00:00",
+        "schema_version": SCHEMA_VERSION,
+        "status": "complete", "created": "2026-01-02T03:04:05+00:00",
         "base_seed": seed, "component_under_test": {"name": "C", "digest": "d"},
         "requirements": [{"id": "R", "check": "gap > 0", "paired": None}],
         "episodes": episodes, "verdicts": list(verdicts),

@@ -101,7 +101,8 @@ def session_record(directory=Path("nowhere"), **changes):
         "PERF-1", "a/clear", ("violated", "satisfied"), waiver={"kind": "xfail", "reason": "known"}
     )
     told = {
-        "schema_version": SCHEMA_VERSION, "status": "complete", "created": "2026-01-02T03:04:05+00:00",
+        "schema_version": SCHEMA_VERSION,
+        "status": "complete", "created": "2026-01-02T03:04:05+00:00",
         "finished": "2026-01-02T03:05:05+00:00",
         "tool": {"name": "pytest-dura", "version": "0.1.0", "code": "0" * 64},
         "command": "pytest --dura-scenarios", "base_seed": 0, "evidence_level": "violations",
