@@ -5,7 +5,7 @@ Run: python benchmarks/detection_table.py [--scenario NAME] [--generator rule_ba
 
 Each fault of the catalogue acts by itself, as it is by default. Recovery is switched off: what it
 does after an alarm or without one would change what there is left to detect, whereas like this all
-three arms see the very same episodes. A fault is detected by the first alert from its manifestation
+three arms see the very same episodes. A fault is detected by the first alert from its activation
 until one second after its end. What the component does not read cannot manifest, and is told as
 such. False alarms are alerts in episodes without faults, by default of all built-in scenarios.
 """

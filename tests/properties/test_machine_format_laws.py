@@ -61,19 +61,36 @@ def test_declarations_are_valid_and_state_the_records_counts(record):
 
 @some
 @given(record=hostile_records())
-def test_conformance_is_attested_only_where_nothing_speaks_against_it(record):
+def test_conformance_is_scored_where_it_is_shown_or_refuted_and_nowhere_else(record):
     document = json.loads(cyclonedx.render(record))
     entries = document["declarations"]["attestations"][0]["map"]
     assert len(entries) == len(record["requirements"])
+    judged = {(one["requirement"], one["case"], one["component"]) for one in record["verdicts"]}
+    compared = {one["pairs"]["case"] for one in record["verdicts"] if one["pairs"]}
+    whole = record["status"] == "complete" and record["gate"]["result"] != "incomplete"
     for requirement, entry in zip(record["requirements"], entries, strict=True):
-        own = [one for one in record["verdicts"] if one["requirement"] == requirement["id"]]
+        name = requirement["id"]
+        own = [one for one in record["verdicts"] if one["requirement"] == name]
         clean = all(one["verdict"] == "supported" and one["waiver"] is None for one in own)
-        whole = record["status"] == "complete" and record["gate"]["result"] != "incomplete"
-        cells = [
-            one for one in record["coverage"]["cells"] if one["requirement"] == requirement["id"]
-        ]
-        tested = all(one["verdict"] is not None for one in cells)
-        assert entry["conformance"]["score"] == int(bool(own) and clean and whole and tested)
+        refuted = any(one["verdict"] == "violated" and one["waiver"] is None for one in own)
+        searched = {
+            outcome["word"]
+            for one in record["searches"]
+            if not one["waiver"]
+            for outcome in one["outcomes"]
+            if outcome["requirement"] == name
+        }
+        tested = all(
+            (name, one["id"], one["component"]) in judged
+            for one in record["cases"]
+            if name in one["requirements"] and one["planned"] and not one["without"]
+            if one["id"] not in compared or any(one["id"] == case for _, case, _ in judged)
+        )
+        score = entry["conformance"].get("score")
+        assert (score == 0) == (refuted or "falsified" in searched)
+        shown = own and clean and whole and tested and searched <= {"nothing found"}
+        assert (score == 1) == bool(shown)
+        assert entry["conformance"]["rationale"]
         assert "confidence" not in entry
 
 
