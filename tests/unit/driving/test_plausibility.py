@@ -306,7 +306,7 @@ def test_each_class_of_reaction_is_reached(generator: str, expected: str) -> Non
 
 @pytest.mark.parametrize("fault", [GHOST, SPOOF], ids=["ghost", "spoof"])
 @pytest.mark.parametrize("seed", range(3))
-def test_attacks_are_detected_within_a_fifth_of_a_second_of_their_effect(fault: Any, seed: int) -> None:
+def test_attacks_are_detected_soon_after_their_effect(fault: Any, seed: int) -> None:
     world = {**WORLD, "traffic": {"headway": 8.0}}
     spec = spec_of_drive(
         world,
