@@ -117,7 +117,9 @@ def _show_worst(session: DuraSession, item: pytest.Item, results: Sequence[ItemR
     kind, problem = "Sample", None
     if result is not None and judged is not None and _is_counterexample(result, episode):
         when = "" if judged.time is None else f" at t = {judged.time:.2f} s"
-        kind, problem = "Counterexample", f"{judged.requirement} violated{when}: {judged.detail}"
+        effect = " without effect of the fault" if judged.without_effect else ""
+        problem = f"{judged.requirement} violated{effect}{when}: {judged.detail}"
+        kind = "Counterexample"
     elif episode.validity != "valid":
         kind = episode.validity.capitalize()
         problem = episode.failure or episode.invalid_reason

@@ -49,6 +49,8 @@ def verdict_text(verdict: Data, *, several: bool) -> str:
     where = place(verdict["case"], verdict["component"], several=several)
     bound = verdict["bound"]["at_most"]
     how = "holds in every valid episode of" if bound is None else "keeps its bound in"
+    if verdict["without_effect"]:
+        how = "is violated in no episode, valid or not, of"
     return f"{name(verdict['requirement'])} {how} {where}."
 
 
