@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from pytest_dura.adapters.spaces import default_action, describe, to_action
 from pytest_dura.core.errors import ActionError, ConfigurationError
+from pytest_dura.core.percepts import sealed
 from pytest_dura.core.recording import Scene
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.simulator import Simulator
@@ -235,9 +236,7 @@ class GymnasiumSimulator(Simulator):
 def read_only(value: Any) -> Any:
     """A copy of plain data and arrays that nobody can write to; other values as they are."""
     if isinstance(value, np.ndarray):
-        array = value.copy()
-        array.flags.writeable = False
-        return array
+        return sealed(value)
     if isinstance(value, Mapping):
         return MappingProxyType({key: read_only(item) for key, item in value.items()})
     if type(value) in (list, tuple):

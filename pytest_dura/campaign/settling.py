@@ -6,6 +6,7 @@ import inspect
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from pytest_dura.core.boundary import let_pass
 from pytest_dura.core.episode import canonical
 from pytest_dura.core.errors import ConfigurationError, describe_error
 from pytest_dura.core.role_spec import RoleSpec
@@ -71,7 +72,8 @@ def _asked(spec: RoleSpec, factory: Callable[..., Any]) -> RoleSpec:
         canonical(params)
     except ConfigurationError:
         raise
-    except Exception as error:  # a user's method may raise anything
+    except BaseException as error:  # a user's method may raise anything
+        let_pass(error)
         raise ConfigurationError(
             f"{spec.path} cannot settle its parameters: {describe_error(error)}",
             found=dict(spec.params),

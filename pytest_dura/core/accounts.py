@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_dura.core.errors import describe_error
+from pytest_dura.core.errors import describe_error, type_name
 from pytest_dura.core.metrics import KINDS, Tally
 from pytest_dura.core.simulator import Simulator
 from pytest_dura.core.state import NOTHING, Percept, Tick
@@ -39,25 +39,31 @@ DEEPEST = 12
 _DECIMALS = 9
 
 
-def account_problem(account: Any) -> str | None:
-    """What is wrong with an account; ``None`` if nothing is.
+def read_account(account: Any) -> tuple[Mapping[str, Any], str | None]:
+    """An account as data of our own, and what is wrong with it; ``None`` if nothing is.
 
-    What plain data it holds is not looked at: who reads it takes what he understands.
+    What plain data it holds is not looked at: who reads it takes what he understands. Reading it
+    may call the component's code, whose exceptions are raised.
     """
     if not isinstance(account, Mapping):
-        return f"gave an account that is {type(account).__name__}, not a mapping"
+        return NOTHING, f"gave an account that is {type_name(account)}, not a mapping"
     try:
         told = dict(account)
         text = json.dumps(told, allow_nan=False) if told else ""
     except Exception as error:
-        return f"gave an account that is no plain data: {describe_error(error)}"
+        return NOTHING, f"gave an account that is no plain data: {describe_error(error)}"
     if len(text) > LONGEST:
-        return f"gave an account of {len(text)} characters; {LONGEST} are allowed"
+        return NOTHING, f"gave an account of {len(text)} characters; {LONGEST} are allowed"
     if not all(isinstance(key, str) for key in told):
-        return "gave an account with a key that is no text"
-    if _depth(told) > DEEPEST:
-        return f"gave an account of more than {DEEPEST} levels"
-    return None
+        return NOTHING, "gave an account with a key that is no text"
+    read: Mapping[str, Any] = json.loads(text) if text else NOTHING
+    deep = _depth(read) > DEEPEST
+    return read, f"gave an account of more than {DEEPEST} levels" if deep else None
+
+
+def account_problem(account: Any) -> str | None:
+    """What is wrong with an account; ``None`` if nothing is."""
+    return read_account(account)[1]
 
 
 def copied(account: Mapping[str, Any]) -> Mapping[str, Any]:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, cast
 
 from pytest_dura.core.errors import ActionError
-from pytest_dura.core.outputs import check_output, check_texts, is_mapping
+from pytest_dura.core.outputs import check_output, check_texts, exact_texts, is_mapping
 from pytest_dura.core.roles import (
     FaultInjector,
     Recovery,
@@ -27,8 +27,11 @@ def corrupted(injector: FaultInjector, tick: Tick) -> Percept:
     channels, tampered = injector.corrupt(tick.channels, tick.time)
     if not is_mapping(channels):
         raise TypeError(f"corrupt returned channels of type {type(channels).__name__}")
+    exact = True
     for faults in tampered.values():
-        check_texts("tampered faults", faults)
+        exact &= check_texts("tampered faults", faults)
+    if not exact:
+        tampered = {channel: exact_texts(faults) for channel, faults in tampered.items()}
     return Percept(channels, tampered)
 
 
@@ -41,21 +44,21 @@ def corrupted_command(
         TypeError: For an answer that is none.
     """
     command, tampered = injector.corrupt_command(action, time)
-    check_texts("tampered faults", tampered)
+    if not check_texts("tampered faults", tampered):
+        tampered = exact_texts(tampered)
     return command, tampered
 
 
-def run_if_triggered(role: Role, view: RoleView, owed: type[Any]) -> Any:
-    """The role's output, or ``None`` where its trigger does not hold.
+def run_if_triggered(role: Role, view: RoleView, owed: type[Any]) -> tuple[Any, Any]:
+    """The role's output, and the same of exact types; ``None`` where its trigger does not hold.
 
     Raises:
         TypeError: For an output of another type than it owes.
     """
     if not role.trigger(view):
-        return None
+        return None, None
     output = role.run(view)
-    check_output(output, owed)
-    return output
+    return output, check_output(output, owed)
 
 
 def next_tick(simulator: Simulator, action: Any, index: int, time_step: float) -> Tick:
@@ -78,11 +81,21 @@ def checked_tick(tick: Any, index: int, time_step: float) -> Tick:
         raise ValueError(
             f"returned tick {tick.index} at {tick.time:g} s where tick {index} at {due:g} s was due"
         )
+    exact = type(tick.goal) is bool
     for event in tick.events:
-        check_texts("event", event)
+        exact &= check_texts("event", event)
     if not is_mapping(tick.channels):
         raise TypeError(f"its channels are a {type(tick.channels).__name__}, not a mapping")
-    return tick
+    if tick.critical is not None and type(tick.critical) is not str:
+        check_texts("critical", (tick.critical,))
+        exact = False
+    return tick if exact else _exact_tick(tick)
+
+
+def _exact_tick(tick: Tick) -> Tick:
+    critical = None if tick.critical is None else str.__str__(tick.critical)
+    events = tuple([cast("tuple[str, str, str]", exact_texts(event)) for event in tick.events])
+    return replace(tick, goal=bool(tick.goal), critical=critical, events=events)
 
 
 def acceptable(simulator: Simulator, action: Any) -> tuple[Any, str | None]:
@@ -103,7 +116,7 @@ def checked_recovery(planner: RecoveryPlanner, view: RoleView, simulator: Simula
     recovery = planner.run(view)
     check_output(recovery, Recovery)
     action = simulator.check_action(recovery.action)
-    return Recovery(action, recovery.name, recovery.explanation)
+    return Recovery(action, *exact_texts((recovery.name, recovery.explanation)))
 
 
 def end_directives(outputs: dict[str, Any], name: str) -> None:

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import fields
 from numbers import Real
-from typing import Any
+from typing import Any, NamedTuple
 
-from pytest_dura.core.accounts import account_problem
+from pytest_dura.core.accounts import read_account
+from pytest_dura.core.boundary import Boundary, CallEnded
+from pytest_dura.core.checked_calls import acceptable
 from pytest_dura.core.episode import EpisodeSpec
-from pytest_dura.core.errors import describe_error
+from pytest_dura.core.errors import describe_error, shorten, type_name
 from pytest_dura.core.limits import CallNotStopped, TimeBudgetExceeded, call_within
+from pytest_dura.core.plain import EXACT, exact_copy
 from pytest_dura.core.roles import Generator, Proposal, RoleContext
+from pytest_dura.core.simulator import Simulator
 from pytest_dura.core.state import NOTHING, GeneratorView
 
 ABANDON_AFTER = 3
@@ -21,34 +26,112 @@ IN_RESET = -1
 """The number of ``reset`` among a component's calls; proposals are counted from 0."""
 
 
+class Answer(NamedTuple):
+    """What the component answered, as exact types.
+
+    Args:
+        proposal: The proposal, whose action is still unchecked; ``None`` if something is wrong.
+        problem: What is wrong.
+        is_plain: Whether the action holds no object of a class that may be the component's own.
+    """
+
+    proposal: Proposal | None
+    problem: str | None
+    is_plain: bool = True
+
+
+def read_proposal(answer: Any) -> Answer:
+    """A proposal of exact types, whatever the simulator; or what is wrong with it.
+
+    Reading it may call the component's code, whose exceptions are raised.
+    """
+    if type(answer) is Proposal:
+        action, explanation, latency = answer.action, answer.explanation, answer.latency
+        failure, account = answer.failure, answer.account
+    elif issubclass(type(answer), Proposal):  # past what a subclass overrides
+        action, explanation, latency, failure, account = (part(answer) for part in _PARTS)
+    else:
+        return Answer(None, f"returned {type_name(answer)}, not a Proposal")
+    is_plain = True
+    try:
+        if type(explanation) is not str:
+            explanation = _text("an explanation", explanation)
+        if type(failure) is not str:
+            failure = _text("a failure", failure)
+        if account is not NOTHING:  # most components give none, at any tick
+            account = _account(account)
+        if latency is not None:
+            latency = _latency(latency)
+        if type(action) not in EXACT:
+            action, is_plain = _action(action)
+    except _UnusableError as wrong:
+        return Answer(None, str(wrong))
+    return Answer(Proposal(action, explanation, latency, failure, account), None, is_plain)
+
+
+class _UnusableError(Exception):
+    """Says what is wrong with a part of a proposal."""
+
+
+def _text(name: str, value: Any) -> str:
+    if not isinstance(value, str):
+        raise _UnusableError(f"gave {name} that is {type_name(value)}, not str")
+    return str.__str__(value)
+
+
+def _account(value: Any) -> Mapping[str, Any]:
+    account, wrong = read_account(value)
+    if wrong is not None:
+        raise _UnusableError(wrong)
+    return account
+
+
+def _latency(value: Any) -> float:
+    seconds = _seconds(value)
+    if seconds is None or seconds < 0.0:
+        raise _UnusableError(
+            f"declared a latency of {shorten(value)}, which is not a duration in seconds"
+        )
+    return seconds
+
+
+def _action(value: Any) -> tuple[Any, bool]:
+    try:
+        return exact_copy(value)
+    except ValueError as error:
+        raise _UnusableError(f"no valid action: {error}") from None
+
+
+_PARTS = [vars(Proposal)[field.name].__get__ for field in fields(Proposal)]
+
+
 def check_proposal(proposal: Any) -> str | None:
     """What is wrong with a proposal, whatever the simulator; ``None`` if nothing is."""
-    if not isinstance(proposal, Proposal):
-        return f"returned {type(proposal).__name__}, not a Proposal"
-    if not isinstance(proposal.explanation, str):
-        return f"gave an explanation that is {type(proposal.explanation).__name__}, not str"
-    if not isinstance(proposal.failure, str):
-        return f"gave a failure that is {type(proposal.failure).__name__}, not str"
-    if proposal.account is not NOTHING:  # most components give none, at any tick
-        wrong = account_problem(proposal.account)
-        if wrong is not None:
-            return wrong
-    latency: Any = proposal.latency
-    if latency is None or (isinstance(latency, Real) and 0.0 <= float(latency) < math.inf):
-        return None
-    return f"declared a latency of {latency!r}, which is not a duration in seconds"
+    return read_proposal(proposal).problem
 
 
-def _duration(told: Any) -> float | None:
+def _seconds(value: Any) -> float | None:
+    """A finite number of seconds; ``None`` for what is none."""
+    if type(value) is not float:
+        if not isinstance(value, Real):
+            return None
+        try:
+            value = float(exact_copy(value)[0])
+        except OverflowError:  # an int of hundreds of digits
+            return None
+    return value if -math.inf < value < math.inf else None
+
+
+def _time_limit(value: Any) -> float | None:
     """The time limit that a component has named.
 
     Raises:
         ValueError: If it is no duration.
     """
-    number = isinstance(told, Real) and not isinstance(told, bool)
-    if told is None or (number and 0.0 < float(told) < math.inf):
-        return None if told is None else float(told)
-    raise ValueError(f"its time_limit is {told!r}, which is no number of seconds above 0")
+    seconds = None if isinstance(value, bool) else _seconds(value)
+    if value is None or (seconds is not None and seconds > 0.0):
+        return seconds
+    raise ValueError(f"its time_limit is {shorten(value)}, which is no number of seconds above 0")
 
 
 class Component:
@@ -58,57 +141,100 @@ class Component:
         generator: The role that wraps the component.
         spec: Holds the time budget, and the recorded timeouts of an episode that is replayed.
         timeouts: Filled with the numbers of the calls that overran.
+        boundary: The open boundary of the episode.
     """
 
-    def __init__(self, generator: Generator, spec: EpisodeSpec, timeouts: list[int]) -> None:
+    def __init__(
+        self, generator: Generator, spec: EpisodeSpec, timeouts: list[int], boundary: Boundary
+    ) -> None:
         self.generator, self.spec, self.timeouts = generator, spec, timeouts
+        self._boundary = boundary
         self._limit = spec.time_budget
         self._calls = 0
         self._not_called = ""
 
     def reset(self, context: RoleContext) -> str | None:
         """Begin an episode; returns what went wrong, if anything. It is not called after that."""
-        try:
-            self._limit = _duration(self.generator.time_limit(self.spec.time_budget))
-            self._timed_call(IN_RESET, self.generator.reset, context)
-        except TimeBudgetExceeded:
-            problem = "reset overran its wall-clock time budget"
-        except (Exception, SystemExit) as error:
-            problem = f"reset raised {describe_error(error)}"
-        else:
+        answer = self._whole(self._read(self._ask_for_limit, None))
+        if answer.problem is None:
+            answer = self._judged(IN_RESET, self._reset, context)
+        if answer.problem is None:
             return None
         self._not_called = "not called: its reset failed"
-        return problem
+        return f"reset {answer.problem}"
 
-    def ask(self, view: GeneratorView) -> tuple[Proposal | None, str | None]:
+    def ask(self, view: GeneratorView) -> Answer:
         """A proposal whose action is still unchecked, or what is wrong with the answer."""
         number, self._calls = self._calls, self._calls + 1
         if self._not_called:
-            return None, self._not_called
-        try:
-            proposal = self._timed_call(number, self.generator.propose, view)
-        except TimeBudgetExceeded:
-            return None, "overran its wall-clock time budget"
-        except (Exception, SystemExit) as error:
-            return None, f"raised {describe_error(error)}"
-        problem = check_proposal(proposal)
-        if problem is not None:
-            return None, problem
-        latency, budget = proposal.latency, self.spec.time_budget
+            return Answer(None, self._not_called)
+        answer = self._judged(number, self._propose, view)
+        latency = None if answer.proposal is None else answer.proposal.latency
+        budget = self.spec.time_budget
         if latency is not None and budget is not None and latency > budget:
-            return None, f"answered after {latency:g} s; its budget is {budget:g} s"
-        return proposal, None
+            return Answer(None, f"answered after {latency:g} s; its budget is {budget:g} s")
+        return answer
 
-    def _timed_call(self, number: int, call: Callable[..., Any], argument: Any) -> Any:
+    def check_action(self, simulator: Simulator, action: Any) -> tuple[Any, str | None]:
+        """An action that is not plain as the simulator takes it, or what is wrong with it.
+
+        To look at it is to call the component's code, so that whatever is raised is its failure.
+        """
+        try:
+            checked, problem = acceptable(simulator, action)
+        except CallEnded:
+            raise
+        except BaseException as error:
+            self._boundary.let_pass(error)
+            checked, problem = None, f"no valid action: to check it raised {describe_error(error)}"
+        if self._boundary.noted:
+            problem = self._boundary.take_misdeed() or problem
+        return checked, problem
+
+    def _ask_for_limit(self, _: None) -> Answer:
+        self._limit = _time_limit(self.generator.time_limit(self.spec.time_budget))
+        return _DONE
+
+    def _reset(self, context: RoleContext) -> Answer:
+        self.generator.reset(context)
+        return _DONE
+
+    def _propose(self, view: GeneratorView) -> Answer:
+        return read_proposal(self.generator.propose(view))
+
+    def _judged(self, number: int, call: Callable[[Any], Answer], argument: Any) -> Answer:
+        """What a call comes to, which goes on within the component's budget until it is read."""
+        try:
+            answer = self._timed_call(number, self._read, call, argument)
+        except TimeBudgetExceeded:
+            answer = Answer(None, "overran its wall-clock time budget")
+        return self._whole(answer)
+
+    def _whole(self, answer: Answer) -> Answer:
+        """The answer, or what the component did to the process beside it."""
+        self._boundary.end_copy()
+        misdeed = self._boundary.take_misdeed() if self._boundary.noted else None
+        return answer if misdeed is None else Answer(None, misdeed)
+
+    def _read(self, call: Callable[[Any], Answer], argument: Any) -> Answer:
+        try:
+            return call(argument)
+        except TimeBudgetExceeded:
+            raise
+        except BaseException as error:
+            self._boundary.let_pass(error)
+            return Answer(None, f"raised {describe_error(error)}")
+
+    def _timed_call(self, number: int, call: Callable[..., Answer], *arguments: Any) -> Answer:
         """Call the component within its budget: by the clock, or as it was recorded."""
         recorded = self.spec.timeouts
         if recorded is not None:
             if number in recorded:
                 self._overran(number, recorded.count(number))
                 raise TimeBudgetExceeded
-            return call(argument)
+            return call(*arguments)
         try:
-            return call_within(self._limit, call, argument)
+            return call_within(self._limit, call, *arguments)
         except CallNotStopped:
             self._overran(number, ABANDON_AFTER)
             raise
@@ -122,3 +248,6 @@ class Component:
             self._not_called = "not called: an earlier call has not come back"
         elif len(self.timeouts) >= ABANDON_AFTER:
             self._not_called = f"not called: it overran its time budget {ABANDON_AFTER} times"
+
+
+_DONE = Answer(None, None)

@@ -5,6 +5,12 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
+
+from pytest_dura.core.boundary import CallEnded, let_pass
+
+_name_of: Any = vars(type)["__name__"].__get__
+_traceback_of: Any = vars(BaseException)["__traceback__"].__get__
 
 
 class DuraError(Exception):
@@ -91,15 +97,13 @@ def describe_error(error: BaseException) -> str:
     """Type, message and place of an error, without what changes from process to process.
 
     Memory addresses are blanked and the place is a file's name without its folder, because the
-    text goes into the episode's digest. Errors raised by the loop itself have no place.
+    text goes into the episode's digest. Errors raised by the loop itself have no place. The error
+    may be of a class that does what it likes where it is looked at.
     """
-    try:
-        message = str(error)
-    except Exception:  # a user's exception may fail in its own __str__; its type is told
-        message = "(its message cannot be read)"
-    text = f"{type(error).__name__}: {message}" if message else type(error).__name__
+    message = read_text(str, error, "(its message cannot be read)")
+    text = f"{type_name(error)}: {message}" if message else type_name(error)
     text = re.sub(r"\b0x[0-9a-fA-F]{6,}", "0x…", text)
-    trace = error.__traceback__
+    trace = _traceback_of(error)
     while trace is not None and trace.tb_next is not None:
         trace = trace.tb_next
     if trace is None:
@@ -110,7 +114,31 @@ def describe_error(error: BaseException) -> str:
     return f"{text} ({file.name}:{trace.tb_lineno})"
 
 
+def type_name(value: object) -> str:
+    """The name of a value's class, whatever its metaclass says."""
+    return str.__str__(_name_of(type(value)))
+
+
+def read_text(read: Any, value: object, instead: str) -> str:
+    """The text that ``str`` or ``repr`` gives of a value, whatever the value does about it.
+
+    Args:
+        read: ``str`` or ``repr``.
+        value: Of any class.
+        instead: What is told of a value that gives no text.
+    """
+    try:
+        text = str.__str__(read(value))
+    except CallEnded:
+        raise
+    except BaseException as error:  # of a user's class, which may raise anything
+        let_pass(error)
+        return instead
+    return text
+
+
 def shorten(value: object, limit: int = 120) -> str:
     """A value's ``repr`` on one line of at most ``limit`` characters."""
-    text = " ".join(repr(value).split())
+    shown = read_text(repr, value, f"an object of type {type_name(value)} that cannot be shown")
+    text = " ".join(shown.split())
     return text if len(text) <= limit else text[: limit - 1] + "…"

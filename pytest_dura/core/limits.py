@@ -12,6 +12,7 @@ from math import isclose
 from time import monotonic
 from typing import Any, ClassVar, TypeVar
 
+from pytest_dura.core.boundary import CallEnded
 from pytest_dura.core.watchdog import Watch
 
 T = TypeVar("T")
@@ -24,7 +25,7 @@ _TICK = 2e-6
 """Seconds to which timers are told."""
 
 
-class TimeBudgetExceeded(BaseException):
+class TimeBudgetExceeded(CallEnded):
     """Raised inside a call that overran. Not an ``Exception``: the callee must not swallow it."""
 
 

@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_dura.core.accounts import PREFIX, accounted, copied
+from pytest_dura.core.boundary import let_pass
 from pytest_dura.core.episode import Episode, EpisodeSpec
 from pytest_dura.core.errors import InfrastructureError, describe_error
 from pytest_dura.core.metrics import DependabilityMetrics, FaultRecord
-from pytest_dura.core.outputs import bounded, check_texts
+from pytest_dura.core.outputs import bounded, check_texts, exact_texts
 from pytest_dura.core.recording import Recording, Scene
 from pytest_dura.core.roles import (
     Alert,
@@ -228,7 +229,8 @@ class EpisodeLog:
             proposed = ""
         else:
             proposed = executed if proposal.action is action else describe(proposal.action)
-        check_texts("description of an action", (proposed, executed))
+        if not check_texts("description of an action", (proposed, executed)):
+            proposed, executed = exact_texts((proposed, executed))
         columns, said = self._columns, self._said
         columns["verdict"].append(int(decision.verdict))
         columns["source"].append(decision.source)
@@ -305,7 +307,8 @@ class EpisodeLog:
                 percepts = simulator.percept_signals(state.percepts)
                 _add_signals(signals, percepts, "percept.", len(time), len(state.percepts))
                 self._add_accounts(signals, simulator, state)
-            except (Exception, CallBlocked) as error:
+            except BaseException as error:
+                let_pass(error)
                 blocked = isinstance(error, CallBlocked)
                 last, cause = state.ticks[-1], str(error) if blocked else describe_error(error)
                 failure = failure or InfrastructureError("simulator", last.index, last.time, cause)
@@ -367,7 +370,8 @@ def _scene(simulator: Simulator, state: StateManager) -> tuple[Scene | None, str
     try:
         scene = simulator.scene(state.ticks, state.percepts)
         wrong = None if scene is None else next(scene_problems(scene, len(state.ticks)), None)
-    except (Exception, CallBlocked) as error:
+    except BaseException as error:
+        let_pass(error)
         return None, f"the simulator could not show its scene: {describe_error(error)}"
     if wrong is not None:
         return None, f"the simulator's scene cannot be shown: {'; '.join(wrong)}"

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
+from pytest_dura.core.boundary import CallEnded, let_pass
 from pytest_dura.core.errors import describe_error
-from pytest_dura.core.outputs import check_texts
+from pytest_dura.core.outputs import check_texts, exact_texts
 from pytest_dura.core.outside import OutsideError, told
 from pytest_dura.core.roles import FaultInjector
 from pytest_dura.core.state import StateManager
@@ -34,7 +35,11 @@ class Messages:
                 channel, message, self._state.tick.time
             )
             check_texts("tampered faults", tampered)
-        except (Exception, SystemExit) as error:
+            faults = exact_texts(tampered)
+        except CallEnded:
+            raise
+        except BaseException as error:
+            let_pass(error)
             raise told(OutsideError("fault_injector", describe_error(error))) from error
-        self._state.message_faults.update(tampered)
+        self._state.message_faults.update(faults)
         return changed

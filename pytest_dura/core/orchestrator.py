@@ -7,6 +7,7 @@ from time import perf_counter_ns
 from typing import Any, cast
 
 from pytest_dura.core.accounts import told_seconds
+from pytest_dura.core.boundary import Boundary
 from pytest_dura.core.checked_calls import (
     acceptable,
     checked_recovery,
@@ -124,7 +125,7 @@ class Orchestrator:
         self._last_index = spec.termination.last_index(spec.time_step)
         self._injector_ns = 0
         self._watch = Watch(self.role_timeout)
-        with alarms(self._watch), rare_collections():
+        with Boundary() as self._boundary, alarms(self._watch), rare_collections():
             return self._run()
 
     def _run(self) -> Episode:
@@ -143,6 +144,7 @@ class Orchestrator:
             )
         if episode.failure is None:
             self._measure(episode)
+        self._boundary.raise_signalled()
         return episode
 
     def _loop(self) -> str:
@@ -169,13 +171,30 @@ class Orchestrator:
                 episode.metrics.user[name] = self._guard(f"metric {name!r}", float, measured)
                 self._check_overrun()
         except InfrastructureError as failure:
-            self.log.failed(failure)
-            episode.events, episode.failure = tuple(self.log.events), str(failure)
-            episode.termination = "infrastructure"
+            self._spoil(episode, failure)
+
+    def close(self, episode: Episode) -> Episode:
+        """Let the simulator go after its episode; if it cannot be closed, the episode is missing.
+
+        Args:
+            episode: What :meth:`run` returned.
+        """
+        with Boundary() as self._boundary, alarms(self._watch):
+            try:
+                self._guard("simulator", self.simulator.close)
+            except InfrastructureError as failure:
+                if episode.failure is None:
+                    self._spoil(episode, failure)
+        return episode
+
+    def _spoil(self, episode: Episode, failure: InfrastructureError) -> None:
+        self.log.failed(failure)
+        episode.events, episode.failure = tuple(self.log.events), str(failure)
+        episode.termination = "infrastructure"
 
     def _reset(self) -> Tick:
         spec = self.spec
-        self._component = Component(self.generator, spec, self.log.timeouts)
+        self._component = Component(self.generator, spec, self.log.timeouts, self._boundary)
         for name, role in self.roles.items():
             # Each gets copies: a role that changed the scenario would change the world.
             scenario = plain_copy(spec.scenario)
@@ -207,7 +226,8 @@ class Orchestrator:
             start = perf_counter_ns()
             percept = self._guard("fault_injector", corrupted, self.injector, tick)
             self._injector_ns = perf_counter_ns() - start
-        self.state.perceive(percept)
+        source = "simulator" if self.injector is None else "fault_injector"
+        self._guard(source, self.state.perceive, percept)
         for kind, subject, detail in tick.events:
             self.log.event(tick, kind, subject, detail)
 
@@ -257,7 +277,7 @@ class Orchestrator:
         start = perf_counter_ns()
         view = self.state.generator_view(feedback, self._messages.transmit)
         with listening() as outside:
-            proposal, problem = self._component.ask(view)
+            proposal, problem, is_plain = self._component.ask(view)
         elapsed = perf_counter_ns() - start
         told = None if proposal is None else told_seconds(proposal.account)
         self.state.generator_seconds = elapsed / 1e9 if told is None else told
@@ -266,7 +286,8 @@ class Orchestrator:
         if proposal is not None:
             problem = proposal.failure or None
         if proposal is not None and (proposal.action is not None or problem is None):
-            action, wrong = self._guard("simulator", acceptable, self.simulator, proposal.action)
+            check = acceptable if is_plain else self._component.check_action
+            action, wrong = self._guard("simulator", check, self.simulator, proposal.action)
             if wrong is None:
                 self.state.proposal = proposal.with_action(action)
             else:
@@ -282,7 +303,7 @@ class Orchestrator:
         for name, role, owed in self.assessors:
             if first or role.reassess:
                 start = perf_counter_ns()
-                output = self._guard(name, run_if_triggered, role, view, owed)
+                output, exact = self._guard(name, run_if_triggered, role, view, owed)
                 elapsed = perf_counter_ns() - start
                 if role is self.injector:
                     elapsed += self._injector_ns
@@ -293,7 +314,7 @@ class Orchestrator:
                     end_directives(state.outputs, name)
                     continue
                 state.outputs[name] = output
-                self._log_output(tick, name, output)
+                self._log_output(tick, name, exact)
             # What a role that does not reassess has said holds for the refined proposal, too.
             judgement = self._judgements.get(name)
             if judgement is not None:
@@ -362,22 +383,33 @@ class Orchestrator:
         A misconfiguration that shows before anything has moved is the user's to mend, not a
         failure of this episode.
         """
-        watch = self._watch
+        watch, boundary = self._watch, self._boundary
         watch.calls += 1
         watch.role = role
         try:
-            return call(*args)
+            result = call(*args)
         except CallBlocked as blocked:
             raise self._failure_of(role, str(blocked)) from blocked
-        except (Exception, SystemExit) as error:
+        except BaseException as error:
+            boundary.let_pass(error)
             if isinstance(error, ConfigurationError) and len(self.state.ticks) <= 1:
                 raise
-            raise self._failure_of(role, describe_error(error)) from error
+            cause = boundary.take_misdeed() or describe_error(error)
+            raise self._failure_of(role, cause) from error
         finally:
             watch.role = None
+        if boundary.noted:
+            misdeed = boundary.take_misdeed()
+            if misdeed is not None:
+                raise self._failure_of(role, misdeed)
+        return result
 
     def _check_overrun(self) -> None:
         """End the episode where a call overran, was interrupted, and went on all the same."""
+        self._boundary.end_copy()
+        misdeed = self._boundary.take_misdeed() if self._boundary.noted else None
+        if misdeed is not None:
+            raise self._failure_of("simulator", misdeed)
         overran = self._watch.overran
         if overran is not None:
             raise self._failure_of(overran, self._watch.cause)

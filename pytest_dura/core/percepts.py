@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from copy import copy
+from types import MappingProxyType
 from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
 
 T = TypeVar("T")
 
@@ -50,6 +56,69 @@ class Lazy:
         if self._make is not None:
             self._value, self._make = self._make(), None
         return self._value
+
+
+def sealed(array: NDArray[Any]) -> NDArray[Any]:
+    """A copy of an array that nobody can write to, nor make writeable; itself if it is one.
+
+    ``flags.writeable = False`` alone can be taken back by whoever gets the array. The numbers lie
+    in ``bytes``. An array of objects is returned as it is.
+    """
+    base: Any = array.base
+    while type(base) is np.ndarray:
+        base = base.base
+    if type(base) is bytes or array.dtype.hasobject:
+        return array
+    found: NDArray[Any] = np.ndarray(array.shape, array.dtype, array.tobytes())
+    return found
+
+
+_LEAVES = frozenset({type(None), bool, int, float, complex, str, bytes})
+
+
+def sealed_parts(value: Any) -> Any:
+    """A value in which no array can be written to; itself where there is nothing to seal.
+
+    Looks into tuples, lists, dictionaries and dataclasses, and in a lazy value when it is made.
+    An object of another class has to seal its arrays itself.
+    """
+    kind = type(value)
+    if kind in _LEAVES:
+        return value
+    if kind is np.ndarray:
+        return sealed(value)
+    if kind is Lazy:
+        return Lazy(lambda: sealed_parts(value.get()))
+    if issubclass(kind, (list, tuple)):
+        return _sealed_sequence(value, kind)
+    if kind is dict or kind is MappingProxyType:
+        parts = {key: sealed_parts(item) for key, item in value.items()}
+        unchanged = all(map(operator.is_, parts.values(), value.values()))
+        return value if unchanged else kind(parts)
+    return _sealed_object(value, kind)
+
+
+def _sealed_sequence(value: Any, kind: Any) -> Any:
+    for item in value:
+        if type(item) not in _LEAVES:
+            break
+    else:  # the usual case: numbers and texts
+        return value
+    parts = [sealed_parts(item) for item in value]
+    if all(map(operator.is_, parts, value)):
+        return value
+    return kind._make(parts) if hasattr(kind, "_make") else kind(parts)
+
+
+def _sealed_object(value: Any, kind: type[Any]) -> Any:
+    found = value
+    for name in getattr(kind, "__dataclass_fields__", ()):
+        part = getattr(value, name, None)
+        own = sealed_parts(part)
+        if own is not part:
+            found = copy(value) if found is value else found
+            object.__setattr__(found, name, own)
+    return found
 
 
 class Percept(Mapping[str, Any]):

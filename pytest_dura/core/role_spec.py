@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from pytest_dura.core.boundary import CallEnded, let_pass
 from pytest_dura.core.errors import ConfigurationError, describe_error
 
 
@@ -81,7 +82,8 @@ class RoleSpec:
             target: Any = importlib.import_module(module_name)
             for part in qualname.split("."):
                 target = getattr(target, part)
-        except Exception as error:  # a module runs the user's code when it is imported
+        except BaseException as error:  # a module runs the user's code when it is imported
+            let_pass(error)
             raise ConfigurationError(
                 f"cannot import {self.path!r}: {describe_error(error)}",
                 found=self.path,
@@ -121,7 +123,10 @@ class RoleSpec:
             return factory(**self.params)
         except ConfigurationError:
             raise
-        except Exception as error:
+        except CallEnded:
+            raise
+        except BaseException as error:
+            let_pass(error)
             raise ConfigurationError(
                 f"{self.path} cannot be built: {describe_error(error)}",
                 found=dict(self.params),

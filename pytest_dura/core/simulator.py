@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cmath
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
@@ -10,7 +11,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_dura.core.errors import ActionError, ConfigurationError, shorten
+from pytest_dura.core.errors import ActionError, ConfigurationError, shorten, type_name
 from pytest_dura.core.recording import Scene
 from pytest_dura.core.state import Percept, Tick
 
@@ -120,16 +121,21 @@ class Simulator(ABC):
     def check_action(self, action: Any) -> Any:
         """The action in the form that ``step`` takes.
 
-        The base refuses ``None`` and NaN; a simulator with a closed set of actions refuses more.
+        What it gets of a component are numbers, texts, lists, tuples, dictionaries and arrays of
+        numbers of exactly these types, copied; objects of other classes, a dataclass for example,
+        it gets as they are. The base takes finite numbers, texts, and what is made of them. A
+        simulator with actions of a class of its own overrides this, and takes no other class;
+        one with a closed set of actions refuses more.
 
         Raises:
             ActionError: If it is not an action of this simulator.
         """
         if action is None:
             raise ActionError("the proposal holds no action (None)")
-        is_float, is_array = isinstance(action, float), isinstance(action, np.ndarray)
-        if (is_float and math.isnan(action)) or (is_array and np.not_equal(action, action).any()):
-            raise ActionError(f"the action {shorten(action)} is not a number (NaN)")
+        if type(action) is not float or not math.isfinite(action):  # the usual case
+            wrong = _wrong_action(action)
+            if wrong is not None:
+                raise ActionError(wrong)
         return action
 
     @abstractmethod
@@ -162,3 +168,29 @@ class Simulator(ABC):
 
     def close(self) -> None:  # noqa: B027 - most simulators hold nothing
         """Release what the simulator holds; it is not used afterwards."""
+
+
+def _wrong_action(action: Any) -> str | None:
+    """Why a value is no action, whatever the simulator; ``None`` if it may be one."""
+    kind = type(action)
+    if kind in (str, bytes, bool, type(None)):
+        return None
+    if kind in (int, float, complex):
+        return None if _is_finite(action) else f"the action {shorten(action)} is no finite number"
+    if kind is dict or kind is list or kind is tuple:
+        parts = [*action, *action.values()] if kind is dict else action
+        return next((wrong for wrong in map(_wrong_action, parts) if wrong is not None), None)
+    if isinstance(action, (np.ndarray, np.generic)) and not action.dtype.hasobject:
+        finite = action.dtype.kind not in "fc" or bool(np.isfinite(action).all())
+        return None if finite else f"the action {shorten(action)} holds what is no finite number"
+    return (
+        f"the action holds an object of type {type_name(action)}; a simulator that takes such "
+        "actions overrides check_action"
+    )
+
+
+def _is_finite(number: complex) -> bool:
+    try:
+        return cmath.isfinite(number)
+    except OverflowError:  # an int of hundreds of digits
+        return False

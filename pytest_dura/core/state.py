@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from pytest_dura.core.percepts import NOTHING, History, Lazy, Percept, PerceptView
+from pytest_dura.core.percepts import NOTHING, History, Lazy, Percept, PerceptView, sealed_parts
 
 if TYPE_CHECKING:
     from pytest_dura.core.roles import Alert, Proposal
@@ -174,7 +174,10 @@ class StateManager:
     def perceive(self, percept: Percept) -> None:
         """How the newest tick is perceived, which opens it for the roles."""
         self.percepts.append(percept)
-        self._channels = MappingProxyType(dict(percept._channels))  # noqa: SLF001 - lazy stays lazy
+        channels = percept._channels  # noqa: SLF001 - lazy stays lazy
+        # What a role could write to, all others would read, and requirements as well.
+        own = {name: sealed_parts(value) for name, value in channels.items()}
+        self._channels = MappingProxyType(own)
         self._role_percepts.append(PerceptView(self._channels, self._role_reads))
         self.proposal = None
         self.generator_reads = set()

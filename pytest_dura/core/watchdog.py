@@ -9,13 +9,15 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from time import monotonic
 
+from pytest_dura.core.boundary import CallEnded
+
 ROLE_TIMEOUT = 60.0
 """Seconds of wall-clock time that a role or the simulator has for one call."""
 _STROKES = 4
 """How often the timer strikes within the limit."""
 
 
-class CallBlocked(BaseException):
+class CallBlocked(CallEnded):
     """Raised inside a call that has not come back in time. The callee must not swallow it."""
 
 

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pytest_dura.core.percepts import sealed
+
 if TYPE_CHECKING:
     from pytest_dura.driving.junction import Route
 
@@ -55,8 +57,7 @@ class BodyList(Sequence[Body]):
         numbers: tuple[tuple[float, ...], ...] | None = None,
     ) -> None:
         self.ids = ids
-        data.flags.writeable = False
-        self.data = data
+        self.data = sealed(data)
         self._made_numbers = numbers
         self._made_beside: tuple[Any, tuple[tuple[float, float], ...]] = None, ()
 

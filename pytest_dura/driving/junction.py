@@ -14,6 +14,8 @@ from functools import cache, cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from pytest_dura.core.percepts import sealed
+
 Floats = NDArray[np.float64]
 
 ARMS = ("south", "west", "north", "east")
@@ -95,8 +97,7 @@ class Route:
         turn = self.origin * math.pi / 2
         c, sn = math.cos(turn), math.sin(turn)
         grid: Floats = np.stack([s, c * x - sn * y, sn * x + c * y, heading + turn], axis=1)
-        grid.flags.writeable = False
-        return grid
+        return sealed(grid)
 
     def pose(self, s: Floats | float) -> tuple[Floats, Floats, Floats]:
         """Where ``s`` (any shape) is: x, y and heading."""
@@ -116,8 +117,7 @@ class Route:
     def _segments(self) -> tuple[Floats, Floats]:
         start = np.ascontiguousarray(self.grid[:, 1:3])
         step = np.diff(start, axis=0, append=start[-1:])
-        start.flags.writeable = step.flags.writeable = False
-        return start, step
+        return sealed(start), sealed(step)
 
     def project(self, x: float, y: float) -> tuple[float, float]:
         """``s`` of the nearest point and the signed lateral offset (right of it positive)."""

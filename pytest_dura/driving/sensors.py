@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_dura.core.state import Lazy
+from pytest_dura.core.percepts import Lazy, sealed
 from pytest_dura.driving.bodies import CAR_LENGTH, BodyList
 from pytest_dura.driving.junction import ARM_LENGTH, SPEED_LIMIT, Route
 from pytest_dura.faults.channels import Channel
@@ -137,9 +137,7 @@ def radar_returns(ego: EgoState, bodies: BodyList) -> NDArray[np.float64]:
         azimuth = math.atan2(s * dx - c * dy, c * dx + s * dy)
         rate = (dx * (vx - ego_vx) + dy * (vy - ego_vy)) / max(distance, 0.1)
         rows.append((distance, azimuth, rate))
-    returns = np.array(rows) if rows else np.empty((0, 3))
-    returns.flags.writeable = False
-    return returns
+    return sealed(np.array(rows) if rows else np.empty((0, 3)))
 
 
 def in_reach(ego: EgoState, bodies: BodyList) -> BodyList:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Generator
+from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from pytest_dura.core.boundary import EXIT_CODE, end_process, lasting_guard
 from pytest_dura.core.errors import DuraError
 from pytest_dura.plugin.falsify_marker import run_marked_search
 from pytest_dura.plugin.progress import begin_progress, expect_progress
@@ -33,6 +36,8 @@ class SessionHooks:
     def __init__(self, session: DuraSession) -> None:
         self.session = session
         self._pytest_session: pytest.Session | None = None
+        self._pid = os.getpid()
+        self._guard = ExitStack()
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_sessionstart(self, session: pytest.Session) -> None:
@@ -118,6 +123,7 @@ class SessionHooks:
         benched = list(filter(uses_bench, session.items))
         own = [item.nodeid for item in benched]
         if own:
+            self._guard.enter_context(lasting_guard())
             self.session.begin_evidence()
             expect_progress(self.session)
         if self.session.evidence.record is not None:
@@ -212,10 +218,12 @@ class SessionHooks:
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """Gather what items told."""
+        self._end_copy()
         self.session.evidence.gather(report)
 
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
         """Write the evidence."""
+        self._end_copy()
         # Whatever is still under way must not come in once the episodes are cleared away.
         self.session.simulating.close()
         if self.session.is_worker:
@@ -231,10 +239,17 @@ class SessionHooks:
     @pytest.hookimpl(trylast=True)
     def pytest_unconfigure(self) -> None:
         """Have the last word on the exit code of a session that the evidence does not support."""
+        self._end_copy()
+        self._guard.close()
         if self._pytest_session is not None:
             self.session.evidence.insist(self._pytest_session)
         self.session.simulating.close()
         self.session.models.end()
+
+    def _end_copy(self) -> None:
+        """End a copy of this process, which some code forked and that came back to pytest."""
+        if os.getpid() != self._pid:
+            end_process(EXIT_CODE)
 
     def pytest_terminal_summary(self, terminalreporter: Any) -> None:
         """Show cases, verdicts and failures."""

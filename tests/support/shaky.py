@@ -34,7 +34,7 @@ class ShakyRoom(Thermostat):
         os.system("echo and what it starts")
         match self.deeds.get(str(seed)):
             case "ends":
-                os._exit(3)
+                os.kill(os.getpid(), signal.SIGKILL)
             case "ends its worker":  # as a machine does that has no memory left
                 os.kill(os.getppid(), signal.SIGKILL)
                 time.sleep(60.0)

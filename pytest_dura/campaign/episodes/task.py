@@ -9,6 +9,7 @@ from typing import Any
 
 from pytest_dura.campaign.components import LocalRole, local_object
 from pytest_dura.campaign.episodes.portability import is_named, why_here
+from pytest_dura.core.boundary import Boundary
 from pytest_dura.core.episode import Episode, EpisodeSpec
 from pytest_dura.core.orchestrator import Orchestrator
 from pytest_dura.core.role_spec import RoleSpec
@@ -126,14 +127,17 @@ def run_episode(
     Raises:
         ConfigurationError: If a part cannot be built.
     """
-    orchestrator = Orchestrator.build(
-        spec, judge, metrics, recorded=recorded, role_timeout=role_timeout
-    )
-    try:
-        return orchestrator.run(spec)
-    finally:
-        if not spec.simulator.opaque:
-            orchestrator.simulator.close()
+    with Boundary():
+        orchestrator = Orchestrator.build(
+            spec, judge, metrics, recorded=recorded, role_timeout=role_timeout
+        )
+        try:
+            episode = orchestrator.run(spec)
+        except BaseException:  # also on ctrl-C; it is raised again
+            if not spec.simulator.opaque:
+                orchestrator.simulator.close()
+            raise
+        return episode if spec.simulator.opaque else orchestrator.close(episode)
 
 
 def _unnamed(part: RoleSpec) -> Any:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 
+from pytest_dura.core.boundary import Boundary
 from pytest_dura.core.episode import Episode
 from pytest_dura.core.errors import ConfigurationError, describe_error
 from pytest_dura.requirements.checks import check_name, load_function
@@ -166,10 +167,12 @@ def measured(measure: str | Callable[[Episode], float], episode: Episode) -> flo
     """
     function = load_function(measure) if isinstance(measure, str) else measure
     try:
-        return float(function(episode))
+        with Boundary() as boundary:
+            return float(function(episode))
     except ConfigurationError:
         raise
-    except Exception as error:
+    except BaseException as error:
+        boundary.let_pass(error)
         name = check_name(measure)
         raise ConfigurationError(
             f"the measure {name} failed on {episode.id}: {describe_error(error)}",

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from pytest_dura.core.boundary import Boundary
 from pytest_dura.core.episode import Episode
 from pytest_dura.core.errors import ConfigurationError, describe_error
 from pytest_dura.core.loop_signals import PREFIX, loop_signals
@@ -229,10 +230,13 @@ def _by_function(
         detail = episode.failure or "the episode has no samples"
         return "missing", CheckResult(False, detail=detail)
     try:
-        result = check_result(function(JudgedEpisode.of(episode)))
+        with Boundary() as boundary:
+            result = check_result(function(JudgedEpisode.of(episode)))
+            boundary.raise_signalled()
     except ConfigurationError:
         raise
-    except (Exception, SystemExit) as error:
+    except BaseException as error:
+        boundary.let_pass(error)
         detail = f"infrastructure: check {name}: {describe_error(error)}"
         return "missing", CheckResult(False, detail=detail)
     if result.margin is not None and not math.isfinite(result.margin):

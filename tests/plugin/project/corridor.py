@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import signal
 import time
 from pathlib import Path
 
@@ -42,7 +43,7 @@ class Corridor(Simulator):
     def step(self, action):
         self.index += 1
         if self.dies:
-            os._exit(3)
+            os.kill(os.getpid(), signal.SIGKILL)
         if self.breaks_at is not None and self.index >= self.breaks_at:
             raise RuntimeError("the corridor collapsed")
         self.x += float(action) * self.time_step

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import signal
 import threading
 import time
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
@@ -295,10 +297,18 @@ def test_an_alarm_of_somebody_else_is_left_alone() -> None:
 
 def test_control_c_is_not_a_failure_of_the_component() -> None:
     def interrupt(view: Any) -> Proposal:
-        raise KeyboardInterrupt
+        signal.raise_signal(signal.SIGINT)
+        return Proposal(1.0)
 
-    with pytest.raises(KeyboardInterrupt):
-        run_loop(interrupt)
+    def swallow(view: Any) -> Proposal:
+        with suppress(BaseException):
+            interrupt(view)
+        return Proposal(1.0)
+
+    for component in (interrupt, swallow):
+        with pytest.raises(KeyboardInterrupt):
+            run_loop(component)
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 def test_a_component_cannot_hide_things_from_the_monitor_by_writing_into_the_percept() -> None:
