@@ -28,10 +28,13 @@ if TYPE_CHECKING:
 EXIT_CODE = 70
 """Exit code (``EX_SOFTWARE``) of a process that would have ended itself with 0, and of copies."""
 
-_INTERRUPTING = ("SIGINT", "SIGTERM", "SIGALRM", "SIGHUP", "SIGUSR1", "SIGUSR2", "SIGBREAK")
-"""Signals whose handlers raise exceptions in some plugin or other."""
-_LASTING = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
-"""Those of them that are meant for the session: no call goes on after one of their exceptions."""
+_INTERRUPTING = {
+    getattr(signal, name): name != "SIGALRM"
+    for name in ("SIGINT", "SIGTERM", "SIGBREAK", "SIGALRM")
+    if hasattr(signal, name)
+}
+"""Signals whose handlers raise exceptions, of pytest, a plugin or a user; and whether they are
+meant for the session, so that no call goes on after one of them."""
 _STARTS_PROGRAMS = ("multiprocessing", "subprocess", "concurrent")
 """Packages whose copies of a process never return from the call that made them."""
 
@@ -72,9 +75,8 @@ class Boundary:
         _install()
         self._token = _CURRENT.set(self)
         if threading.current_thread() is threading.main_thread():
-            for name in _INTERRUPTING:
-                if hasattr(signal, name):
-                    self._wrap(getattr(signal, name), lasting=name in _LASTING)
+            for number, lasting in _INTERRUPTING.items():
+                self._wrap(number, lasting=lasting)
             self._hears_keys = signal.getsignal(signal.SIGINT) is not None
         return self
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Callable, Mapping
 from dataclasses import fields
 from numbers import Real
@@ -52,7 +53,7 @@ def read_proposal(answer: Any) -> Answer:
         action, explanation, latency, failure, account = (part(answer) for part in _PARTS)
     else:
         return Answer(None, f"returned {type_name(answer)}, not a Proposal")
-    is_plain = True
+    parts, is_plain = (action, explanation, latency, failure, account), True
     try:
         if type(explanation) is not str:
             explanation = _text("an explanation", explanation)
@@ -66,7 +67,9 @@ def read_proposal(answer: Any) -> Answer:
             action, is_plain = _action(action)
     except _UnusableError as wrong:
         return Answer(None, str(wrong))
-    return Answer(Proposal(action, explanation, latency, failure, account), None, is_plain)
+    read = action, explanation, latency, failure, account
+    same = type(answer) is Proposal and all(map(operator.is_, read, parts))
+    return Answer(answer if same else Proposal(*read), None, is_plain)
 
 
 class _UnusableError(Exception):

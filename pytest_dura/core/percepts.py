@@ -43,7 +43,10 @@ NOTHING: Mapping[str, Any] = _Nothing()
 
 
 class Lazy:
-    """A channel value that is made when somebody first reads it (a camera frame)."""
+    """A channel value that is made when somebody first reads it (a camera frame).
+
+    Its arrays are sealed, see :func:`sealed_parts`.
+    """
 
     __slots__ = ("_make", "_value")
 
@@ -54,7 +57,7 @@ class Lazy:
     def get(self) -> Any:
         """The value, made at the first call and kept."""
         if self._make is not None:
-            self._value, self._make = self._make(), None
+            self._value, self._make = sealed_parts(self._make()), None
         return self._value
 
 
@@ -73,46 +76,54 @@ def sealed(array: NDArray[Any]) -> NDArray[Any]:
     return found
 
 
-_LEAVES = frozenset({type(None), bool, int, float, complex, str, bytes})
-
-
 def sealed_parts(value: Any) -> Any:
     """A value in which no array can be written to; itself where there is nothing to seal.
 
-    Looks into tuples, lists, dictionaries and dataclasses, and in a lazy value when it is made.
-    An object of another class has to seal its arrays itself.
+    Looks into tuples, lists, dictionaries and dataclasses. An object of another class has to seal
+    its arrays itself.
     """
     kind = type(value)
-    if kind in _LEAVES:
-        return value
+    if kind not in _SEALERS:
+        _SEALERS[kind] = _sealer_of(kind)
+    sealer = _SEALERS[kind]
+    return value if sealer is None else sealer(value)
+
+
+_SEALERS: dict[type[Any], Callable[[Any], Any] | None] = {}
+"""What seals a value of a class; ``None`` for a class whose values are left alone."""
+
+
+def _sealer_of(kind: type[Any]) -> Callable[[Any], Any] | None:
     if kind is np.ndarray:
-        return sealed(value)
-    if kind is Lazy:
-        return Lazy(lambda: sealed_parts(value.get()))
+        return sealed
     if issubclass(kind, (list, tuple)):
-        return _sealed_sequence(value, kind)
+        return _sealed_sequence
     if kind is dict or kind is MappingProxyType:
-        parts = {key: sealed_parts(item) for key, item in value.items()}
-        unchanged = all(map(operator.is_, parts.values(), value.values()))
-        return value if unchanged else kind(parts)
-    return _sealed_object(value, kind)
+        return _sealed_mapping
+    return _sealed_fields if hasattr(kind, "__dataclass_fields__") else None
 
 
-def _sealed_sequence(value: Any, kind: Any) -> Any:
+def _sealed_sequence(value: Any) -> Any:
     for item in value:
-        if type(item) not in _LEAVES:
+        if type(item) is not float and sealed_parts(item) is not item:
             break
     else:  # the usual case: numbers and texts
         return value
-    parts = [sealed_parts(item) for item in value]
-    if all(map(operator.is_, parts, value)):
-        return value
+    parts = list(map(sealed_parts, value))
+    kind = type(value)
     return kind._make(parts) if hasattr(kind, "_make") else kind(parts)
 
 
-def _sealed_object(value: Any, kind: type[Any]) -> Any:
+def _sealed_mapping(value: Any) -> Any:
+    parts = {key: sealed_parts(item) for key, item in value.items()}
+    if all(map(operator.is_, parts.values(), value.values())):
+        return value
+    return type(value)(parts)
+
+
+def _sealed_fields(value: Any) -> Any:
     found = value
-    for name in getattr(kind, "__dataclass_fields__", ()):
+    for name in type(value).__dataclass_fields__:
         part = getattr(value, name, None)
         own = sealed_parts(part)
         if own is not part:

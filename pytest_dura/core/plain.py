@@ -18,12 +18,6 @@ DEEPEST = 32
 
 EXACT = frozenset({type(None), bool, int, float, complex, str, bytes})
 """Types of values that hold nothing else, and cannot be changed."""
-_NUMBERS_AND_TEXTS: tuple[tuple[type[Any], Any], ...] = (
-    (str, str.__str__),
-    (float, float.__float__),
-    (int, int.__int__),
-    (bytes, lambda value: bytes.__getitem__(value, slice(None))),
-)
 _dtype_of: Any = vars(np.ndarray)["dtype"].__get__
 
 
@@ -49,6 +43,8 @@ def exact_copy(value: Any) -> tuple[Any, bool]:
     """
     if type(value) in EXACT:
         return value, True
+    if _base_of(type(value)) is None:
+        return value, False
     copier = _Copier()
     copied = copier.copy(value, 0)
     return copied, copier.is_plain
@@ -68,24 +64,42 @@ class _Copier:
             return value
         if above > DEEPEST:
             raise ValueError(f"it holds more than {DEEPEST} containers within each other")
-        if issubclass(kind, dict) or kind is MappingProxyType:
+        base = _base_of(kind)
+        if base is dict:
             items = value.items() if kind is MappingProxyType else dict.items(value)
             return {self.copy(key, above + 1): self.copy(item, above + 1) for key, item in items}
-        if issubclass(kind, list):
+        if base is list:
             return [self.copy(item, above + 1) for item in list.__iter__(value)]
-        if kind is tuple:
+        if base is tuple:
             return tuple([self.copy(item, above + 1) for item in value])
-        return self._leaf(value, kind)
-
-    def _leaf(self, value: Any, kind: type[Any]) -> Any:
-        if issubclass(kind, np.ndarray) and not _dtype_of(value).hasobject:
+        if base is np.ndarray and not _dtype_of(value).hasobject:
             return np.array(value, copy=True, subok=False)
-        for base, exact in _NUMBERS_AND_TEXTS:
-            if issubclass(kind, base):
-                return exact(value)
-        if issubclass(kind, np.generic):
-            number = np.generic.item(value)
-            if type(number) in EXACT:
-                return number
-        self.is_plain = False
+        if base is not None and base is not np.ndarray:
+            value = _EXACTLY[base](value)
+        self.is_plain &= type(value) in EXACT
         return value
+
+
+_EXACTLY: dict[Any, Any] = {
+    str: str.__str__,
+    float: float.__float__,
+    int: int.__int__,
+    bytes: lambda value: bytes.__getitem__(value, slice(None)),
+    np.generic: np.generic.item,
+}
+
+
+def _base_of(kind: type[Any]) -> type[Any] | None:
+    """The class as whose instance a value is copied; ``None`` where it is left as it is."""
+    known = _KNOWN.get(id(kind))
+    if known is None:
+        found = next((base for base in _BASES if issubclass(kind, base)), None)
+        if kind is tuple or kind is MappingProxyType:
+            found = tuple if kind is tuple else dict
+        # By identity: to look up a class is to call its metaclass, which may be anybody's.
+        known = _KNOWN[id(kind)] = kind, found
+    return known[1]
+
+
+_BASES: tuple[type[Any], ...] = (dict, list, np.ndarray, *_EXACTLY)
+_KNOWN: dict[int, tuple[type[Any], type[Any] | None]] = {}

@@ -150,6 +150,7 @@ class StateManager:
     _role_reads: set[str] = field(default_factory=set)
     _role_percepts: list[Percept] = field(default_factory=list)
     _channels: Mapping[str, Any] = NOTHING
+    _same: dict[str, Any] = field(default_factory=dict)
     _windows: tuple[History, History, History] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -174,9 +175,15 @@ class StateManager:
     def perceive(self, percept: Percept) -> None:
         """How the newest tick is perceived, which opens it for the roles."""
         self.percepts.append(percept)
-        channels = percept._channels  # noqa: SLF001 - lazy stays lazy
         # What a role could write to, all others would read, and requirements as well.
-        own = {name: sealed_parts(value) for name, value in channels.items()}
+        own, same = {}, self._same
+        for name, value in percept._channels.items():  # noqa: SLF001 - lazy stays lazy
+            if same.get(name) is value:
+                own[name] = value
+            else:
+                own[name] = sealed_parts(value)
+                if isinstance(value, tuple) and own[name] is value:
+                    same[name] = value  # such as a map, which is the same at every tick
         self._channels = MappingProxyType(own)
         self._role_percepts.append(PerceptView(self._channels, self._role_reads))
         self.proposal = None
