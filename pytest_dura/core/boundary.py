@@ -208,8 +208,9 @@ def _execute(name: str, real: Callable[..., NoReturn], *args: Any) -> NoReturn:
 
 
 def _refuse(boundary: Boundary, what: str) -> NoReturn:
-    boundary.note(f"tried to end the process by {what}")
-    raise ExitRefusedError(f"{what} is refused while an episode runs")
+    tried = f"tried to end the process by {what}"
+    boundary.note(tried)
+    raise ExitRefusedError(tried)
 
 
 class _Guard:

@@ -139,6 +139,6 @@ def read_text(read: Any, value: object, instead: str) -> str:
 
 def shorten(value: object, limit: int = 120) -> str:
     """A value's ``repr`` on one line of at most ``limit`` characters."""
-    shown = read_text(repr, value, f"an object of type {type_name(value)} that cannot be shown")
+    shown = read_text(repr, value, f"<{type_name(value)}>")
     text = " ".join(shown.split())
     return text if len(text) <= limit else text[: limit - 1] + "…"
