@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     )
     from pytest_dura.core.metrics import DependabilityMetrics, FaultRecord
     from pytest_dura.core.orchestrator import Orchestrator
+    from pytest_dura.core.percepts import sealed
     from pytest_dura.core.recording import Line, Recording, Scene, Tracks
     from pytest_dura.core.role_spec import RoleSpec
     from pytest_dura.core.roles import (
@@ -134,6 +135,7 @@ __all__ = [
     "check_role",
     "check_simulator",
     "derive_seed",
+    "sealed",
     "stream",
 ]
 
@@ -152,6 +154,7 @@ _HOMES = {
     ),
     "pytest_dura.core.metrics": "DependabilityMetrics FaultRecord",
     "pytest_dura.core.orchestrator": "Orchestrator",
+    "pytest_dura.core.percepts": "sealed",
     "pytest_dura.core.recording": "Line Recording Scene Tracks",
     "pytest_dura.core.role_spec": "RoleSpec",
     "pytest_dura.core.roles": (

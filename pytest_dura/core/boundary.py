@@ -192,7 +192,8 @@ def _exit(status: int) -> NoReturn:
     boundary = _CURRENT.get()
     if boundary is not None and boundary.pid == os.getpid():
         _refuse(boundary, f"os._exit({status})" if type(status) is int else "os._exit")
-    if boundary is None and os.getpid() == _GUARD.pid and status == 0:
+    lasts = boundary is None and _GUARD.wanted > 0 and os.getpid() == _GUARD.pid
+    if lasts and status == 0:
         text = f"dura: os._exit(0) was called while a session ran: exit code {EXIT_CODE}\n"
         os.write(2, text.encode())
         end_process(EXIT_CODE)

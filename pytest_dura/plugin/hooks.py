@@ -43,6 +43,8 @@ class SessionHooks:
     def pytest_sessionstart(self, session: pytest.Session) -> None:
         """Check the options before anything runs."""
         self._pytest_session = session
+        if self.session.active:
+            self._guard.enter_context(lasting_guard())
         self.session.start()
         begin_progress(self.session)
         if self.session.shard is not None:
@@ -123,7 +125,8 @@ class SessionHooks:
         benched = list(filter(uses_bench, session.items))
         own = [item.nodeid for item in benched]
         if own:
-            self._guard.enter_context(lasting_guard())
+            if not self.session.active:
+                self._guard.enter_context(lasting_guard())
             self.session.begin_evidence()
             expect_progress(self.session)
         if self.session.evidence.record is not None:
