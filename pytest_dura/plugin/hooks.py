@@ -37,15 +37,15 @@ class SessionHooks:
         self.session = session
         self._pytest_session: pytest.Session | None = None
         self._pid = os.getpid()
-        self._guard = ExitStack()
+        self._guard: ExitStack | None = None
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_sessionstart(self, session: pytest.Session) -> None:
         """Check the options before anything runs."""
         self._pytest_session = session
-        if self.session.active:
-            self._guard.enter_context(lasting_guard())
         self.session.start()
+        if self.session.active:
+            self._begin_guard()
         begin_progress(self.session)
         if self.session.shard is not None:
             session.config.pluginmanager.register(self.session.shard, "dura-shard")
@@ -125,8 +125,7 @@ class SessionHooks:
         benched = list(filter(uses_bench, session.items))
         own = [item.nodeid for item in benched]
         if own:
-            if not self.session.active:
-                self._guard.enter_context(lasting_guard())
+            self._begin_guard()
             self.session.begin_evidence()
             expect_progress(self.session)
         if self.session.evidence.record is not None:
@@ -243,11 +242,18 @@ class SessionHooks:
     def pytest_unconfigure(self) -> None:
         """Have the last word on the exit code of a session that the evidence does not support."""
         self._end_copy()
-        self._guard.close()
+        if self._guard is not None:
+            self._guard.close()
         if self._pytest_session is not None:
             self.session.evidence.insist(self._pytest_session)
         self.session.simulating.close()
         self.session.models.end()
+
+    def _begin_guard(self) -> None:
+        """Let nothing end this process with a success; a second call does nothing."""
+        if self._guard is None:
+            self._guard = ExitStack()
+            self._guard.enter_context(lasting_guard())
 
     def _end_copy(self) -> None:
         """End a copy of this process, which some code forked and that came back to pytest."""

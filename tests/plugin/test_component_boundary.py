@@ -13,6 +13,8 @@ import pytest
 from corridors import expect, requirement, scenario
 from outputs import output
 
+from pytest_dura.__main__ import main
+
 PARTS = """
 import asyncio, ctypes, os, signal, sys
 import numpy as np
@@ -368,6 +370,14 @@ def test_a_worker_that_ends_itself_in_c_is_lost_and_no_success(project, mode):
     assert words["corridor/d-dies", "GAP-1"] == "undecided"
     assert words["corridor/d-well", "GAP-1"] == "supported"
     assert project.evidence()["gate"]["result"] == "failed"
+
+
+def test_an_exit_in_c_leaves_a_session_that_says_so(project):
+    project.write("hostile.py", PARTS)
+    scenario(project, generator=path("Component", "C"), runs=1, requirements="[GAP-1]")
+    project.pytester.runpytest_subprocess("corridor/it")
+    assert project.evidence()["status"] == "running"
+    assert main(["verify", str(project.path / "dura-evidence")]) != 0
 
 
 LATER = """
