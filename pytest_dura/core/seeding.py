@@ -6,6 +6,8 @@ Adding a role or a fault asks for a new name and so shifts nobody else's draws.
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import numpy as np
 
@@ -26,7 +28,46 @@ def stream(seed: int, name: str) -> np.random.Generator:
             "a seed is a whole number of at least 0", key="seed", found=seed, expected="0 or more"
         )
     words = np.frombuffer(hashlib.sha256(name.encode()).digest(), dtype="<u4").tolist()
-    return np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, *words])))
+    made = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, *words])))
+    for draws in _NOTING:
+        draws.note(made)
+    return made
+
+
+class Draws:
+    """Notes whether any number was drawn from the streams that were made since it began."""
+
+    def __init__(self) -> None:
+        self._streams: list[tuple[np.random.Generator, int]] = []
+
+    def note(self, made: np.random.Generator) -> None:
+        """A stream was made."""
+        self._streams.append((made, _position(made)))
+
+    @property
+    def any(self) -> bool:
+        """Whether a number was drawn from one of them."""
+        return any(_position(one) != first for one, first in self._streams)
+
+
+_NOTING: list[Draws] = []
+"""A global, since a component may be asked in another thread than the loop's."""
+
+
+@contextmanager
+def noting_draws() -> Iterator[Draws]:
+    """Context in which it is noted whether anybody draws from a stream that is made in it."""
+    draws = Draws()
+    _NOTING.append(draws)
+    try:
+        yield draws
+    finally:
+        _NOTING.remove(draws)
+
+
+def _position(made: np.random.Generator) -> int:
+    """Where a stream is: another number after each draw, as far as anybody can tell."""
+    return int(made.bit_generator.state["state"]["state"])
 
 
 def derive_seed(base_seed: int, *names: object) -> int:

@@ -45,7 +45,8 @@ def episode(case="a/clear", run=0, *, validity="valid", trace=None, **changes):
         "invalid_reason": "never manifested: ghost" if validity == "invalid" else None,
         "termination": "infrastructure" if validity == "missing" else "goal",
         "failure": "infrastructure: safety_monitor: boom" if validity == "missing" else None,
-        "digest": f"{run:02d}" * 32, "trace": trace,
+        "digest": f"{run:02d}" * 32, "trajectory": f"{run:02d}" * 32, "drawn": False,
+        "trace": trace,
         "outcome": {
             "flagged": run == 1, "collided": run == 1, "clearance_time": 1.5 + run / 10,
             "gridlock": False, "recoveries": 0, "alerts": 1,

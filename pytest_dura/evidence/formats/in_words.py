@@ -56,6 +56,13 @@ def not_shown(record: SessionRecord) -> Iterator[str]:
         blind = sum(one["episodes"] == 0 for one in undecided)
         rest = f", {blind} of them without a single valid episode" if blind else ""
         yield f"{_share(undecided, verdicts)} undecided{rest}: they show neither."
+    equal = [one for one in verdicts if one.get("situation") is not None]
+    if equal:
+        rests = "rests" if len(equal) == 1 else "rest"
+        yield (
+            f"{len(equal)} of {len(verdicts)} verdicts {rests} on runs that are all equal: however "
+            "many they are, they show one situation, and no rate."
+        )
     waived = [one for one in verdicts if one["waiver"] is not None]
     if waived:
         yield f"{_share(waived, verdicts)} waived: let through by name, not by evidence."

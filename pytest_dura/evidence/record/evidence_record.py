@@ -11,6 +11,7 @@ from typing import Any, Literal
 from pytest_dura.evidence.record.attempts import final_outcomes, judged_looks, question, test_of
 from pytest_dura.evidence.record.case_metrics import CaseMetrics
 from pytest_dura.evidence.record.components import Components
+from pytest_dura.evidence.record.episodes import add_run, situations_of
 from pytest_dura.evidence.record.faults import SharedViolations
 from pytest_dura.evidence.record.item_report import unpacked
 from pytest_dura.evidence.record.missing_runs import missing_runs, verdicts_on_cases
@@ -21,6 +22,7 @@ from pytest_dura.evidence.record.session_record import SessionRecord
 from pytest_dura.evidence.record.spool import EpisodeSpool
 from pytest_dura.requirements.model import Requirement
 from pytest_dura.requirements.verdicts.judging import judge_campaign
+from pytest_dura.requirements.verdicts.situations import Situations
 
 SCHEMA_VERSION = "2"
 NO_QUESTION = {"check": "", "paired": None}
@@ -67,6 +69,8 @@ class EvidenceRecord:
     _reuse: Reuse = field(default_factory=Reuse)
     _ran: set[str] = field(default_factory=set)
     """Cases with any episode."""
+    _situations: dict[tuple[str, str], Situations] = field(default_factory=dict)
+    """Of the planned episodes of each case with a component."""
 
     def __post_init__(self) -> None:
         """Make room for the episodes."""
@@ -190,6 +194,7 @@ class EvidenceRecord:
         """The episodes of a report, and what it tells of them beside."""
         for episode in report["episodes"]:
             self._ran.add(episode["case"])
+            self._add_situation(episode)
             first = self._spool.add(episode)
             if first != episode["digest"]:
                 self._clashes[episode["case"], episode["component"]] = (
@@ -199,6 +204,14 @@ class EvidenceRecord:
         for chain in report["chains"]:
             self._spool.add_chain(chain)
         self.add_traces(report["traces"])
+
+    def _add_situation(self, episode: Data) -> None:
+        key = episode["case"], episode["component"]
+        if not episode["planned"] or key not in self._cases:
+            return
+        if key not in self._situations:
+            self._situations[key] = situations_of(self._cases[key])
+        add_run(self._situations[key], episode)
 
     def _add_verdict(self, item: str, verdict: Data) -> None:
         # The same item may ask several questions; what is asked again is another attempt.
@@ -221,7 +234,9 @@ class EvidenceRecord:
         """The verdict of a test that looks at one episode at a time."""
         test, requirement, case, component = key
         final = final_outcomes(told)
-        verdict = judged_looks(self._requirement(requirement), case, component, told)
+        known = self._situations.get((case, component))
+        situation = None if known is None else known.situation
+        verdict = judged_looks(self._requirement(requirement), case, component, told, situation)
         waiver = self._waiver_of(final, verdict)
         return {**verdict, **NO_QUESTION, "item": test, "waiver": waiver, "attempts": []}
 

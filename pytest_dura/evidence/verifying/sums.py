@@ -179,7 +179,9 @@ def _word(name: str, one: Data) -> Iterator[str]:
     """Whether the counts allow the word; the statistics are computed again where n is fixed."""
     bound, word = one["bound"], one["verdict"]
     exact = bound["method"] == METHOD
-    if exact and one["episodes"]:
+    if one["situation"] is not None and bound["upper"] is not None:
+        yield f"{name}: its runs are equal, and a rate is bound"
+    elif exact and one["episodes"] and one["situation"] is None:
         worst = one["violations"] + len(one["open"])
         upper = upper_bound(min(worst, one["episodes"]), one["episodes"], bound["confidence"])
         if bound["upper"] is None or not isclose(bound["upper"], upper, rel_tol=1e-9):
