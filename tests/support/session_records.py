@@ -206,7 +206,7 @@ def _case(name):
     return {
         "id": name, "scenario": scenario, "faults": faults, "component": "C", "without": [],
         "requirements": sorted(REQUIREMENTS), "planned": 4 if plus else 2, "runs_override": None,
-        "missing_runs": [], "missing_runs_total": 0,
+        "missing_runs": [], "missing_runs_total": 0, "repeat": None,
         "variation": {"world.wall": {"min": 2.0, "max": 6.0}},
         "metrics": {
             "planned": 2, "run": 2, "valid": 2, "invalid": 0, "missing": 0, "ended_early": 0,

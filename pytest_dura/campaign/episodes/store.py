@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable
 from concurrent.futures import Future
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from threading import Event
 from typing import Any
 
@@ -91,6 +91,32 @@ class EpisodeStore:
             self.simulated += 1
         else:
             episode, kept = self._had(task, address, ahead)
+        self.memory.put(task, episode, elsewhere=kept)
+        return episode
+
+    def repeat(self, task: EpisodeTask) -> JudgedEpisode | None:
+        """An episode once more, to be compared with itself; ``None`` if another process is at it.
+
+        Args:
+            task: What the first one was had by.
+
+        Raises:
+            ConfigurationError: If a part of it cannot be built.
+        """
+        task = replace(task.repeated(), recorded=False)
+        found = self.memory.find(task)
+        if found is not None:
+            return found
+        alone = self.shelf is None and self.execution.inside
+        address = None if alone else self._address(task)
+        if address is None:
+            episode, kept = JudgedEpisode.of(self.execution.run_here(task)), False
+        else:
+            shelved = self._shelved(task, address)
+            flight = None if shelved is not None else self._begun(task, address)
+            if flight is None:
+                return shelved
+            episode, kept = self._landed(flight)
         self.memory.put(task, episode, elsewhere=kept)
         return episode
 

@@ -16,6 +16,7 @@ from pytest_dura.evidence.record.faults import SharedViolations
 from pytest_dura.evidence.record.item_report import unpacked
 from pytest_dura.evidence.record.missing_runs import missing_runs, verdicts_on_cases
 from pytest_dura.evidence.record.models import Models
+from pytest_dura.evidence.record.repeats import REPEAT, worse
 from pytest_dura.evidence.record.reuse import ALONE, Reuse
 from pytest_dura.evidence.record.searches import Searches
 from pytest_dura.evidence.record.session_record import SessionRecord
@@ -69,6 +70,7 @@ class EvidenceRecord:
     _reuse: Reuse = field(default_factory=Reuse)
     _ran: set[str] = field(default_factory=set)
     """Cases with any episode."""
+    _repeats: dict[tuple[str, str], Data] = field(default_factory=dict)
     _situations: dict[tuple[str, str], Situations] = field(default_factory=dict)
     """Of the planned episodes of each case with a component."""
 
@@ -104,6 +106,10 @@ class EvidenceRecord:
         for case in report["cases"]:
             self._add_case(case)
         self._add_episodes(report)
+        for repeat in report["repeats"]:
+            key = repeat["case"], repeat["component"]
+            told = {name: repeat[name] for name in REPEAT}
+            self._repeats[key] = dict(worse(self._repeats.get(key), told) or told)
         self._models.add(report["models"])
         self._problems.update(report["problems"])
         self._reuse.add(report)
@@ -309,6 +315,7 @@ class EvidenceRecord:
             {
                 **self._cases[key],
                 "metrics": metrics[key].to_json(self._cases[key]["planned"]),
+                "repeat": self._repeats.get(key),
                 **missing_runs(self._cases[key], judged.get(key, []), heard[key]),
             }
             for key in sorted(self._cases)

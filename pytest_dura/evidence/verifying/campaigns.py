@@ -161,8 +161,9 @@ class _Check:
         if unheard is not None:
             yield f"it rests on {one['run']} runs, and {unheard} is not among the episodes"
             return
-        if self.own.alike and one["situation"] != (situation := self._situation()):
-            yield f"its runs are {_told(one['situation'])}, and their trajectories say {_told(situation)}"
+        if self.own.alike and one["situation"] != (found := self._situation()):
+            told = _told(one["situation"])
+            yield f"its runs are {told}, and their trajectories say {_told(found)}"
         if one["pairs"] is not None:
             recovered = sum(self.own.runs[number].recovered for number in range(one["run"]))
             yield from pair_problems(one, recovered if self.own.alike else None)

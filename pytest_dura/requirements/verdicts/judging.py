@@ -65,7 +65,7 @@ class CampaignJudge:
         self.component, self.until_decided = component, until_decided
         self.verdicts: list[EpisodeVerdict] = []
         self.situation: Situation | None = None
-        """What the runs are, if all of them are equal; whoever adds them sees their trajectories."""
+        """What the runs are, if all are equal; whoever adds them sees their trajectories."""
         self._counts: Counter[str] = Counter()
         check_share("confidence", requirement.confidence, above=0.5)
         if requirement.at_most is not None:
@@ -199,7 +199,8 @@ class CampaignJudge:
     def _bound(self, valid: int) -> Bound:
         confidence, at_most = self.requirement.confidence, self.requirement.at_most
         if self.situation is not None:
-            return Bound(confidence, None, METHOD if self.test is None else self.test.method, at_most)
+            method = METHOD if self.test is None else self.test.method
+            return Bound(confidence, None, method, at_most)
         if self.test is None or self.method == "fixed":
             worst = self._count("violated") + self._count("open")
             upper = upper_bound(worst, valid, confidence) if valid else None

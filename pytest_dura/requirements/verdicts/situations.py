@@ -49,9 +49,7 @@ class Situations:
             drawn=episode.drawn,
         )
 
-    def add_run(
-        self, case: str, number: int, trajectory: str, *, valid: bool, drawn: bool
-    ) -> None:
+    def add_run(self, case: str, number: int, trajectory: str, *, valid: bool, drawn: bool) -> None:
         """A run as the record has it.
 
         Args:
