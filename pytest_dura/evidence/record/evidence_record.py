@@ -107,9 +107,9 @@ class EvidenceRecord:
             self._add_case(case)
         self._add_episodes(report)
         for repeat in report["repeats"]:
-            key = repeat["case"], repeat["component"]
+            about = repeat["case"], repeat["component"]
             told = {name: repeat[name] for name in REPEAT}
-            self._repeats[key] = dict(worse(self._repeats.get(key), told) or told)
+            self._repeats[about] = dict(worse(self._repeats.get(about), told) or told)
         self._models.add(report["models"])
         self._problems.update(report["problems"])
         self._reuse.add(report)
