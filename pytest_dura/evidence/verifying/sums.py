@@ -186,17 +186,24 @@ def _counts(name: str, one: Data) -> Iterator[str]:
         yield f"{name}: more violations without effect than the {one['invalid']} invalid episodes"
 
 
-def _word(name: str, one: Data) -> Iterator[str]:
-    """Whether the counts allow the word; the statistics are computed again where n is fixed."""
-    bound, word = one["bound"], one["verdict"]
-    exact = bound["method"] == METHOD
-    if one["situation"] is not None and bound["upper"] is not None:
-        yield f"{name}: its runs are equal, and a rate is bound"
-    elif exact and one["episodes"] and one["situation"] is None:
+def _upper(name: str, one: Data) -> Iterator[str]:
+    """Whether the bound is that of the counts, and there is none of runs that are all equal."""
+    bound = one["bound"]
+    if one["situation"] is not None:
+        if bound["upper"] is not None:
+            yield f"{name}: its runs are equal, and a rate is bound"
+    elif bound["method"] == METHOD and one["episodes"]:
         worst = one["violations"] + len(one["open"])
         upper = upper_bound(min(worst, one["episodes"]), one["episodes"], bound["confidence"])
         if bound["upper"] is None or not isclose(bound["upper"], upper, rel_tol=1e-9):
             yield f"{name}: the bound is {bound['upper']}, and its counts give {upper}"
+
+
+def _word(name: str, one: Data) -> Iterator[str]:
+    """Whether the counts allow the word; the statistics are computed again where n is fixed."""
+    bound, word = one["bound"], one["verdict"]
+    exact = bound["method"] == METHOD
+    yield from _upper(name, one)
     broken = one["violations"] or one["without_effect"]
     if word == "violated" and not broken and one["pairs"] is None:
         yield f"{name}: violated without a violation"

@@ -153,7 +153,8 @@ class CampaignJudge:
 
     def verdict(self) -> CampaignVerdict:
         """The verdict on what was added so far."""
-        word, reason = self._decide()
+        decide = self._decide if self.situation is None else self._decide_on_one_situation
+        word, reason = decide()
         valid = [one for one in self.verdicts if one.valid]
         margins = [one.margin for one in valid if one.margin is not None and one.verdict != "open"]
         early = self.sequential and self.decided and word != "undecided"
@@ -212,8 +213,6 @@ class CampaignJudge:
         counts = f"{violations} of {valid} valid {self._noun} violated it"
         if self._count("open"):
             counts += f", {self._count('open')} ended before it was decided"
-        if self.situation is not None:
-            return self._decide_on_one_situation(counts)
         if self.test is None:
             if violations:
                 return "violated", counts
@@ -231,12 +230,12 @@ class CampaignJudge:
         count = f"{self._count('without effect')} of {self._invalid} invalid {self._noun}"
         return f"violated, without effect of the fault, in {count}"
 
-    def _decide_on_one_situation(self, counts: str) -> tuple[CampaignWord, str]:
+    def _decide_on_one_situation(self) -> tuple[CampaignWord, str]:
         """Equal runs are one observation: it violates the requirement or not, at no rate."""
         assert self.situation is not None
         violations, valid, told = self._count("violated"), self._valid, SITUATIONS[self.situation]
         if violations and (self.test is None or violations == valid):
-            return "violated", f"{counts}: {told}"
+            return "violated", f"{violations} of {valid} valid {self._noun} violated it: {told}"
         obstacles = self._obstacles(decided=self.decided)
         if self.situation == WITHOUT_EFFECT:
             obstacles.append(f"{told}: all {len(self.verdicts)} {self._noun} are equal")
