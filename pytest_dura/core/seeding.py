@@ -29,20 +29,32 @@ def stream(seed: int, name: str) -> np.random.Generator:
         )
     words = np.frombuffer(hashlib.sha256(name.encode()).digest(), dtype="<u4").tolist()
     made = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, *words])))
-    for draws in _NOTING:
-        draws.note(made)
+    watch_draws(made, made)
     return made
+
+
+def watch_draws(used: np.random.Generator, fresh: np.random.Generator) -> None:
+    """Note whether anybody draws from a generator, where an episode runs.
+
+    For a simulator that brings its own generator: what draws declares that its runs may differ.
+
+    Args:
+        used: What is drawn from.
+        fresh: One of the same seed from which nothing has been drawn.
+    """
+    for draws in _NOTING:
+        draws.note(used, fresh)
 
 
 class Draws:
     """Notes whether any number was drawn from the streams that were made since it began."""
 
     def __init__(self) -> None:
-        self._streams: list[tuple[np.random.Generator, int]] = []
+        self._streams: list[tuple[np.random.Generator, str]] = []
 
-    def note(self, made: np.random.Generator) -> None:
-        """A stream was made."""
-        self._streams.append((made, _position(made)))
+    def note(self, used: np.random.Generator, fresh: np.random.Generator) -> None:
+        """See :func:`watch_draws`."""
+        self._streams.append((used, _position(fresh)))
 
     @property
     def any(self) -> bool:
@@ -65,9 +77,9 @@ def noting_draws() -> Iterator[Draws]:
         _NOTING.remove(draws)
 
 
-def _position(made: np.random.Generator) -> int:
-    """Where a stream is: another number after each draw, as far as anybody can tell."""
-    return int(made.bit_generator.state["state"]["state"])
+def _position(generator: np.random.Generator) -> str:
+    """Where a generator is: another text after each draw."""
+    return str(generator.bit_generator.state)
 
 
 def derive_seed(base_seed: int, *names: object) -> int:
