@@ -77,6 +77,8 @@ class Repeats:
         """What came of it; ``None`` if another process finds that out."""
         if due.why_not is not None:
             return {"result": "skipped", "repeated_digest": None, "detail": due.why_not}
+        if not self.session.shared.first_to_repeat(due.task.spec.case, due.task.spec.component):
+            return None
         try:
             again = self.session.bench.store.repeat(due.task)
         except Exception as error:  # whatever user code raises: the first time it did not
@@ -85,8 +87,6 @@ class Repeats:
                 "repeated_digest": None,
                 "detail": f"infrastructure: {describe_error(error)}",
             }
-        if again is None:
-            return None
         result = "equal" if again.digest == due.digest else "different"
         if again.failure is not None:
             result = "failed"

@@ -94,8 +94,8 @@ class EpisodeStore:
         self.memory.put(task, episode, elsewhere=kept)
         return episode
 
-    def repeat(self, task: EpisodeTask) -> JudgedEpisode | None:
-        """An episode once more, to be compared with itself; ``None`` if another process is at it.
+    def repeat(self, task: EpisodeTask) -> JudgedEpisode:
+        """An episode simulated once more, to be compared with itself; it is kept nowhere.
 
         Args:
             task: What the first one was had by.
@@ -104,21 +104,12 @@ class EpisodeStore:
             ConfigurationError: If a part of it cannot be built.
         """
         task = replace(task.repeated(), recorded=False)
-        found = self.memory.find(task)
-        if found is not None:
-            return found
-        alone = self.shelf is None and self.execution.inside
-        address = None if alone else self._address(task)
-        if address is None:
-            episode, kept = JudgedEpisode.of(self.execution.run_here(task)), False
-        else:
-            shelved = self._shelved(task, address)
-            flight = None if shelved is not None else self._begun(task, address)
-            if flight is None:
-                return shelved
-            episode, kept = self._landed(flight)
-        self.memory.put(task, episode, elsewhere=kept)
-        return episode
+        address = None if self.execution.inside else self._address(task)
+        try:
+            found = self.execution.submit(task, address).result()
+        except ProcessLostError as error:
+            found = missing_episode(task.spec, str(error))
+        return JudgedEpisode.of(unpack(found, task.spec) if isinstance(found, bytes) else found)
 
     def holds(self, task: EpisodeTask) -> bool:
         """Whether an episode need not be simulated: this process has it, or it is on the shelf."""
