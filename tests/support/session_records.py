@@ -107,6 +107,7 @@ def session_record(directory=Path("nowhere"), **changes):
         "finished": "2026-01-02T03:05:05+00:00",
         "tool": {"name": "pytest-dura", "version": "0.1.0", "code": "0" * 64},
         "command": "pytest --dura-scenarios", "base_seed": 0, "evidence_level": "violations",
+        "require_repeatable": False,
         "environment": {
             "python": "3.11.7", "platform": "Linux", "packages": {"pytest-dura": "0.1.0"},
             "git": {"commit": "c0ffee" + "0" * 34, "dirty": False},

@@ -59,6 +59,7 @@ def report(item="a/b::R", **parts):
             "chains",
             "traces",
             "models",
+            "repeats",
             "problems",
             "parts",
             "notes",
