@@ -16,6 +16,7 @@ from pytest_dura.core.errors import ActionError, ConfigurationError
 from pytest_dura.core.percepts import sealed
 from pytest_dura.core.recording import Scene
 from pytest_dura.core.role_spec import RoleSpec
+from pytest_dura.core.seeding import watch_draws
 from pytest_dura.core.simulator import Simulator
 from pytest_dura.core.state import NOTHING, Percept, Tick
 
@@ -123,6 +124,11 @@ class GymnasiumSimulator(Simulator):
         self._index = 0
         options = dict(scenario.get("world") or {})
         observation, info = self.env.reset(seed=seed, options=options or None)
+        own = getattr(self.env.unwrapped, "_np_random", None)  # its property would make one
+        if own is not None:
+            from gymnasium.utils.seeding import np_random
+
+            watch_draws(own, np_random(seed)[0])
         return self._tick(observation, info, 0.0, terminated=False, truncated=False)
 
     def step(self, action: Any) -> Tick:

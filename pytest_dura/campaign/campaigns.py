@@ -27,6 +27,7 @@ from pytest_dura.requirements.verdicts.episodes import (
     judge_episode,
 )
 from pytest_dura.requirements.verdicts.judging import CampaignJudge
+from pytest_dura.requirements.verdicts.situations import Situations, varies
 
 if TYPE_CHECKING:
     from pytest_dura.campaign.fault_campaigns import FaultCampaign
@@ -96,7 +97,7 @@ class Campaign:
         budget = 0 if self.until_decided else math.ceil(EXTRA_SHARE * self.planned)
         run, end = 0, self.planned
         with self._under_way(cases, judge) as (running, ahead):
-            while run < end:
+            while run < end and not (judge is not None and judge.decided):
                 ahead.reach(run)
                 episode = self._run(run, end, running, ahead)
                 yield episode
@@ -147,12 +148,14 @@ class Campaign:
         """
         if requirement.paired is not None:
             return self.paired(requirement.paired.without).judge(requirement, check)
-        judge = self.judge_of(requirement, check)
+        judge, situations = self.judge_of(requirement, check), self.situations()
         self.failures = ComponentFailures()
         faulty = []
         for episode in self.enough_for(judge):
             verdict = judge_episode(requirement, episode, check)
             judge.add(self.with_crash(verdict, episode, check or requirement.check))
+            situations.add(episode)
+            judge.situation = situations.situation
             self.failures.add(episode)
             if episode.faults:
                 faulty.append(episode.spec.run)
@@ -190,6 +193,11 @@ class Campaign:
             component=self.component,
             until_decided=self.until_decided,
         )
+
+    def situations(self) -> Situations:
+        """What takes in this campaign's episodes and says whether they are all equal."""
+        faults = {fault["id"] for fault in self.case.faults}
+        return Situations(varies=varies(self.case.scenario.variation, faults))
 
     def enough_for(
         self, judge: CampaignJudge, beside: Sequence[Case] = ()

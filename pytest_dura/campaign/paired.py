@@ -86,13 +86,16 @@ class PairedCampaign:
         """
         check_comparison(requirement)
         campaign = self.campaign
-        judge = campaign.judge_of(requirement, check)
+        judge, situations = campaign.judge_of(requirement, check), campaign.situations()
         campaign.failures, compared = ComponentFailures(), _Compared(requirement, check)
         runs, faulty = [], []
         episodes = campaign.enough_for(judge, [self.case])
         for episode, twin in self._with_twins(episodes, [campaign.case, self.case]):
             verdict = compared.add(episode, twin)
             judge.add(campaign.with_crash(verdict, episode, check or requirement.check))
+            situations.add(episode)
+            situations.add(twin)
+            judge.situation = situations.situation
             campaign.failures.add(episode)
             campaign.failures.add(twin)
             runs.append(episode.spec.run)

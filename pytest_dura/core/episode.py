@@ -231,6 +231,8 @@ class Episode:
             call that could not be stopped stands there as often as it takes to give up on it.
         metrics: What DependabilityMetrics measured.
         recording: What a viewer shows of it, if it was asked for. It is no part of the digest.
+        drawn: Whether any random number was drawn from a stream of its seed. It is no part of the
+            digest.
     """
 
     spec: EpisodeSpec
@@ -244,6 +246,7 @@ class Episode:
     failure: str | None = None
     timeouts: tuple[int, ...] = ()
     recording: Recording | None = None
+    drawn: bool = False
 
     @property
     def id(self) -> str:
@@ -315,19 +318,38 @@ class Episode:
     def digest(self) -> str:
         """SHA-256 of everything but wall-clock timings; equal for equal specs on one platform."""
         state = hashlib.sha256(self.spec.key.encode())
-        columns = {"time": self.time}
-        columns |= {f"signals.{name}": column for name, column in self.signals.items()}
-        columns |= {f"decisions.{name}": column for name, column in self.decisions.items()}
-        for name in sorted(columns):
-            column = np.ascontiguousarray(columns[name])
-            state.update(f"|{name}|{column.dtype.str}|{column.shape}|".encode())
-            state.update(column.tobytes())
+        self._add_columns(state, self.signals)
         events = [event.to_json() for event in self.events if not event.wall_clock]
         faults = [asdict(fault) for fault in self.faults]
         measured = self.metrics.deterministic()
         rest = [events, faults, self.termination, measured, self.timeouts, self.failure is not None]
         state.update(canonical(rest))
         return state.hexdigest()
+
+    @cached_property
+    def trajectory(self) -> str:
+        """SHA-256 of how the run went: equal for runs that differ by their seeds alone.
+
+        It covers time, the signals of truth and percept, the decisions, and the end. What the
+        component says of its proposals is left out: words make no other situation.
+        """
+        state = hashlib.sha256()
+        said = ("proposal.", "loop.")
+        signals = {name: one for name, one in self.signals.items() if not name.startswith(said)}
+        self._add_columns(state, signals)
+        state.update(canonical([self.termination, self.validity]))
+        return state.hexdigest()
+
+    def _add_columns(
+        self, state: hashlib._Hash, signals: Mapping[str, NDArray[np.float64]]
+    ) -> None:
+        columns = {"time": self.time}
+        columns |= {f"signals.{name}": column for name, column in signals.items()}
+        columns |= {f"decisions.{name}": column for name, column in self.decisions.items()}
+        for name in sorted(columns):
+            column = np.ascontiguousarray(columns[name])
+            state.update(f"|{name}|{column.dtype.str}|{column.shape}|".encode())
+            state.update(column.tobytes())
 
 
 def canonical(data: Any) -> bytes:

@@ -42,7 +42,7 @@ from pytest_dura.core.roles import (
     SecurityAssessment,
 )
 from pytest_dura.core.schedule import check_kind, schedule
-from pytest_dura.core.seeding import derive_seed
+from pytest_dura.core.seeding import derive_seed, noting_draws
 from pytest_dura.core.simulator import Simulator
 from pytest_dura.core.state import NOTHING, Percept, StateManager, Tick
 from pytest_dura.core.watchdog import ROLE_TIMEOUT, CallBlocked, Watch
@@ -126,7 +126,10 @@ class Orchestrator:
         self._injector_ns = 0
         self._watch = Watch(self.role_timeout)
         with Boundary() as self._boundary, alarms(self._watch), rare_collections():
-            return self._run()
+            with noting_draws() as draws:
+                episode = self._run()
+        episode.drawn = draws.any
+        return episode
 
     def _run(self) -> Episode:
         failure: InfrastructureError | None = None

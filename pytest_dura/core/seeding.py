@@ -6,6 +6,8 @@ Adding a role or a fault asks for a new name and so shifts nobody else's draws.
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import numpy as np
 
@@ -26,7 +28,58 @@ def stream(seed: int, name: str) -> np.random.Generator:
             "a seed is a whole number of at least 0", key="seed", found=seed, expected="0 or more"
         )
     words = np.frombuffer(hashlib.sha256(name.encode()).digest(), dtype="<u4").tolist()
-    return np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, *words])))
+    made = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, *words])))
+    watch_draws(made, made)
+    return made
+
+
+def watch_draws(used: np.random.Generator, fresh: np.random.Generator) -> None:
+    """Note whether anybody draws from a generator, where an episode runs.
+
+    For a simulator that brings its own generator: what draws declares that its runs may differ.
+
+    Args:
+        used: What is drawn from.
+        fresh: One of the same seed from which nothing has been drawn.
+    """
+    for draws in _NOTING:
+        draws.note(used, fresh)
+
+
+class Draws:
+    """Notes whether any number was drawn from the streams that were made since it began."""
+
+    def __init__(self) -> None:
+        self._streams: list[tuple[np.random.Generator, str]] = []
+
+    def note(self, used: np.random.Generator, fresh: np.random.Generator) -> None:
+        """See :func:`watch_draws`."""
+        self._streams.append((used, _position(fresh)))
+
+    @property
+    def any(self) -> bool:
+        """Whether a number was drawn from one of them."""
+        return any(_position(one) != first for one, first in self._streams)
+
+
+_NOTING: list[Draws] = []
+"""A global, since a component may be asked in another thread than the loop's."""
+
+
+@contextmanager
+def noting_draws() -> Iterator[Draws]:
+    """Context in which it is noted whether anybody draws from a stream that is made in it."""
+    draws = Draws()
+    _NOTING.append(draws)
+    try:
+        yield draws
+    finally:
+        _NOTING.remove(draws)
+
+
+def _position(generator: np.random.Generator) -> str:
+    """Where a generator is: another text after each draw."""
+    return str(generator.bit_generator.state)
 
 
 def derive_seed(base_seed: int, *names: object) -> int:

@@ -180,3 +180,10 @@ def add_options(parser: pytest.Parser) -> None:
         type="paths",
         default=[],
     )
+    parser.addini(
+        "dura_require_repeatable",
+        "whether a case fails the gate if one of its episodes, run twice in the session, comes out "
+        "differently (default: false, which says so and no more)",
+        type="bool",
+        default=False,
+    )

@@ -84,6 +84,7 @@ class SessionEvidence:
                     "command": shlex.join(["pytest", *map(str, config.invocation_params.args)]),
                     "base_seed": options.seed,
                     "evidence_level": options.evidence_level,
+                    "require_repeatable": options.require_repeatable,
                     "environment": describe_environment(config.rootpath, options.evidence),
                     "execution": self.session.simulating.to_json(),
                     "argument": self.given.argument,
@@ -220,6 +221,10 @@ class SessionEvidence:
         self.record.header = self.session.properties.described(self.record.header)
         record = self.given.compared(self.record.record(status))
         self.objections = [*self.record.problems, *self.given.worse(record)]
+        if self.session.options.require_repeatable:
+            from pytest_dura.evidence.record.repeats import repeat_objections
+
+            self.objections += repeat_objections(record["cases"])
         if not interrupted:
             self.objections += self._unheard(session)
         gate = Gate.of(

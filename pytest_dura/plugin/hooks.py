@@ -153,6 +153,12 @@ class SessionHooks:
                 pytrace=False,
             )
 
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_runtest_teardown(self, item: pytest.Item, nextitem: pytest.Item | None) -> None:
+        """Repeat an episode of a case after the last item on it, while its roles are there."""
+        if uses_bench(item):
+            self.session.repeats.item_ends(item, nextitem)
+
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_protocol(
         self, item: pytest.Item, nextitem: pytest.Item | None

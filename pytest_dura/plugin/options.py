@@ -55,6 +55,7 @@ class Options:
     resume: bool
     reuse: Path | None
     warn_undecided: bool
+    require_repeatable: bool
     twins: bool
     baseline: str | None
     argument: Path | None
@@ -133,6 +134,7 @@ class Options:
             reuse=_reuse(config),
             twins=not get("dura_no_twins"),
             warn_undecided=get("dura_undecided") == "warn",
+            require_repeatable=bool(config.getini("dura_require_repeatable")),
             baseline=baseline,
             argument=None if argument is None else config.invocation_params.dir / argument,
             fail_worse=fail_worse,

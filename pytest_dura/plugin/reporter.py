@@ -71,6 +71,8 @@ class Reporter:
             self._relieve()
         self._last = episode
         self.traces.used(episode)
+        if planned:
+            self.session.repeats.episode_used(case, episode)
 
     def searched_used(self, case: SearchedCase, episode: SearchedEpisode) -> None:
         """An item looked at an episode of a case that a strategy chose, which is no sample."""
@@ -131,6 +133,10 @@ class Reporter:
         told = {"case": case.id, "component": episode.spec.component, "episode": episode.id}
         self._report.chains += [{**told, **one.to_json()} for one in chains]
         self._relieve()
+
+    def case_repeated(self, repeat: Mapping[str, Any]) -> None:
+        """One episode of a case was run again."""
+        self._report.repeats.append(dict(repeat))
 
     def _relieve(self) -> None:
         """Let no item hold a great many episodes until it ends."""

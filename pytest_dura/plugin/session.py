@@ -17,6 +17,7 @@ from pytest_dura.plugin.language_models import LanguageModels
 from pytest_dura.plugin.messages import error_text
 from pytest_dura.plugin.options import Options
 from pytest_dura.plugin.planning import make_plan
+from pytest_dura.plugin.repeats import Repeats
 from pytest_dura.plugin.reporter import Reporter
 from pytest_dura.plugin.scenario_arguments import scenario_arguments
 from pytest_dura.plugin.session_roles import SessionRoles
@@ -47,6 +48,7 @@ class DuraSession:
         self.is_worker = hasattr(config, "workerinput")
         self.plan: list[Planned] = []
         self.reporter = Reporter(self)
+        self.repeats = Repeats(self)
         self.evidence = SessionEvidence(self)
         self.roles = SessionRoles(self)
         self.models = LanguageModels(self)

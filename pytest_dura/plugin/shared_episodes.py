@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import hashlib
+import shutil
+import tempfile
 import uuid
 from contextlib import suppress
 from functools import cached_property
 from itertools import islice
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pytest_dura.core.errors import ConfigurationError
@@ -84,6 +88,24 @@ class SharedEpisodes:
         self._told_searched += len(found)
         return [{"run": f"{key[0]} {key[1]}", "origin": earlier.origin(key)} for key in found]
 
+    def first_to_repeat(self, case: str, component: str) -> bool:
+        """Whether this process is the first of the session that repeats an episode of a case."""
+        if not self.session.is_worker:
+            return True
+        name = hashlib.sha256(f"{case}\n{component}".encode()).hexdigest()
+        with suppress(OSError):
+            self._marks.mkdir(mode=0o700, exist_ok=True)
+            try:
+                (self._marks / name).touch(exist_ok=False)
+            except FileExistsError:
+                return False
+        return True
+
+    @property
+    def _marks(self) -> Path:
+        """Where workers note what they repeat, as long as the session runs."""
+        return Path(tempfile.gettempdir()) / f"pytest-dura-{self.id}"
+
     def tell_worker(self, workerinput: MutableMapping[str, Any]) -> None:
         """Tell a worker which session it is of."""
         workerinput[_INPUT] = self.id
@@ -115,6 +137,7 @@ class SharedEpisodes:
 
     def end(self, *, complete: bool) -> None:
         """Remove the episodes of a session that has come to its end; nobody will resume it."""
+        shutil.rmtree(self._marks, ignore_errors=True)
         if complete and self.session.options.reuse is None:
             # What stays is in nobody's way: the next session removes it, or says that it cannot.
             with suppress(OSError):

@@ -11,6 +11,7 @@ from pytest_dura.plugin.fault_lines import fault_table
 from pytest_dura.plugin.messages import Shown, shown_lines
 from pytest_dura.plugin.overrides import overrides_deeper_down, root_conftest_with
 from pytest_dura.plugin.places import from_here
+from pytest_dura.plugin.repeats import show_repeats
 from pytest_dura.plugin.reuse_lines import resume_lines, reuse_lines, searched_lines
 from pytest_dura.plugin.search_lines import counts as search_counts
 from pytest_dura.plugin.search_lines import show_searches
@@ -90,6 +91,7 @@ def summary(session: DuraSession, terminal: Any) -> None:
     show_searches(session, terminal, record)
     for line in searched_lines(record):
         terminal.line(line)
+    show_repeats(session, terminal, record)
     show_baseline(terminal, record)
     for note in session.simulating.notes():
         terminal.line(note)

@@ -12,6 +12,7 @@ from pytest_dura.plugin.commands import replay_command, rerun_command
 from pytest_dura.plugin.fault_lines import chain_line
 from pytest_dura.plugin.shortening import MOST, RANK, left_out, worst
 from pytest_dura.plugin.tables import WIDTH, Data, counted
+from pytest_dura.requirements.verdicts.situations import SITUATIONS
 
 if TYPE_CHECKING:
     from pytest_dura.evidence.record.session_record import SessionRecord
@@ -72,6 +73,8 @@ def _counts(verdict: Data) -> str:
     bound = verdict["bound"]
     if bound["upper"] is not None:
         counts += f", rate <= {bound['upper']:.2g} at {bound['confidence']:g}"
+    if verdict["situation"] is not None:
+        counts += f", {SITUATIONS[verdict['situation']]}"
     counts += f", {verdict['method']}"
     if verdict["saved"]:
         counts += f", {verdict['saved']} of {verdict['planned']} runs saved"

@@ -45,7 +45,8 @@ def episode(case="a/clear", run=0, *, validity="valid", trace=None, **changes):
         "invalid_reason": "never manifested: ghost" if validity == "invalid" else None,
         "termination": "infrastructure" if validity == "missing" else "goal",
         "failure": "infrastructure: safety_monitor: boom" if validity == "missing" else None,
-        "digest": f"{run:02d}" * 32, "trace": trace,
+        "digest": f"{run:02d}" * 32, "trajectory": f"{run:02d}" * 32, "drawn": False,
+        "trace": trace,
         "outcome": {
             "flagged": run == 1, "collided": run == 1, "clearance_time": 1.5 + run / 10,
             "gridlock": False, "recoveries": 0, "alerts": 1,
@@ -106,6 +107,7 @@ def session_record(directory=Path("nowhere"), **changes):
         "finished": "2026-01-02T03:05:05+00:00",
         "tool": {"name": "pytest-dura", "version": "0.1.0", "code": "0" * 64},
         "command": "pytest --dura-scenarios", "base_seed": 0, "evidence_level": "violations",
+        "require_repeatable": False,
         "environment": {
             "python": "3.11.7", "platform": "Linux", "packages": {"pytest-dura": "0.1.0"},
             "git": {"commit": "c0ffee" + "0" * 34, "dirty": False},
@@ -205,7 +207,7 @@ def _case(name):
     return {
         "id": name, "scenario": scenario, "faults": faults, "component": "C", "without": [],
         "requirements": sorted(REQUIREMENTS), "planned": 4 if plus else 2, "runs_override": None,
-        "missing_runs": [], "missing_runs_total": 0,
+        "missing_runs": [], "missing_runs_total": 0, "repeat": None,
         "variation": {"world.wall": {"min": 2.0, "max": 6.0}},
         "metrics": {
             "planned": 2, "run": 2, "valid": 2, "invalid": 0, "missing": 0, "ended_early": 0,

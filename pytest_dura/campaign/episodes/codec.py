@@ -31,6 +31,7 @@ _KINDS = "biufU"
 """Kinds of NumPy columns: truth values, numbers and texts; none of them holds objects."""
 _DTYPE = re.compile(rf"[<>|=][{_KINDS}][0-9]{{1,9}}")
 _DIGEST = re.compile(r"[0-9a-f]{64}")
+_DIGESTS = ("digest", "trajectory")
 
 
 class DamagedEpisodeError(DuraError):
@@ -51,6 +52,8 @@ def pack(episode: Episode) -> bytes:
     head = {
         "key": episode.spec.key,
         "digest": episode.digest,
+        "trajectory": episode.trajectory,
+        "drawn": episode.drawn,
         "time": columns.add(episode.time),
         "signals": {name: columns.add(one) for name, one in episode.signals.items()},
         "decisions": {name: columns.add(one) for name, one in episode.decisions.items()},
@@ -90,7 +93,8 @@ def unpack(data: bytes, spec: EpisodeSpec) -> Episode:
             raise DamagedEpisodeError("it is the episode of another spec")
         episode = _episode(head, columns, spec)
         # As it was taken when the episode was made: taking it again would cost more than the rest.
-        vars(episode)["digest"] = head["digest"]
+        for name in _DIGESTS:
+            vars(episode)[name] = head[name]
     except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
         raise DamagedEpisodeError(f"{type(error).__name__}: {error}") from None
     except (zlib.error, RecursionError, MemoryError) as error:
@@ -158,12 +162,15 @@ def _episode(head: Data, columns: list[NDArray[Any]], spec: EpisodeSpec) -> Epis
         failure=head["failure"],
         timeouts=tuple(head["timeouts"]),
         recording=None if recording is None else _recording_of(recording, columns),
+        drawn=head["drawn"],
     )
 
 
 def _check_texts(head: Data) -> None:
-    if not _DIGEST.fullmatch(head["digest"]):
+    if not all(_DIGEST.fullmatch(head[name]) for name in _DIGESTS):
         raise ValueError("its digest is none")
+    if not isinstance(head["drawn"], bool):
+        raise TypeError("what should be a truth value is none")
     texts = [head["termination"], *(() if head["failure"] is None else (head["failure"],))]
     texts += [event[name] for event in head["events"] for name in ("kind", "subject", "detail")]
     texts += [fault[name] for fault in head["faults"] for name in ("id", "target")]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable
 from concurrent.futures import Future
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from threading import Event
 from typing import Any
 
@@ -93,6 +93,23 @@ class EpisodeStore:
             episode, kept = self._had(task, address, ahead)
         self.memory.put(task, episode, elsewhere=kept)
         return episode
+
+    def repeat(self, task: EpisodeTask) -> JudgedEpisode:
+        """An episode simulated once more, to be compared with itself; it is kept nowhere.
+
+        Args:
+            task: What the first one was had by.
+
+        Raises:
+            ConfigurationError: If a part of it cannot be built.
+        """
+        task = replace(task.repeated(), recorded=False)
+        address = None if self.execution.inside else self._address(task)
+        try:
+            found = self.execution.submit(task, address).result()
+        except ProcessLostError as error:
+            found = missing_episode(task.spec, str(error))
+        return JudgedEpisode.of(unpack(found, task.spec) if isinstance(found, bytes) else found)
 
     def holds(self, task: EpisodeTask) -> bool:
         """Whether an episode need not be simulated: this process has it, or it is on the shelf."""

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from pytest_dura.evidence.formats.stated import part
+from pytest_dura.evidence.record.repeats import not_repeatable
 from pytest_dura.evidence.record.reuse import why_again
 from pytest_dura.evidence.record.searches import CLAIMED, NOTHING
 from pytest_dura.evidence.record.session_record import SessionRecord
@@ -56,6 +57,7 @@ def not_shown(record: SessionRecord) -> Iterator[str]:
         blind = sum(one["episodes"] == 0 for one in undecided)
         rest = f", {blind} of them without a single valid episode" if blind else ""
         yield f"{_share(undecided, verdicts)} undecided{rest}: they show neither."
+    yield from _one_situation(verdicts)
     waived = [one for one in verdicts if one["waiver"] is not None]
     if waived:
         yield f"{_share(waived, verdicts)} waived: let through by name, not by evidence."
@@ -70,6 +72,7 @@ def not_shown(record: SessionRecord) -> Iterator[str]:
             "alerts, valid proposals and all other figures are of what was seen by then, and what "
             "would have failed later is not known."
         )
+    yield from _not_repeatable(record)
     yield from _taken_over(record)
     spoilt = totals["invalid"] + totals["missing"]
     if spoilt:
@@ -127,6 +130,27 @@ def _found_nothing(record: SessionRecord) -> Iterator[str]:
         yield (
             f"Searches found nothing against {len(found)} requirement{several} on a case, in up to "
             f"{most} simulations each: that supports none of them. {NOTHING_SUPPORTED}"
+        )
+
+
+def _one_situation(verdicts: list[Data]) -> Iterator[str]:
+    equal = [one for one in verdicts if one.get("situation") is not None]
+    if equal:
+        rests = "rests" if len(equal) == 1 else "rest"
+        yield (
+            f"{len(equal)} of {len(verdicts)} verdicts {rests} on runs that are all equal: however "
+            "many they are, they show one situation, and no rate."
+        )
+
+
+def _not_repeatable(record: SessionRecord) -> Iterator[str]:
+    found = [name(one["id"]) for one in record["cases"] if any(not_repeatable([one]))]
+    if found:
+        names = ", ".join(dict.fromkeys(found[:MOST_NAMES]))
+        more = f" and {len(found) - MOST_NAMES} more" if len(found) > MOST_NAMES else ""
+        yield (
+            f"Not repeatable: {names}{more}. An episode of each, run twice in this session, came "
+            "out differently: what is said of them may come out differently, too."
         )
 
 

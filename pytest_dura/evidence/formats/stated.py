@@ -10,6 +10,7 @@ from typing import Any, get_args
 from pytest_dura.evidence.record.session_record import SessionRecord
 from pytest_dura.requirements.verdicts.campaigns import CampaignWord
 from pytest_dura.requirements.verdicts.episodes import EpisodeWord
+from pytest_dura.requirements.verdicts.situations import SITUATIONS
 
 Data = Mapping[str, Any]
 UNREVIEWED = "generated, unreviewed"
@@ -49,8 +50,14 @@ def bound(verdict: Data) -> str:
     """The bound on the rate of violations with its confidence, or that there is none."""
     told = verdict["bound"]
     if told["upper"] is None:
-        return "no bound"
+        return f"no bound{why_no_rate(verdict)}"
     return f"rate <= {told['upper']:.3g} at {told['confidence']:g} confidence"
+
+
+def why_no_rate(verdict: Data) -> str:
+    """That its runs are all equal, after a colon; empty where they differ, or there is one."""
+    situation = verdict.get("situation")
+    return "" if situation is None else f": {SITUATIONS[situation]}"
 
 
 def part(record: SessionRecord) -> str:

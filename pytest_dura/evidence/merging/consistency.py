@@ -20,7 +20,7 @@ Named = Iterator[tuple[str, Any]]
 _OPTIONS = "give all shards the same options"
 _CODE = "run all shards of one commit, with the same packages"
 _FILES = "run all shards of one commit, from the same files"
-_OF_ITS_OWN = {"metrics", "planned", "missing_runs", "missing_runs_total"}
+_OF_ITS_OWN = {"metrics", "planned", "missing_runs", "missing_runs_total", "repeat"}
 """Keys of a case that follow from the episodes of its shard."""
 
 
@@ -154,7 +154,7 @@ def _place(key: str, one: Any, other: Any) -> tuple[str, Any, Any]:
 
 
 def _session(record: SessionRecord) -> Named:
-    for key in ("base_seed", "evidence_level", "argument"):
+    for key in ("base_seed", "evidence_level", "require_repeatable", "argument"):
         yield key, record[key]
     yield "gate.warn_undecided", record["gate"]["warn_undecided"]
     yield "shard.options", record["shard"]["options"]

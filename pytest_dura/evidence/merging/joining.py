@@ -16,7 +16,7 @@ from pytest_dura.evidence.record.item_report import ItemReport
 from pytest_dura.evidence.record.reuse import joined_reuse
 
 Data = Mapping[str, Any]
-_OF_ITS_OWN = {"metrics", "missing_runs", "missing_runs_total"}
+_OF_ITS_OWN = {"metrics", "missing_runs", "missing_runs_total", "repeat"}
 _KEPT_FOR = ("all", "sample", "missing", "violation")
 """Of several reasons to keep a trace the last one is told."""
 
@@ -37,6 +37,7 @@ def header(parts: Sequence[Part], output: Path) -> dict[str, Any]:
         "command": whole_command(first["command"], output),
         "base_seed": first["base_seed"],
         "evidence_level": first["evidence_level"],
+        "require_repeatable": first["require_repeatable"],
         "environment": {**first["environment"], "git": git},
         "execution": first["execution"],
         "argument": first["argument"],
@@ -92,6 +93,11 @@ def join(record: EvidenceRecord, parts: Sequence[Part]) -> None:
         report = ItemReport("")
         report.components += [_without(one, {"others"}) for one in components(told) if one["name"]]
         report.cases += [_without(one, _OF_ITS_OWN) for one in told["cases"]]
+        report.repeats += [
+            {**one["repeat"], "case": one["id"], "component": one["component"]}
+            for one in told["cases"]
+            if one["repeat"] is not None
+        ]
         report.requirements += map(dict, told["requirements"])
         report.monitors += map(dict, told["monitors"])
         report.models += [{**one, "process": part.name} for one in told["models"]]

@@ -10,6 +10,7 @@ from typing import Any
 from pytest_dura.requirements.model import Requirement
 from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict
 from pytest_dura.requirements.verdicts.judging import judge_campaign
+from pytest_dura.requirements.verdicts.situations import Situation
 
 Data = dict[str, Any]
 
@@ -50,7 +51,13 @@ def worst_by_episode(final: list[Data]) -> list[EpisodeVerdict]:
     return [EpisodeVerdict.from_json({name: one[name] for name in names}) for one in found]
 
 
-def judged_looks(requirement: Requirement, case: str, component: str, told: Sequence[Data]) -> Data:
+def judged_looks(
+    requirement: Requirement,
+    case: str,
+    component: str,
+    told: Sequence[Data],
+    situation: Situation | None = None,
+) -> Data:
     """The verdict of a test that looks at one episode at a time, as plain data.
 
     Args:
@@ -58,6 +65,7 @@ def judged_looks(requirement: Requirement, case: str, component: str, told: Sequ
         case: Id of the case.
         component: Name of the component under test.
         told: All that it told of episodes, with ``item``, ``planned``, ``at_most``, ``confidence``.
+        situation: What the case's runs are, if all of them are equal.
     """
     # Tests are a fixed number, and run in no fixed order: no sequential method applies.
     judged_by = replace(
@@ -69,7 +77,16 @@ def judged_looks(requirement: Requirement, case: str, component: str, told: Sequ
     )
     planned = max(one["planned"] for one in told)
     final = worst_by_episode(final_outcomes(told))
-    return judge_campaign(judged_by, case, final, planned=planned, component=component).to_json()
+    # Each run is a test of its own here: none is saved where they are all equal.
+    whole = len(final) >= planned > 1
+    return judge_campaign(
+        judged_by,
+        case,
+        final,
+        planned=planned,
+        component=component,
+        situation=situation if whole else None,
+    ).to_json()
 
 
 def _run_number(episode: str) -> tuple[str, int]:

@@ -12,6 +12,7 @@ from pytest_dura.core.episode import Episode
 from pytest_dura.core.switching import switching
 from pytest_dura.evidence.plain import plain
 from pytest_dura.evidence.record.reuse import OWN
+from pytest_dura.requirements.verdicts.situations import Situations, varies
 
 
 def episode_record(
@@ -41,6 +42,8 @@ def episode_record(
             "termination": episode.termination,
             "failure": episode.failure,
             "digest": episode.digest,
+            "trajectory": episode.trajectory,
+            "drawn": episode.drawn,
             "trace": None,
             "outcome": outcome(episode),
             "metrics": episode.metrics.summary(),
@@ -81,3 +84,19 @@ def outcome(episode: Episode) -> dict[str, Any]:
         "alerts": episode.metrics.alerts,
         "switching": switching(episode).to_json(),
     }
+
+
+def situations_of(case: Mapping[str, Any]) -> Situations:
+    """What takes in the runs of a recorded case and says whether they are all equal."""
+    return Situations(varies=varies(case["variation"], {one["id"] for one in case["faults"]}))
+
+
+def add_run(situations: Situations, episode: Mapping[str, Any]) -> None:
+    """Take in a recorded episode."""
+    situations.add_run(
+        episode["case"],
+        episode["spec"]["run"],
+        episode["trajectory"],
+        valid=episode["validity"] == "valid",
+        drawn=episode["drawn"],
+    )

@@ -11,16 +11,19 @@ from typing import Any, Literal
 from pytest_dura.evidence.record.attempts import final_outcomes, judged_looks, question, test_of
 from pytest_dura.evidence.record.case_metrics import CaseMetrics
 from pytest_dura.evidence.record.components import Components
+from pytest_dura.evidence.record.episodes import add_run, situations_of
 from pytest_dura.evidence.record.faults import SharedViolations
 from pytest_dura.evidence.record.item_report import unpacked
 from pytest_dura.evidence.record.missing_runs import missing_runs, verdicts_on_cases
 from pytest_dura.evidence.record.models import Models
+from pytest_dura.evidence.record.repeats import REPEAT, worse
 from pytest_dura.evidence.record.reuse import ALONE, Reuse
 from pytest_dura.evidence.record.searches import Searches
 from pytest_dura.evidence.record.session_record import SessionRecord
 from pytest_dura.evidence.record.spool import EpisodeSpool
 from pytest_dura.requirements.model import Requirement
 from pytest_dura.requirements.verdicts.judging import judge_campaign
+from pytest_dura.requirements.verdicts.situations import Situations
 
 SCHEMA_VERSION = "2"
 NO_QUESTION = {"check": "", "paired": None}
@@ -67,6 +70,9 @@ class EvidenceRecord:
     _reuse: Reuse = field(default_factory=Reuse)
     _ran: set[str] = field(default_factory=set)
     """Cases with any episode."""
+    _repeats: dict[tuple[str, str], Data] = field(default_factory=dict)
+    _situations: dict[tuple[str, str], Situations] = field(default_factory=dict)
+    """Of the planned episodes of each case with a component."""
 
     def __post_init__(self) -> None:
         """Make room for the episodes."""
@@ -100,6 +106,10 @@ class EvidenceRecord:
         for case in report["cases"]:
             self._add_case(case)
         self._add_episodes(report)
+        for repeat in report["repeats"]:
+            about = repeat["case"], repeat["component"]
+            told = {name: repeat[name] for name in REPEAT}
+            self._repeats[about] = dict(worse(self._repeats.get(about), told) or told)
         self._models.add(report["models"])
         self._problems.update(report["problems"])
         self._reuse.add(report)
@@ -190,6 +200,7 @@ class EvidenceRecord:
         """The episodes of a report, and what it tells of them beside."""
         for episode in report["episodes"]:
             self._ran.add(episode["case"])
+            self._add_situation(episode)
             first = self._spool.add(episode)
             if first != episode["digest"]:
                 self._clashes[episode["case"], episode["component"]] = (
@@ -199,6 +210,14 @@ class EvidenceRecord:
         for chain in report["chains"]:
             self._spool.add_chain(chain)
         self.add_traces(report["traces"])
+
+    def _add_situation(self, episode: Data) -> None:
+        key = episode["case"], episode["component"]
+        if not episode["planned"] or key not in self._cases:
+            return
+        if key not in self._situations:
+            self._situations[key] = situations_of(self._cases[key])
+        add_run(self._situations[key], episode)
 
     def _add_verdict(self, item: str, verdict: Data) -> None:
         # The same item may ask several questions; what is asked again is another attempt.
@@ -221,7 +240,9 @@ class EvidenceRecord:
         """The verdict of a test that looks at one episode at a time."""
         test, requirement, case, component = key
         final = final_outcomes(told)
-        verdict = judged_looks(self._requirement(requirement), case, component, told)
+        known = self._situations.get((case, component))
+        situation = None if known is None else known.situation
+        verdict = judged_looks(self._requirement(requirement), case, component, told, situation)
         waiver = self._waiver_of(final, verdict)
         return {**verdict, **NO_QUESTION, "item": test, "waiver": waiver, "attempts": []}
 
@@ -294,6 +315,7 @@ class EvidenceRecord:
             {
                 **self._cases[key],
                 "metrics": metrics[key].to_json(self._cases[key]["planned"]),
+                "repeat": self._repeats.get(key),
                 **missing_runs(self._cases[key], judged.get(key, []), heard[key]),
             }
             for key in sorted(self._cases)

@@ -42,6 +42,8 @@ class ItemReport:
         notes: What the user should know of the session and casts no doubt on it.
         searched: ``{run, origin}`` of simulations of searches, where earlier sessions may have made
             them; ``run`` tells them apart.
+        repeats: What came of repeating an episode of a ``case`` with a ``component``, as the
+            record's cases have it.
         parts: Packed reports with earlier episodes of the item.
     """
 
@@ -61,6 +63,7 @@ class ItemReport:
     problems: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     searched: list[Data] = field(default_factory=list)
+    repeats: list[Data] = field(default_factory=list)
     parts: list[str] = field(default_factory=list)
 
     def to_json(self) -> Data:

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import math
 from collections import Counter, defaultdict
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from pytest_dura.evidence.plain import plain
+from pytest_dura.evidence.record.episodes import situations_of
 from pytest_dura.evidence.record.session_record import SessionRecord
 from pytest_dura.evidence.verifying.margins import distribution, is_judged, margin_problems
 from pytest_dura.evidence.verifying.pairs import pair_problems
@@ -20,12 +21,15 @@ from pytest_dura.requirements.model import Requirement
 from pytest_dura.requirements.verdicts.campaigns import EVERY_EPISODE, CampaignVerdict
 from pytest_dura.requirements.verdicts.episodes import EARLY_ENDS, EpisodeVerdict, EpisodeWord
 from pytest_dura.requirements.verdicts.judging import CampaignJudge
+from pytest_dura.requirements.verdicts.situations import EQUAL_RUNS, REPEATED, Situation, Situations
 
 Data = Mapping[str, Any]
 Judged = Mapping[tuple[int, str], EpisodeVerdict]
 """What traces say, by the number of the verdict and the id of the episode."""
 EXTRA_SHARE = 0.2
 """Further runs that may follow invalid ones, as a share of the planned ones."""
+_UNLISTED: Data = {"planned": math.inf, "variation": {}, "faults": []}
+"""In place of a case that the record does not have."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +43,8 @@ class _Run:
     valid_proposals: int
     idle: tuple[str, ...]
     recovered: bool
+    trajectory: str
+    drawn: bool
 
 
 @dataclass
@@ -60,7 +66,25 @@ class _Case:
             metrics["valid_proposals"],
             tuple(one["id"] for one in episode["faults"] if one["manifested_at"] is None),
             metrics["recoveries"] > 0,
+            episode["trajectory"],
+            episode["drawn"],
         )
+
+    def add_to(self, situations: Situations, numbers: Iterable[int]) -> None:
+        """Have it take in the runs of these numbers."""
+        for number in numbers:
+            run = self.runs[number]
+            situations.add_run(
+                run.episode.rpartition("#")[0],
+                number,
+                run.trajectory,
+                valid=run.validity == "valid",
+                drawn=run.drawn,
+            )
+
+
+def _told(situation: str | None) -> str:
+    return "no single situation" if situation is None else f"one situation, {situation}"
 
 
 def verdict_problems(record: SessionRecord, judged: Judged) -> Iterator[str]:
@@ -74,7 +98,7 @@ def verdict_problems(record: SessionRecord, judged: Judged) -> Iterator[str]:
     for episode in record.episodes():
         if episode["planned"]:
             cases[episode["case"], episode["component"]].add(episode)
-    plans = {(one["id"], one["component"]): one["planned"] for one in record["cases"]}
+    listed = {(one["id"], one["component"]): one for one in record["cases"]}
     known = {one["id"]: one for one in record["requirements"]}
     of_cases = {(one["id"], one["component"]): one["requirements"] for one in record["cases"]}
     verdicts_on: dict[tuple[str, str], list[Data]] = defaultdict(list)
@@ -83,14 +107,16 @@ def verdict_problems(record: SessionRecord, judged: Judged) -> Iterator[str]:
     for number, one in enumerate(record["verdicts"]):
         name = f"verdict {one['requirement']} on {one['case']}"
         own, other = cases[one["case"], one["component"]], None
-        if one["planned"] > plans.get((one["case"], one["component"]), math.inf):
+        case = listed.get((one["case"], one["component"]), _UNLISTED)
+        if one["planned"] > case["planned"]:
             yield f"{name}: {one['planned']} runs planned, and fewer of its case"
         if one["pairs"] is not None:
             other = cases[one["pairs"]["case"], one["component"]]
         on_traces = {episode: was for (at, episode), was in judged.items() if at == number}
         place = one["case"], one["component"]
         seen = _violating(verdicts_on[place], one["run"], of_cases.get(place, ()))
-        check = _Check(one, known.get(one["requirement"], {}), own, other, on_traces, seen)
+        asked = known.get(one["requirement"], {})
+        check = _Check(one, asked, own, other, on_traces, seen, situations_of(case))
         for problem in check.problems():
             yield f"{name}: {problem}"
 
@@ -122,6 +148,8 @@ class _Check:
     on_traces: Mapping[str, EpisodeVerdict]
     seen_elsewhere: Collection[str] | None
     """Episodes that violate a requirement of the case, where each of these has a verdict."""
+    situations: Situations
+    """Of its case, without any run yet."""
 
     def problems(self) -> Iterator[str]:
         yield from margin_problems(self.verdict, self.on_traces.values())
@@ -133,6 +161,9 @@ class _Check:
         if unheard is not None:
             yield f"it rests on {one['run']} runs, and {unheard} is not among the episodes"
             return
+        if self.own.alike and one["situation"] != (found := self._situation()):
+            told = _told(one["situation"])
+            yield f"its runs are {told}, and their trajectories say {_told(found)}"
         if one["pairs"] is not None:
             recovered = sum(self.own.runs[number].recovered for number in range(one["run"]))
             yield from pair_problems(one, recovered if self.own.alike else None)
@@ -172,6 +203,17 @@ class _Check:
             seen = run.episode in self.seen_elsewhere or run.episode in one["unseen_crashes"]
             if run.termination == "critical" and not seen and one["verdict"] == "supported":
                 yield f"supported, although {run.episode} crashed and violates nothing"
+
+    def _situation(self) -> Situation | None:
+        """What its runs are, by their trajectories."""
+        one = self.verdict
+        if not one["check"]:
+            self.own.add_to(self.situations, self.own.runs)
+            return self.situations.situation if one["run"] >= one["planned"] > 1 else None
+        for case in (self.own, self.twins):
+            if case is not None:
+                case.add_to(self.situations, range(one["run"]))
+        return self.situations.situation
 
     def _unheard(self) -> str | None:
         """A run that it rests on and that is not recorded."""
@@ -299,6 +341,9 @@ class _Check:
             if one["check"] and judge.sequential and over:
                 return None
             judge.add(verdict)
+        judge.situation = one["situation"]
+        if one["check"] and judge.situation == REPEATED:
+            return judge.verdict() if len(told) == EQUAL_RUNS else None
         if one["check"]:
             enough = judge.decided or len(told) == one["planned"]
             if not (enough if judge.sequential else len(told) == self._plan()):

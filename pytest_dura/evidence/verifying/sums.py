@@ -11,6 +11,7 @@ from typing import Any
 from pytest_dura.core.episode import canonical
 from pytest_dura.evidence.bundle.directory import RECORD
 from pytest_dura.evidence.record.counts import Counts
+from pytest_dura.evidence.record.repeats import repeat_objections, repeat_problems
 from pytest_dura.evidence.record.searches import NOTHING, standing
 from pytest_dura.evidence.record.searches import against as sentence
 from pytest_dura.evidence.record.session_record import SessionRecord
@@ -38,9 +39,16 @@ def _problems(record: SessionRecord, counts: Counts) -> Iterator[str]:
     ids: set[Key] = set()
     sums: dict[Key, Counter[str]] = defaultdict(Counter)
     known: set[bytes] = set()
+    digests: dict[Key, set[str]] = {
+        (one["repeat"]["episode"], one["component"]): set()
+        for one in record["cases"]
+        if one["repeat"] is not None
+    }
     described = {one["name"] for one in _components(record)} | {"none"}
     for episode in record.episodes():
         ids.add((episode["id"], episode["component"]))
+        if (episode["id"], episode["component"]) in digests:
+            digests[episode["id"], episode["component"]].add(episode["digest"])
         if episode["component"] not in described:
             yield f"component_under_test: {episode['component']} is not described"
         if (episode["case"], episode["component"]) not in cases:
@@ -56,6 +64,9 @@ def _problems(record: SessionRecord, counts: Counts) -> Iterator[str]:
             _add(sums[episode["case"], episode["component"]], episode)
     for key, case in cases.items():
         yield from _case(case, sums[key])
+        repeated = case["repeat"] and (case["repeat"]["episode"], case["component"])
+        for problem in repeat_problems(case, digests.get(repeated, ())):
+            yield f"case {case['id']}: {problem}"
     for one in record["verdicts"]:
         yield from _verdict(one, cases, requirements, ids)
     yield from _questions(record)
@@ -175,15 +186,24 @@ def _counts(name: str, one: Data) -> Iterator[str]:
         yield f"{name}: more violations without effect than the {one['invalid']} invalid episodes"
 
 
-def _word(name: str, one: Data) -> Iterator[str]:
-    """Whether the counts allow the word; the statistics are computed again where n is fixed."""
-    bound, word = one["bound"], one["verdict"]
-    exact = bound["method"] == METHOD
-    if exact and one["episodes"]:
+def _upper(name: str, one: Data) -> Iterator[str]:
+    """Whether the bound is that of the counts, and there is none of runs that are all equal."""
+    bound = one["bound"]
+    if one["situation"] is not None:
+        if bound["upper"] is not None:
+            yield f"{name}: its runs are equal, and a rate is bound"
+    elif bound["method"] == METHOD and one["episodes"]:
         worst = one["violations"] + len(one["open"])
         upper = upper_bound(min(worst, one["episodes"]), one["episodes"], bound["confidence"])
         if bound["upper"] is None or not isclose(bound["upper"], upper, rel_tol=1e-9):
             yield f"{name}: the bound is {bound['upper']}, and its counts give {upper}"
+
+
+def _word(name: str, one: Data) -> Iterator[str]:
+    """Whether the counts allow the word; the statistics are computed again where n is fixed."""
+    bound, word = one["bound"], one["verdict"]
+    exact = bound["method"] == METHOD
+    yield from _upper(name, one)
     broken = one["violations"] or one["without_effect"]
     if word == "violated" and not broken and one["pairs"] is None:
         yield f"{name}: violated without a violation"
@@ -242,6 +262,9 @@ def _gate(record: SessionRecord) -> Iterator[str]:
         yield f"gate: {gate['result']}, and no reason is given"
     if gate["result"] != "passed" and gate["exit_code"] == 0:
         yield f"gate: {gate['result']}, and the exit code is 0"
+    unrepeated = repeat_objections(record["cases"]) if record["require_repeatable"] else iter(())
+    if gate["result"] == "passed" and (objection := next(unrepeated, None)) is not None:
+        yield f"gate: passed, although it requires cases to be repeatable: {objection}"
     if gate["result"] == "passed" and gate["failed"]:
         yield f"gate: passed, although {gate['failed']} test items failed"
     if gate["result"] == "passed" and gate["reasons"]:

@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from pytest_dura.requirements.statistics import METHOD
+from pytest_dura.requirements.verdicts.situations import Situation
 
 CampaignWord = Literal["supported", "violated", "undecided"]
 
@@ -23,9 +24,9 @@ class Bound:
     An open episode counts as a violation: what it would have shown is not known, and the component
     may have caused its end.
 
-    ``upper`` is ``None`` where there is none: without a valid episode, and for a sequential
-    probability ratio test that has not accepted. ``at_most`` is the rate that was to be
-    supported, ``None`` where every episode must satisfy the requirement.
+    ``upper`` is ``None`` where there is none: without a valid episode, where all runs are equal,
+    and for a sequential probability ratio test that has not accepted. ``at_most`` is the rate that
+    was to be supported, ``None`` where every episode must satisfy the requirement.
     """
 
     confidence: float
@@ -109,6 +110,8 @@ class CampaignVerdict:
             violation first.
         pairs: For a requirement on pairs, what the two runs of each pair came to.
         spoilt: The first missing episode, or else the first invalid one.
+        situation: ``repeated`` if all runs are equal and nothing is declared to vary, ``without
+            effect`` if they are though something is; ``None`` if they differ.
     """
 
     requirement: str
@@ -134,6 +137,7 @@ class CampaignVerdict:
     counterexamples: tuple[Counterexample, ...]
     pairs: Mapping[str, Any] | None = None
     spoilt: Spoilt | None = None
+    situation: Situation | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Plain data for the evidence record."""

@@ -22,6 +22,12 @@ from pytest_dura.requirements.verdicts.campaigns import (
     Margins,
 )
 from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict, EpisodeWord
+from pytest_dura.requirements.verdicts.situations import (
+    REPEATED,
+    SITUATIONS,
+    WITHOUT_EFFECT,
+    Situation,
+)
 from pytest_dura.requirements.verdicts.standing_out import counterexamples, first_spoilt, idle
 
 MAX_INVALID_SHARE = 0.2
@@ -58,6 +64,8 @@ class CampaignJudge:
         self._noun = "episodes" if requirement.paired is None else "pairs"
         self.component, self.until_decided = component, until_decided
         self.verdicts: list[EpisodeVerdict] = []
+        self.situation: Situation | None = None
+        """What the runs are, if all are equal; whoever adds them sees their trajectories."""
         self._counts: Counter[str] = Counter()
         check_share("confidence", requirement.confidence, above=0.5)
         if requirement.at_most is not None:
@@ -124,7 +132,12 @@ class CampaignJudge:
 
     @property
     def decided(self) -> bool:
-        """Whether further episodes are of no use; never for a plan of a fixed number of runs."""
+        """Whether further episodes are of no use.
+
+        For a plan of a fixed number of runs only if they repeat one situation.
+        """
+        if self.situation == REPEATED:
+            return True
         if not self.sequential:
             return False
         if self._count("missing"):
@@ -140,10 +153,12 @@ class CampaignJudge:
 
     def verdict(self) -> CampaignVerdict:
         """The verdict on what was added so far."""
-        word, reason = self._decide()
+        decide = self._decide if self.situation is None else self._decide_on_one_situation
+        word, reason = decide()
         valid = [one for one in self.verdicts if one.valid]
         margins = [one.margin for one in valid if one.margin is not None and one.verdict != "open"]
         early = self.sequential and self.decided and word != "undecided"
+        early = early or self.situation == REPEATED
         return CampaignVerdict(
             requirement=self.requirement.id,
             case=self.case,
@@ -167,6 +182,7 @@ class CampaignJudge:
             margins=Margins.of(margins),
             counterexamples=counterexamples(self.verdicts),
             spoilt=first_spoilt(self.verdicts),
+            situation=self.situation,
         )
 
     def _count(self, word: str) -> int:
@@ -183,6 +199,9 @@ class CampaignJudge:
 
     def _bound(self, valid: int) -> Bound:
         confidence, at_most = self.requirement.confidence, self.requirement.at_most
+        if self.situation is not None:
+            method = METHOD if self.test is None else self.test.method
+            return Bound(confidence, None, method, at_most)
         if self.test is None or self.method == "fixed":
             worst = self._count("violated") + self._count("open")
             upper = upper_bound(worst, valid, confidence) if valid else None
@@ -210,6 +229,21 @@ class CampaignJudge:
     def _violated_without_effect(self) -> str:
         count = f"{self._count('without effect')} of {self._invalid} invalid {self._noun}"
         return f"violated, without effect of the fault, in {count}"
+
+    def _decide_on_one_situation(self) -> tuple[CampaignWord, str]:
+        """Equal runs are one observation: it violates the requirement or not, at no rate."""
+        assert self.situation is not None
+        violations, valid, told = self._count("violated"), self._valid, SITUATIONS[self.situation]
+        if violations and (self.test is None or violations == valid):
+            return "violated", f"{violations} of {valid} valid {self._noun} violated it: {told}"
+        obstacles = self._obstacles(decided=self.decided)
+        if self.situation == WITHOUT_EFFECT:
+            obstacles.append(f"{told}: all {len(self.verdicts)} {self._noun} are equal")
+        elif self.test is not None:
+            obstacles.append(f"{told}: no rate can be bound")
+        if obstacles:
+            return "undecided", "; ".join(obstacles)
+        return "supported", f"all {valid} valid {self._noun} satisfied it: {told}"
 
     def _decide_sequential(self, test: SequentialTest, counts: str) -> tuple[CampaignWord, str]:
         limit, confidence = self.requirement.at_most, self.requirement.confidence
@@ -327,6 +361,7 @@ def judge_campaign(
     planned: int,
     component: str | None = None,
     until_decided: bool = False,
+    situation: Situation | None = None,
 ) -> CampaignVerdict:
     """The verdict of a requirement on the episodes of a case.
 
@@ -338,6 +373,7 @@ def judge_campaign(
         planned: Episodes that were planned.
         component: The component's name, for a campaign of which nothing was run.
         until_decided: Whether runs ended as soon as the requirement was decided.
+        situation: What the runs are, if all of them are equal.
 
     Raises:
         ConfigurationError: As :class:`CampaignJudge`.
@@ -347,6 +383,7 @@ def judge_campaign(
     )
     for one in _last_attempts(verdicts):
         judge.add(one)
+    judge.situation = situation
     return judge.verdict()
 
 

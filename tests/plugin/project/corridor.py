@@ -22,23 +22,30 @@ from pytest_dura import (
     SafetyMonitor,
     Simulator,
     Tick,
+    stream,
 )
 
 STEPS = []
 
 
 class Corridor(Simulator):
+    """Its runs differ by a breeze, which moves nothing."""
+
     def reset(self, scenario, seed):
         STEPS.append(scenario["name"])
         log = os.environ.get("CORRIDOR_LOG")
         if log:
-            with Path(log).open("a") as stream:
-                stream.write(f"{scenario['name']} {seed}\n")
+            with Path(log).open("a") as opened:
+                opened.write(f"{scenario['name']} {seed}\n")
         self.x, self.index = 0.0, 0
+        self.breeze = self.blow(seed)
         self.wall = float(scenario["world"].get("wall", 10.0))
         self.breaks_at = scenario["world"].get("breaks_at")
         self.dies = scenario["world"].get("dies", False)
         return self._tick()
+
+    def blow(self, seed):
+        return float(stream(seed, "breeze").random())
 
     def step(self, action):
         self.index += 1
@@ -51,7 +58,7 @@ class Corridor(Simulator):
 
     def _tick(self):
         gap = max(0.0, self.wall - self.x)
-        state = {"x": self.x, "gap": gap}
+        state = {"x": self.x, "gap": gap, "breeze": self.breeze}
         return Tick(self.index, self.index * self.time_step, state, {"gap": gap})
 
     def signals(self, ticks):
@@ -62,9 +69,17 @@ class Corridor(Simulator):
             "gap": gap,
             "collided": (gap <= 0).astype(float),
             "cleared": (x >= 1.0).astype(float),
+            "breeze": np.array([tick.truth["breeze"] for tick in ticks]),
         }
 
     def fallback_action(self):
+        return 0.0
+
+
+class Still(Corridor):
+    """Nothing in it rests on the seed."""
+
+    def blow(self, seed):
         return 0.0
 
 

@@ -25,6 +25,7 @@ from pytest_dura import (
     check_simulator,
 )
 from pytest_dura.adapters.gymnasium import GymnasiumSimulator, read_only
+from pytest_dura.core.seeding import noting_draws
 
 HERE = __name__
 
@@ -133,6 +134,21 @@ def test_the_seed_of_the_episode_seeds_the_environment() -> None:
     simulator = tank()
     levels = [simulator.reset({}, seed).truth["level"] for seed in (0, 1, 0)]
     assert levels[0] == levels[2] != levels[1]
+
+
+def test_what_an_environment_draws_is_noted(monkeypatch: pytest.MonkeyPatch) -> None:
+    with noting_draws() as draws:
+        tank().reset({}, 7)
+    assert draws.any
+    monkeypatch.setattr(Tank, "reset", dry)
+    with noting_draws() as draws:
+        tank().reset({}, 7)
+    assert not draws.any
+
+
+def dry(self: Tank, *, seed: int | None = None, options: Any = None) -> tuple[Any, dict[str, Any]]:
+    gymnasium.Env.reset(self, seed=seed)
+    return self.level, {"size": self.size}
 
 
 def test_numeric_channels_are_percept_signals_and_nan_where_they_are_gone() -> None:

@@ -12,8 +12,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from thermostat import Thermostat
 
-from pytest_dura import Episode, EpisodeSpec, Orchestrator, Policy, RoleSpec, Termination
+from pytest_dura import Episode, EpisodeSpec, Orchestrator, Policy, RoleSpec, Termination, Tick
 
 BIAS = {"id": "bias", "target": "thermometer", "activation": {"at": 0.5}, "duration": 0.3}
 
@@ -173,3 +174,33 @@ def test_ids_and_names() -> None:
         "room/bias#4",
         "Controller",
     )
+
+
+def test_runs_that_differ_by_their_seed_alone_have_one_trajectory_and_two_digests() -> None:
+    one = full_spec(simulator=RoleSpec(f"{__name__}:Calm"))
+    first, second = run(one), run(replace(one, run=5, seed=21))
+    assert first.trajectory == second.trajectory
+    assert first.digest != second.digest
+    assert run(full_spec()).trajectory != run(full_spec(seed=21)).trajectory
+
+
+def test_what_the_component_says_is_no_part_of_the_trajectory() -> None:
+    episode = run(full_spec())
+    told = replace(episode, signals={**episode.signals, "proposal.age": episode.time})
+    assert told.trajectory == episode.trajectory
+    perceived = replace(episode, signals={**episode.signals, "percept.noise": episode.time})
+    assert perceived.trajectory != episode.trajectory
+
+
+def test_it_is_known_whether_anything_was_drawn() -> None:
+    assert run(full_spec()).drawn
+    assert not run(full_spec(simulator=RoleSpec(f"{__name__}:Calm"))).drawn
+
+
+class Calm(Thermostat):
+    """A room without weather."""
+
+    def step(self, action: Any) -> Tick:
+        self._temperature += (8.0 * action - 0.1) * self.time_step
+        self._index += 1
+        return self._tick(())

@@ -13,7 +13,7 @@ REQUIREMENT = {"id": "R", "text": "t", "kind": "safety", "source": "", "check": 
 def case(component="C", planned=2):
     return {
         "id": "a/b", "scenario": "a/b", "faults": [], "component": component,
-        "requirements": ["R"], "planned": planned, "runs_override": None,
+        "requirements": ["R"], "planned": planned, "runs_override": None, "variation": {},
     }  # fmt: skip
 
 
@@ -25,6 +25,7 @@ def episode(run=0, digest="d", validity="valid", termination="goal", **outcome):
     return {
         "id": f"a/b#{run}", "case": "a/b", "component": "C", "seed": run, "planned": True,
         "validity": validity, "digest": digest, "outcome": told | outcome,
+        "trajectory": f"{run}", "drawn": False,
         "termination": termination,
         "metrics": {"user": {}, "tallies": {}, "answer_seconds": [], "answer_ages": []},
         "faults": [],
@@ -58,6 +59,7 @@ def report(item="a/b::R", **parts):
             "chains",
             "traces",
             "models",
+            "repeats",
             "problems",
             "parts",
             "notes",

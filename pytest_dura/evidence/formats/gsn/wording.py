@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from pytest_dura.evidence.formats.stated import also_without, besides
+from pytest_dura.evidence.formats.stated import also_without, besides, why_no_rate
 from pytest_dura.evidence.text import name, one_line
 
 Data = Mapping[str, Any]
@@ -61,7 +61,7 @@ def evidence_text(verdict: Data) -> str:
     told = [
         ", ".join([f"n = {verdict['episodes']} valid {what} of {runs}", *besides(verdict)]),
         f"violations: {verdict['violations']}{also_without(verdict)}",
-        _upper(verdict["bound"]),
+        _upper(verdict),
     ]
     if verdict["margin"] is not None:
         told.append(f"least margin {verdict['margin']:.4g}")
@@ -75,10 +75,11 @@ def short_evidence(verdict: Data) -> list[str]:
     return [f"n = {verdict['episodes']}", f"{verdict['violations']} violated", bound]
 
 
-def _upper(bound: Data) -> str:
+def _upper(verdict: Data) -> str:
+    bound = verdict["bound"]
     method = one_line(str(bound["method"]))
     if bound["upper"] is None:
-        return f"no bound on the rate of violations ({method})"
+        return f"no bound on the rate of violations{why_no_rate(verdict)} ({method})"
     return (
         f"rate of violations at most {percent(bound['upper'])} with confidence "
         f"{percent(bound['confidence'])} ({method})"

@@ -10,6 +10,7 @@ from pytest_dura.evidence.formats.report.folding import apart
 from pytest_dura.evidence.formats.report.gathering import Gathered
 from pytest_dura.evidence.formats.report.links import Links
 from pytest_dura.evidence.record.session_record import SessionRecord
+from pytest_dura.requirements.verdicts.situations import SITUATIONS
 
 WORST_FIRST = ("violated", "undecided", "supported")
 MAX_COUNTEREXAMPLES = 5
@@ -95,5 +96,6 @@ def _row(verdict: Data, links: Links) -> Data:
         ],
         "more": len(verdict["counterexamples"]) - len(shown),
         "pairs": pairs if pairs and "only_with" in pairs else None,
+        "no_rate": SITUATIONS.get(verdict.get("situation") or "", ""),
         "fixed_n": verdict["method"] not in SEQUENTIAL,
     }
