@@ -46,7 +46,7 @@ def parametrize(session: DuraSession, metafunc: pytest.Metafunc, marker: pytest.
     definition = metafunc.definition
     with _errors_at(definition):
         _check_use(definition, looked_at)
-        check_falsify(definition)
+        check_falsify(session, definition)
         requirements = marked_requirements(session, definition)
         _check_decidable(requirements, each_run="episode" in looked_at)
         targets = _targets(session, marker, requirements, each_run="episode" in looked_at)
@@ -67,7 +67,7 @@ def check_markers(session: DuraSession, definition: pytest.Item) -> None:
         pytest.Collector.CollectError: For one that does not exist, at the test's place.
     """
     with _errors_at(definition):
-        check_falsify(definition)
+        check_falsify(session, definition)
         marked_requirements(session, definition)
 
 
