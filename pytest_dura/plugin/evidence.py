@@ -90,6 +90,7 @@ class SessionEvidence:
                     "reuse": self.session.shared.to_json(),
                     "shard": self.session.shard and self.session.shard.to_json(),
                     "merged_from": None,
+                    "selection": self.session.selection.to_json(),
                 },
                 options.evidence,
             )
@@ -217,9 +218,11 @@ class SessionEvidence:
         interrupted = stopped or session.exitstatus not in REGULAR
         status: Status = "interrupted" if interrupted else "complete"
         warn_undecided = self.session.options.warn_undecided
-        self.record.header = self.session.properties.described(self.record.header)
+        header = {**self.record.header, "selection": self.session.selection.to_json()}
+        self.record.header = self.session.properties.described(header)
         record = self.given.compared(self.record.record(status))
-        self.objections = [*self.record.problems, *self.given.worse(record)]
+        told = [*self.record.problems, *self.record.objections]
+        self.objections = [*told, *self.given.worse(record)]
         if not interrupted:
             self.objections += self._unheard(session)
         gate = Gate.of(

@@ -105,7 +105,7 @@ def test_a_test_that_saw_an_episode_end_early_does_not_pass(project):
     project.write(
         "test_it.py",
         "import pytest\n"
-        "here = pytest.mark.dura(scenario='corridor/it', runs=1)\n"
+        "here = pytest.mark.dura(scenario='corridor/it', runs=1, verdict=False)\n"
         "@here\n"
         "def test_a(episode): assert episode.signals['x'].max() < 100\n"
         "@here\n"

@@ -59,6 +59,7 @@ def report(item="a/b::R", **parts):
             "traces",
             "models",
             "problems",
+            "objections",
             "parts",
             "notes",
             "searched",
@@ -69,7 +70,8 @@ def report(item="a/b::R", **parts):
 
 def looked_at(told, planned=2):
     rate = {"at_most": None, "confidence": 0.95}
-    return {**told.to_json(), "case": "a/b", "planned": planned, **rate}
+    own = {"alone": True, "by_check": False, "observed": [], "false": [], "failed": ""}
+    return {**told.to_json(), "case": "a/b", "planned": planned, **rate, "assertion": own}
 
 
 def record():
