@@ -113,7 +113,7 @@ def _looked_at(found: Mapping[str, Any]) -> str:
     if not told or not (told["alone"] or told["observed"]):
         return ""
     false = "".join(f"; false, though the test passed: {one}" for one in told["false"])
-    return f"the test looked at {', '.join(told['looked_at']) or 'nothing'}{false}"
+    return f"the test looked at {', '.join(told['observed']) or 'nothing'}{false}"
 
 
 def _show_worst(session: DuraSession, item: pytest.Item, results: Sequence[ItemResult]) -> None:

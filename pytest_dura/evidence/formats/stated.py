@@ -66,7 +66,7 @@ def by_assertion(verdict: Data) -> list[str]:
         return []
     seen = ", ".join(found["observed"][:NAMED]) or "nothing"
     if len(found["observed"]) > NAMED:
-        seen += f" and {len(found['looked_at']) - NAMED} more"
+        seen += f" and {len(found['observed']) - NAMED} more"
     told = [f"failed: {one['message']}, in {one['episode']}" for one in found["failed"][:1]]
     if found["alone"]:
         told.append(f"by assertion: the test looked at {seen}")
