@@ -141,6 +141,11 @@ class Case:
         off = "recovery_planner" in self.without
         return "log_only" if off and self.scenario.policy == "recover" else self.scenario.policy
 
+    def roles_off(self, overrides: Mapping[str, RoleSpec | None]) -> list[str]:
+        """Roles that an override or the scenario switches off for all runs, sorted by name."""
+        given: dict[str, object] = {**self.scenario.roles, **overrides}
+        return sorted(role for role, chosen in given.items() if chosen is None)
+
     def roles(self, overrides: Mapping[str, RoleSpec | None]) -> dict[str, RoleSpec]:
         """Overrides before the scenario's roles before the domain's defaults, by name.
 

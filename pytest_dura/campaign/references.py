@@ -17,12 +17,11 @@ from pytest_dura.campaign.worlds import (
 from pytest_dura.core.accounts import PREFIX
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.loop_signals import LOOP_SIGNALS
-from pytest_dura.requirements.checks import Check, is_function_path
+from pytest_dura.requirements.checks import Check, is_function_path, read_formula
 from pytest_dura.requirements.methods import method_of
 from pytest_dura.requirements.model import FAULTS
 from pytest_dura.requirements.stl.language.checks import check_time_step
 from pytest_dura.requirements.stl.language.formula import Formula
-from pytest_dura.requirements.stl.language.parsing import parse
 
 
 def applied(
@@ -123,10 +122,10 @@ def check_formula(scenario: Scenario, check: Check) -> None:
     """
     if not isinstance(check, str) or not check or is_function_path(check):
         return
-    formula = parse(check)
+    formula = read_formula(check)
     known = _known_signals(domain_of(scenario.simulator.path), formula)
     if known is not None:
-        parse(check, known)
+        read_formula(check, known)
     check_time_step(formula, scenario.time_step)
     ahead = formula.horizon
     if ahead is not None and ahead > scenario.duration * (1 + 1e-9):

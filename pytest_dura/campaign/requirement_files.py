@@ -14,10 +14,9 @@ from pytest_dura.campaign.scenario import Entry, not_empty
 from pytest_dura.campaign.validation import validate
 from pytest_dura.campaign.yaml_source import Document
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.requirements.checks import is_function_path, load_function
+from pytest_dura.requirements.checks import is_function_path, load_function, read_formula
 from pytest_dura.requirements.model import Kind, Method, Paired, Requirement
 from pytest_dura.requirements.pairs.verdicts import check_comparison
-from pytest_dura.requirements.stl.language.parsing import parse
 from pytest_dura.requirements.verdicts.judging import CampaignJudge
 
 
@@ -148,7 +147,7 @@ def _problems(located: Located) -> list[ConfigurationError]:
         errors.append(located.error(error, error.key or "at_most"))
     try:
         if requirement.check and "check" not in functions:
-            parse(requirement.check)
+            read_formula(requirement.check)
     except ConfigurationError as error:
         errors.append(located.error(error))
     for key, path in functions.items():

@@ -46,8 +46,9 @@ __all__ = [
 
 MARKERS = (
     (
-        "dura(scenario, faults=None, runs=None): run the test on each run (fixture `episode`) or "
-        "each case (fixture `campaign`) of these scenarios; `faults` replace the scenarios' own"
+        "dura(scenario, faults=None, runs=None, verdict=True): run the test on each run (fixture "
+        "`episode`) or each case (fixture `campaign`) of these scenarios; `faults` replace the "
+        "scenarios' own; verdict=False: the test decides nothing, and needs no verdict"
     ),
     (
         "falsify(requirement=None, budget=200, faults=(), at_most=1, shrink=150, seed=None): "

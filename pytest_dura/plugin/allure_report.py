@@ -18,6 +18,7 @@ import pytest
 from pytest_dura.evidence.text import markdown, one_line, visible
 from pytest_dura.plugin.commands import replay_command
 from pytest_dura.plugin.item_results import ItemResult, episode_of
+from pytest_dura.plugin.junit import ending_events
 
 if TYPE_CHECKING:
     from pytest_dura.core.episode import Episode
@@ -49,7 +50,7 @@ def report_item(session: DuraSession, item: pytest.Item, results: Sequence[ItemR
         for name, value in _parameters(session, one).items():
             # A result must not make another test of this one in Allure's history.
             allure.add_parameter(name=prefix + name, value=value, excluded=True, mode=None)
-    described = _description(item, results)
+    described = _description(session, item, results)
     if described:
         allure.add_description(test_description=described)
     if hasattr(item, "planned") and results:
@@ -86,7 +87,7 @@ def _parameters(session: DuraSession, result: ItemResult) -> dict[str, Any]:
     }
 
 
-def _description(item: pytest.Item, results: Sequence[ItemResult]) -> str:
+def _description(session: DuraSession, item: pytest.Item, results: Sequence[ItemResult]) -> str:
     """Markdown: the test's own words, then each requirement with its source and the verdict."""
     given = item.get_closest_marker("allure_description")
     own = given.args[0] if given else getattr(getattr(item, "function", None), "__doc__", None)
@@ -98,10 +99,21 @@ def _description(item: pytest.Item, results: Sequence[ItemResult]) -> str:
             ("Source", asked.source),
             ("Why this bound", asked.reason),
             ("Verdict", f"{one.word or 'none'}. {found.get('reason', found.get('detail', ''))}"),
+            ("Event", "; ".join(ending_events(session, one))),
+            ("By assertion", _looked_at(found)),
         ):
             if text:
                 parts.append(f"{name}: {markdown(text, 2000)}")
     return "\n\n".join(parts)
+
+
+def _looked_at(found: Mapping[str, Any]) -> str:
+    """What a test that decided by its own assertions looked at, and what was false for it."""
+    told = found.get("assertion")
+    if not told or not (told["alone"] or told["observed"]):
+        return ""
+    false = "".join(f"; false, though the test passed: {one}" for one in told["false"])
+    return f"the test looked at {', '.join(told['observed']) or 'nothing'}{false}"
 
 
 def _show_worst(session: DuraSession, item: pytest.Item, results: Sequence[ItemResult]) -> None:
@@ -144,6 +156,9 @@ def _is_counterexample(result: ItemResult, episode: Episode) -> bool:
 def _check(result: ItemResult | None) -> str:
     if result is None:
         return ""
+    own = (result.outcome or {}).get("assertion")
+    if own and own["failed"] and not own["by_check"]:
+        return ""  # it held: what failed is an assertion of the test
     return str((result.verdict or {}).get("check") or result.requirement.check)
 
 

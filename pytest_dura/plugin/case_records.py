@@ -9,15 +9,24 @@ if TYPE_CHECKING:
 
 
 def case_record(
-    case: Case, component: str, planned: int, runs_override: int | None
+    case: Case, component: str, planned: int, runs_override: int | None, off: list[str]
 ) -> dict[str, Any]:
-    """A case as the evidence holds it; ``runs_override`` replaced what its scenario plans."""
+    """A case as the evidence holds it.
+
+    Args:
+        case: The case.
+        component: Name of the component under test.
+        planned: Its episodes.
+        runs_override: What replaced the number that its scenario plans, if something did.
+        off: Roles that are switched off.
+    """
     return {
         "id": case.id,
         "scenario": case.scenario.name,
         "faults": [dict(fault) for fault in case.faults],
         "component": component,
         "without": list(case.without),
+        "off": off,
         "requirements": list(case.requirements),
         "variation": {
             path: _without_none(spread.model_dump(mode="json"))

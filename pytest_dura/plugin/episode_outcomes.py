@@ -20,6 +20,7 @@ def outcome_of_test(
     requirements: Sequence[Requirement],
     episode: JudgedEpisode,
     error: BaseException | None,
+    failed: str = "",
 ) -> dict[str, Any]:
     """The verdict of a test on an episode: by its outcome, and by the requirement's own check.
 
@@ -28,10 +29,14 @@ def outcome_of_test(
         requirements: Those of the episode's case.
         episode: The episode.
         error: What the test raised, if anything.
+        failed: Which of its own assertions failed, of :func:`failed_assertion`; empty if none did.
     """
+    from pytest_dura.plugin.observed_episode import looks_at
     from pytest_dura.requirements.verdicts.episodes import EARLY_ENDS, is_unseen_crash
 
     word, detail = word_of_test(episode, error)
+    failed = failed if word == "violated" else ""
+    detail = failed or detail
     margin = time = None
     judged = judged_by_own_check(requirement, episode)
     if judged is not None and judged.verdict == "violated":
@@ -55,7 +60,30 @@ def outcome_of_test(
         "without_effect": word == "violated" and episode.validity == "invalid",
         "ended": episode.termination if episode.termination in EARLY_ENDS else "",
         "unseen_crash": word != "violated" and is_unseen_crash(episode, requirements),
+        "assertion": {
+            "alone": judged is None,
+            "by_check": judged is not None and judged.verdict == "violated",
+            "observed": looks_at(episode).names,
+            "false": [] if failed else list(looks_at(episode).false),
+            "failed": failed,
+        },
     }
+
+
+def failed_assertion(item: pytest.Item, found: pytest.ExceptionInfo[BaseException]) -> str:
+    """What of a test failed: its message with what was compared, and the line in its file."""
+    from pytest_dura.evidence.text import one_line
+
+    error = found.value
+    lines = [line for line in str(error).split("\n") if line.strip()]
+    # Behind a message of the test's own stands what pytest makes of the comparison.
+    compared = [line for line in lines[1:] if line.startswith("assert ")]
+    told = "; ".join([*lines[:1], *compared[:1]]) or type(error).__name__
+    own = [entry for entry in found.traceback if entry.path == item.path]
+    if not own:
+        return one_line(told, 500)
+    place = item.nodeid.partition("::")[0]
+    return f"{one_line(told, 500)} ({place}:{own[-1].lineno + 1})"
 
 
 def judged_by_own_check(requirement: Requirement, episode: JudgedEpisode) -> EpisodeVerdict | None:

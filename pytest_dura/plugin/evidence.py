@@ -91,6 +91,7 @@ class SessionEvidence:
                     "reuse": self.session.shared.to_json(),
                     "shard": self.session.shard and self.session.shard.to_json(),
                     "merged_from": None,
+                    "selection": self.session.selection.to_json(),
                 },
                 options.evidence,
             )
@@ -218,9 +219,11 @@ class SessionEvidence:
         interrupted = stopped or session.exitstatus not in REGULAR
         status: Status = "interrupted" if interrupted else "complete"
         warn_undecided = self.session.options.warn_undecided
-        self.record.header = self.session.properties.described(self.record.header)
+        header = {**self.record.header, "selection": self.session.selection.to_json()}
+        self.record.header = self.session.properties.described(header)
         record = self.given.compared(self.record.record(status))
-        self.objections = [*self.record.problems, *self.given.worse(record)]
+        told = [*self.record.problems, *self.record.objections]
+        self.objections = [*told, *self.given.worse(record)]
         if self.session.options.require_repeatable:
             from pytest_dura.evidence.record.repeats import repeat_objections
 

@@ -37,7 +37,8 @@ def expected_items(session: DuraSession, chosen: Iterable[str]) -> list[Expected
         items = [one for one in items if one[0] in wanted]
         if items:
             runs = session.options.runs or case.scenario.planned
-            record = case_record(case, component_of(case), runs, session.options.runs)
+            off = case.roles_off(session.roles.chosen())
+            record = case_record(case, component_of(case), runs, session.options.runs, off)
             found += [(item, requirement, record) for item, requirement in items]
     return found
 

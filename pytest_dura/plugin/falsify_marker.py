@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
 from pytest_dura.core.errors import ConfigurationError, DuraError
 from pytest_dura.plugin.requirement_markers import marker_arguments
 
+if TYPE_CHECKING:
+    from pytest_dura.plugin.session import DuraSession
+
 NAME = "falsify"
 
 
-def check_falsify(definition: pytest.Item) -> None:
+def check_falsify(session: DuraSession, definition: pytest.Item) -> None:
     """Refuse a marker that would search nothing, or cannot be read.
 
     Raises:
-        ConfigurationError: For a test that has no campaign, or several markers.
+        ConfigurationError: For a test that has no campaign, several markers, and a formula that
+            cannot be used.
     """
     markers = list(definition.iter_markers(NAME))
     if not markers:
@@ -38,7 +42,18 @@ def check_falsify(definition: pytest.Item) -> None:
             expected="one marker",
             remedy=f'name all requirements in one: {NAME}(["SAF-1", "SAF-2"])',
         )
-    marker_arguments(markers[0], _falsify_marker)
+    wanted = marker_arguments(markers[0], _falsify_marker)["requirement"]
+    for text in wanted if isinstance(wanted, (list, tuple)) else [wanted]:
+        if isinstance(text, str) and text not in session.library().requirements:
+            _check_formula(text)
+
+
+def _check_formula(text: str) -> None:
+    from pytest_dura.campaign.search.campaigns import is_formula
+    from pytest_dura.requirements.checks import read_formula
+
+    if is_formula(text):
+        read_formula(text)
 
 
 def run_marked_search(item: pytest.Function) -> None:

@@ -127,9 +127,12 @@ def episode(
     request: pytest.FixtureRequest, _dura_roles: None, orchestrator: Bench
 ) -> JudgedEpisode:
     """One run of a case, for tests with the marker ``dura``."""
+    from pytest_dura.plugin.observed_episode import ObservedEpisode
+
     target = _target(request)
     try:
-        return orchestrator.episode(target.case, target.run, planned=target.planned)
+        found = orchestrator.episode(target.case, target.run, planned=target.planned)
+        return ObservedEpisode.of(found)
     except ConfigurationError as error:
         raise pytest.fail.Exception(str(error), pytrace=False) from None
 

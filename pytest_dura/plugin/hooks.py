@@ -69,6 +69,10 @@ class SessionHooks:
     def pytest_generate_tests(self, metafunc: pytest.Metafunc) -> None:
         """Make one test per case and run."""
         marker = metafunc.definition.get_closest_marker("dura")
+        if uses_bench(metafunc):
+            from pytest_dura.plugin.parametrize import check_spelling
+
+            check_spelling(metafunc.definition)
         if marker is not None:
             from pytest_dura.plugin.parametrize import parametrize
 
@@ -98,16 +102,20 @@ class SessionHooks:
             if names[0] != "_dura_roles":
                 names.insert(0, "_dura_roles")
 
-    @pytest.hookimpl(tryfirst=True)
+    @pytest.hookimpl(wrapper=True, tryfirst=True)
     def pytest_collection_modifyitems(
         self, session: pytest.Session, items: list[pytest.Item]
-    ) -> None:
-        """Add the scenario items."""
+    ) -> Generator[None, Any, Any]:
+        """Add the scenario items, and note what others leave of all items."""
         if self.session.plan:
             from pytest_dura.plugin.items import scenario_items
 
             items += scenario_items(self.session, session)
         self._label(items)
+        self.session.selection.plan(list(filter(uses_bench, items)))
+        result = yield
+        self.session.selection.ask(list(filter(uses_bench, items)))
+        return result
 
     def _label(self, items: list[pytest.Item]) -> None:
         """Label what Allure reports or selects, before it selects."""
@@ -123,6 +131,8 @@ class SessionHooks:
     def pytest_collection_finish(self, session: pytest.Session) -> None:
         """Note what will run, in a record that takes the place of an earlier session's."""
         benched = list(filter(uses_bench, session.items))
+        if self.session.shard is None:  # which leaves out what other shards run
+            self.session.selection.ask(benched)
         own = [item.nodeid for item in benched]
         if own:
             self._begin_guard()
@@ -145,7 +155,9 @@ class SessionHooks:
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_setup(self, item: pytest.Item) -> None:
         """Refuse a marker that pytest does not let us see, which would run nothing and pass."""
-        own = any(marker.name == "dura" for marker in item.own_markers)
+        from pytest_dura.plugin.parametrize import names_nothing
+
+        own = any(one.name == "dura" and not names_nothing(one) for one in item.own_markers)
         if own and not hasattr(item, "callspec"):
             pytest.fail(
                 "the marker dura runs nothing here: a test of unittest.TestCase takes no fixtures; "
@@ -194,6 +206,8 @@ class SessionHooks:
         except DuraError as error:
             outcome = self.session.reporter.outcome_of(error)
             raise outcome.with_traceback(error.__traceback__) from None
+        finally:
+            self.session.reporter.body_ended(pyfuncitem)
         if uses_bench(pyfuncitem):
             self.session.reporter.body_passed(pyfuncitem)
         return result
@@ -238,6 +252,7 @@ class SessionHooks:
             workeroutput = vars(session.config)["workeroutput"]
             self.session.simulating.tell_controller(workeroutput)
             self.session.properties.tell_controller(workeroutput)
+            self.session.selection.tell_controller(workeroutput)
         self.session.evidence.finish(session)
 
     def pytest_keyboard_interrupt(self) -> None:
@@ -286,6 +301,7 @@ class SessionHooks:
         workeroutput = getattr(node, "workeroutput", {})
         self.session.simulating.hear_worker(workeroutput)
         self.session.properties.hear_worker(workeroutput)
+        self.session.selection.hear_worker(workeroutput)
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_xdist_make_scheduler(

@@ -98,6 +98,8 @@ def scenario_items(session: DuraSession, root: pytest.Session) -> list[pytest.It
 def _judge(request: pytest.FixtureRequest, _dura_roles: None, orchestrator: Bench) -> None:
     """What each item runs, whose case and requirement it is that it asks for."""
     from pytest_dura.campaign.reasons import reasons
+    from pytest_dura.plugin.item_results import ItemResult
+    from pytest_dura.plugin.junit import ending_events
 
     session, planned = session_of(request.config), request.node.planned
     requirement = session.library().requirements[request.node.name]
@@ -111,6 +113,8 @@ def _judge(request: pytest.FixtureRequest, _dura_roles: None, orchestrator: Benc
         return
     lines = reasons(verdict, requirement, campaign.failures)
     if verdict.counterexamples:
+        found = ItemResult(requirement, planned.case, verdict=verdict.to_json())
+        lines += [f"event:    {line}" for line in ending_events(session, found)]
         lines.append("replay:   " + replay_command(session, verdict.counterexamples[0].episode))
     lines.append("rerun:    " + rerun_command(session, f"{planned.case.id}::{requirement.id}"))
     message = "\n".join(lines)

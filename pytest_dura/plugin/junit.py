@@ -12,11 +12,13 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from pytest_dura.evidence.formats.junit_results import junit_name
+from pytest_dura.evidence.formats.stated import event_line
 from pytest_dura.evidence.text import one_line
 from pytest_dura.plugin.commands import replay_command
 from pytest_dura.plugin.item_results import ItemResult, episode_of, target_of
 
 if TYPE_CHECKING:
+    from pytest_dura.core.episode import Episode
     from pytest_dura.plugin.session import DuraSession
 
 Properties = list[tuple[str, str]]
@@ -80,6 +82,8 @@ def _group(session: DuraSession, result: ItemResult) -> Iterator[tuple[str, Any]
     yield "component", result.component
     if result.outcome is not None:
         yield from _of_episode(result.outcome)
+        for event in ending_events(session, result):
+            yield "event", event
     if result.verdict is not None:
         yield from _of_campaign(session, result)
 
@@ -91,6 +95,11 @@ def _of_episode(outcome: Any) -> Iterator[tuple[str, Any]]:
     yield "margin", outcome["margin"]
     yield "violated_at", outcome["time"]
     yield "detail", outcome["detail"]
+    asserted = outcome["assertion"]
+    yield "decided_by", "assertion" if asserted["alone"] else "check and assertion"
+    yield "observed", ", ".join(asserted["observed"])
+    for check in asserted["false"]:
+        yield "false_check", check
 
 
 def _of_campaign(session: DuraSession, result: ItemResult) -> Iterator[tuple[str, Any]]:
@@ -112,7 +121,27 @@ def _of_campaign(session: DuraSession, result: ItemResult) -> Iterator[tuple[str
         episode = verdict["counterexamples"][0]["episode"]
         yield "counterexample", episode
         yield "counterexample_seed", seed_of(session, result, episode)
+        for event in ending_events(session, result):
+            yield "event", event
         yield "replay", replay_command(session, episode)
+
+
+def ending_events(session: DuraSession, result: ItemResult) -> list[str]:
+    """What ended the violating episode that stands for a result, in the terminal's words."""
+    if result.word != "violated":
+        return []
+    episode: Episode | None = result.episode
+    shown = (result.verdict or {}).get("counterexamples")
+    if episode is None and shown and result.case is not None:
+        run = int(shown[0]["episode"].rpartition("#")[2])
+        episode = session.bench.again(result.case, run)
+    if episode is None:
+        return []
+    return [
+        session.redact(event_line(event.to_json()))
+        for event in episode.events
+        if event.kind == "critical"
+    ]
 
 
 def seed_of(session: DuraSession, result: ItemResult, episode: str) -> int | None:

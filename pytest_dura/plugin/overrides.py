@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import os
 from pathlib import Path
 from types import ModuleType
@@ -34,6 +35,26 @@ def overrides_deeper_down(config: pytest.Config) -> list[tuple[str, str]]:
         for file, role in _overrides(config)
         if file.parent != root and root in file.parents
     ]
+
+
+def none_in_root_conftest(config: pytest.Config) -> list[tuple[str, str]]:
+    """``(file, role)`` of fixtures of the root conftest that plainly return ``None``."""
+    root = config.rootpath / "conftest.py"
+    roles = [role for file, role in _overrides(config) if file == root]
+    if not roles:
+        return []
+    tree = ast.parse(root.read_bytes())
+    functions = {one.name: one for one in tree.body if isinstance(one, ast.FunctionDef)}
+    return [(root.name, role) for role in roles if _returns_none(functions.get(role))]
+
+
+def _returns_none(function: ast.FunctionDef | None) -> bool:
+    if function is None:
+        return False
+    nodes = list(ast.walk(function))
+    values = [one.value for one in nodes if isinstance(one, ast.Return) and one.value is not None]
+    generates = any(isinstance(one, (ast.Yield, ast.YieldFrom)) for one in nodes)
+    return not generates and all(isinstance(v, ast.Constant) and v.value is None for v in values)
 
 
 def conftest_defining(config: pytest.Config, value: object) -> str | None:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -21,6 +23,9 @@ if TYPE_CHECKING:
     from pytest_dura.requirements.model import Requirement
 
 
+OUR_MARKERS = ("dura", "falsify", "requirement")
+
+
 @dataclass(frozen=True, slots=True)
 class Target:
     """What a parametrized test looks at: a case, and a run where it looks at one episode."""
@@ -30,6 +35,8 @@ class Target:
     planned: int
     requirement: Requirement | None
     until_decided: bool = False
+    declared: int = 0
+    """Runs of the marker or the scenario, whatever ``--dura-runs`` says."""
 
     def __repr__(self) -> str:
         """The episode's id. Reports show it, and Allure tells tests apart by it."""
@@ -46,9 +53,11 @@ def parametrize(session: DuraSession, metafunc: pytest.Metafunc, marker: pytest.
     definition = metafunc.definition
     with _errors_at(definition):
         _check_use(definition, looked_at)
-        check_falsify(definition)
+        check_falsify(session, definition)
         requirements = marked_requirements(session, definition)
         _check_decidable(requirements, each_run="episode" in looked_at)
+        if not looked_at and names_nothing(marker):
+            return
         targets = _targets(session, marker, requirements, each_run="episode" in looked_at)
     if looked_at:
         session.garbage.begin(len(targets))
@@ -67,8 +76,32 @@ def check_markers(session: DuraSession, definition: pytest.Item) -> None:
         pytest.Collector.CollectError: For one that does not exist, at the test's place.
     """
     with _errors_at(definition):
-        check_falsify(definition)
+        check_falsify(session, definition)
         marked_requirements(session, definition)
+
+
+def check_spelling(definition: pytest.Item) -> None:
+    """Refuse a marker that is nearly one of ours: without ``--strict-markers`` it does nothing.
+
+    Raises:
+        pytest.Collector.CollectError: For one that no ini file registers, at the test's place.
+    """
+    registered = {
+        re.split(r"[(:]", line)[0].strip() for line in definition.config.getini("markers")
+    }
+    for marker in definition.iter_markers():
+        near = get_close_matches(marker.name, OUR_MARKERS, n=1, cutoff=0.75)
+        if not near or marker.name in registered:
+            continue
+        with _errors_at(definition):
+            raise ConfigurationError(
+                f"there is no marker {marker.name!r}, so that it would do nothing",
+                key=f"pytest.mark.{marker.name}",
+                found=marker.name,
+                expected="one of " + ", ".join(OUR_MARKERS),
+                remedy=f"did you mean {near[0]!r}? A marker of your own is registered in the ini "
+                "setting `markers`",
+            )
 
 
 @contextmanager
@@ -89,6 +122,17 @@ def _errors_at(definition: pytest.Item) -> Iterator[None]:
 def _check_use(definition: pytest.Item, looked_at: Sequence[str]) -> None:
     """A marker that would run nothing must not read as a pass."""
     own = [marker for marker in definition.own_markers if marker.name == "dura"]
+    quiet = [one.kwargs["verdict"] for one in own if one.kwargs.get("verdict", True) is not True]
+    if quiet and quiet[0] is not False:
+        raise _wrong("verdict", quiet[0], "False, for a test that decides nothing")
+    if quiet and looked_at and definition.get_closest_marker("requirement") is not None:
+        raise ConfigurationError(
+            "the test names a requirement, and says that it decides nothing",
+            key="pytest.mark.dura(verdict=)",
+            found="verdict=False beside the marker requirement",
+            expected="one of them",
+            remedy="remove the one that is not meant",
+        )
     if len(own) > 1:
         raise ConfigurationError(
             "the test has several markers dura, of which one alone would count",
@@ -97,7 +141,7 @@ def _check_use(definition: pytest.Item, looked_at: Sequence[str]) -> None:
             expected="one marker",
             remedy='name all scenarios in one: dura(scenario=["...", "..."])',
         )
-    if own and not looked_at:
+    if own and not looked_at and not names_nothing(own[0]):
         raise ConfigurationError(
             "the marker dura runs nothing, since the test looks at no episode",
             key="pytest.mark.dura",
@@ -140,15 +184,16 @@ def _targets(
     targets = []
     for case in cases:
         session.take_case(case)
-        planned, until_decided = _runs(given["runs"], case)
-        planned = session.options.runs or planned
+        declared, until_decided = _runs(given["runs"], case)
+        planned = session.options.runs or declared
         if each_run and until_decided:
             raise _wrong(
                 "runs", given["runs"] or case.scenario.runs, "a number of runs, for one test a run"
             )
         for run in range(planned) if each_run else [0]:
             name = f"{case.id}#{run}" if each_run else case.id
-            targets.append((Target(case, run, planned, requirement, until_decided), name))
+            target = Target(case, run, planned, requirement, until_decided, declared)
+            targets.append((target, name))
     return targets
 
 
@@ -202,5 +247,18 @@ def _wrong(key: str, found: Any, expected: str) -> ConfigurationError:
     )
 
 
-def _dura_marker(scenario: Any, faults: Any = None, runs: Any = None) -> None:
+def _dura_marker(
+    scenario: Any = None, faults: Any = None, runs: Any = None, verdict: Any = True
+) -> None:
     """The signature of the marker ``dura``."""
+
+
+def names_nothing(marker: pytest.Mark) -> bool:
+    """Whether a marker ``dura`` says no more than that the test decides nothing."""
+    return not marker.args and set(marker.kwargs) == {"verdict"}
+
+
+def decides_nothing(node: pytest.Item) -> bool:
+    """Whether a test says that no verdict is to come of it: ``dura(verdict=False)``."""
+    marker = node.get_closest_marker("dura")
+    return marker is not None and marker.kwargs.get("verdict") is False

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
-from typing import TYPE_CHECKING, NoReturn
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import pytest
 
 from pytest_dura.plugin.episode_outcomes import judged_by_own_check
+from pytest_dura.plugin.parametrize import decides_nothing
 from pytest_dura.plugin.requirement_markers import marked_requirements
 
 if TYPE_CHECKING:
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
     from pytest_dura.requirements.model import Requirement
     from pytest_dura.requirements.verdicts import JudgedEpisode
     from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict
+
+OUR_FIXTURES = "pytest_dura.plugin.fixtures"
 
 
 def check_passed(
@@ -51,13 +54,59 @@ def check_passed(
         if looked_at.validity == "invalid":
             _undecided(session, f"invalid: {looked_at.id}: {looked_at.invalid_reason}")
         _check_decided_by_own(session, item, looked_at)
+        _check_looked(session, item, looked_at)
     _check_searched(session, used.values())
     campaign = item.funcargs.get("campaign")
     if isinstance(campaign, Campaign):
-        used_here = used.get(campaign.case.id)
-        if used_here is not None and used_here.doubt is not None:
-            _undecided(session, used_here.doubt)
-        _check_decided(session, item, campaign, decided)
+        _check_decided(session, item, campaign, used, decided)
+    if without_verdict(session, item, decided):
+        _undecided(session, f"undecided: the test ended without a verdict; {_remedy(item)}")
+
+
+def without_verdict(
+    session: DuraSession, item: pytest.Item, decided: Collection[tuple[str, str]]
+) -> bool:
+    """Whether a test that asked for episodes came to no verdict, and does not say that it would.
+
+    Args:
+        session: The session of this process.
+        item: The test, which has run.
+        decided: Requirement and case of the verdicts that it asked for.
+    """
+    asked_for = _asked_for(item)
+    if not asked_for or decided or decides_nothing(item):
+        return False
+    return "episode" not in asked_for or not marked_requirements(session, item)
+
+
+def _asked_for(item: pytest.Item) -> list[str]:
+    """Those of our fixtures that give a test its episodes; others may have some of these names."""
+    info = getattr(item, "_fixtureinfo", None)
+    known = {} if info is None else info.name2fixturedefs
+    return [
+        name
+        for name in ("episode", "campaign", "run_episode")
+        if name in known and _is_ours(name, known[name])
+    ]
+
+
+def _is_ours(name: str, definitions: Sequence[Any]) -> bool:
+    """Whether a fixture is ours, or overrides ours and asks for it."""
+    for one in reversed(definitions):
+        if one.func.__module__ == OUR_FIXTURES:
+            return True
+        if name not in one.argnames:
+            return False
+    return False
+
+
+def _remedy(item: pytest.Item) -> str:
+    nothing = "say that it decides nothing: @pytest.mark.dura(..., verdict=False)"
+    ways = {
+        "episode": 'name what it decides, @pytest.mark.requirement("ID", text="..."), or ',
+        "campaign": "call campaign.require(check), or ",
+    }
+    return ways.get(_asked_for(item)[0], "") + nothing
 
 
 def _check_violations(session: DuraSession, item: pytest.Function, episode: JudgedEpisode) -> None:
@@ -81,6 +130,24 @@ def _check_decided_by_own(
             _undecided(session, f"{judged.verdict}: {_told(requirement, judged)}")
 
 
+def _check_looked(session: DuraSession, item: pytest.Function, episode: JudgedEpisode) -> None:
+    """A test supports by its assertions what it has looked at; of nothing it knows nothing."""
+    from pytest_dura.plugin.observed_episode import looks_at
+
+    alone = [
+        one.id
+        for one in marked_requirements(session, item)
+        if judged_by_own_check(one, episode) is None
+    ]
+    if alone and not looks_at(episode).names:
+        _undecided(
+            session,
+            f"invalid: the test looked at nothing of {episode.id}, so that it decides nothing "
+            f"about {', '.join(alone)}; assert something of the episode, such as "
+            '`episode.satisfies("always (gap > 0)")`',
+        )
+
+
 def _check_searched(session: DuraSession, used: Iterable[UsedEpisodes]) -> None:
     """A property test passes by at least one case that a strategy chose and that is valid."""
     from pytest_dura.campaign.search.space.searched import SearchedCase
@@ -100,9 +167,13 @@ def _check_decided(
     session: DuraSession,
     item: pytest.Function,
     campaign: Campaign,
+    used: Mapping[str, UsedEpisodes],
     decided: Collection[tuple[str, str]],
 ) -> None:
     """A test on a campaign that claims to decide a requirement must ask for its verdict."""
+    used_here = used.get(campaign.case.id)
+    if used_here is not None and used_here.doubt is not None:
+        _undecided(session, used_here.doubt)
     if "episode" in item.funcargs:
         return  # it decides them
     claimed = [one.id for one in marked_requirements(session, item)]

@@ -11,8 +11,13 @@ import pytest
 from pytest_dura.core.errors import DuraError
 from pytest_dura.plugin.case_records import case_record
 from pytest_dura.plugin.commands import replay_command
-from pytest_dura.plugin.episode_outcomes import outcome_of_test, word_of_test
-from pytest_dura.plugin.passed_tests import check_passed
+from pytest_dura.plugin.episode_outcomes import (
+    failed_assertion,
+    outcome_of_test,
+    word_of_test,
+)
+from pytest_dura.plugin.item_results import episode_of
+from pytest_dura.plugin.passed_tests import check_passed, without_verdict
 from pytest_dura.plugin.requirement_markers import marked_requirements
 from pytest_dura.plugin.traces import TraceKeeper
 from pytest_dura.plugin.used_episodes import UsedEpisodes
@@ -51,6 +56,8 @@ class Reporter:
         self._decided: set[tuple[str, str]] = set()
         self._components: dict[tuple[str, bytes, bool], dict[str, Any]] = {}
         self._last: JudgedEpisode | None = None
+        self._asserted = False
+        """Whether the body of the current test came to its end without a failure."""
         self.traces = TraceKeeper(session)
 
     def episode_used(self, case: Case, episode: JudgedEpisode, planned: int) -> None:
@@ -157,8 +164,17 @@ class Reporter:
             return pytest.skip.Exception(str(error))
         return pytest.fail.Exception(str(error))
 
+    def body_ended(self, item: pytest.Function) -> None:
+        """A test came to its end: what it has looked at by now is what it looked at."""
+        episode = episode_of(item)
+        if episode is not None:
+            from pytest_dura.plugin.observed_episode import looks_at
+
+            looks_at(episode).end()
+
     def body_passed(self, item: pytest.Function) -> None:
         """A test passed; fail it if the episodes that it looked at do not carry that."""
+        self._asserted = True
         check_passed(self.session, item, self._used, self._decided)
 
     def attach(
@@ -170,9 +186,7 @@ class Reporter:
         if call.when == "setup":
             self._claim(item)
         if call.when == "call":
-            self._keep_last(call)
-            if self._target(item) is not None:
-                self._test_outcome(item, call, report)
+            self._called(item, call, report)
         traces, problems = self.traces.take()
         if traces or problems:
             self._report.traces += traces
@@ -193,10 +207,22 @@ class Reporter:
             setattr(report, ATTRIBUTE, json.dumps(told.to_json(), allow_nan=False))
         return told
 
+    def _called(
+        self, item: pytest.Item, call: pytest.CallInfo[None], report: pytest.TestReport
+    ) -> None:
+        self._keep_last(call)
+        if self._target(item) is not None:
+            self._test_outcome(item, call, report)
+        # A test that skips itself, or is expected to fail, came to no verdict either.
+        excused = report.skipped and not self.session.options.warn_undecided
+        if excused and without_verdict(self.session, item, self._decided):
+            self._report.objections.append(f"{item.nodeid} ended without a verdict")
+
     def _end(self, item: pytest.Item) -> None:
         self._used.clear()
         self._decided.clear()
         self._last = None
+        self._asserted = False
         if self.session.simulating.is_lost:  # what there is by now can be resumed
             item.session.shouldstop = "nobody is left who simulates"
 
@@ -219,7 +245,9 @@ class Reporter:
     def _case_used(self, case: Case, generator: RoleSpec, planned: int) -> None:
         report, component = self._report, self._component_used(generator)
         if not any((one["id"], one["component"]) == (case.id, component) for one in report.cases):
-            report.cases.append(case_record(case, component, planned, self.session.options.runs))
+            off = case.roles_off(self.session.bench.roles)
+            runs = self.session.options.runs
+            report.cases.append(case_record(case, component, planned, runs, off))
             known = self.session.library().requirements
             for name in case.requirements:
                 self._requirement_used(known[name])
@@ -265,7 +293,8 @@ class Reporter:
 
         component = getattr(campaign, "component", None) or UNKNOWN
         override = self.session.options.runs
-        case = case_record(target.case, component, target.planned, override)
+        off = target.case.roles_off(self.session.bench.roles)
+        case = case_record(target.case, component, target.planned, override, off)
         for requirement in marked_requirements(self.session, item):
             self._requirement_used(requirement)
             claim = {"requirement": requirement.id, "case": case, "each_run": run is not None}
@@ -289,10 +318,13 @@ class Reporter:
         if error is not None:
             command = replay_command(self.session, episode.id)
             report.sections.append(("dura", f"{episode.id}, replay: {command}"))
+        failed = (
+            "" if call.excinfo is None or self._asserted else failed_assertion(item, call.excinfo)
+        )
         for requirement in marked_requirements(self.session, item):
             self._requirement_used(requirement)
             of_case = self.session.bench.requirements_of(target.case)
-            told = outcome_of_test(requirement, of_case, episode, error)
+            told = outcome_of_test(requirement, of_case, episode, error, failed)
             if told["verdict"] == "violated":
                 self.traces.violated(episode)
             self._report.outcomes.append(

@@ -20,6 +20,7 @@ from pytest_dura.plugin.planning import make_plan
 from pytest_dura.plugin.repeats import Repeats
 from pytest_dura.plugin.reporter import Reporter
 from pytest_dura.plugin.scenario_arguments import scenario_arguments
+from pytest_dura.plugin.selection import Selection
 from pytest_dura.plugin.session_roles import SessionRoles
 from pytest_dura.plugin.shards import ShardHooks
 from pytest_dura.plugin.shared_episodes import SharedEpisodes
@@ -55,6 +56,7 @@ class DuraSession:
         self.simulating = Simulating(self)
         self.shared = SharedEpisodes(self)
         self.properties = PropertyTests(self)
+        self.selection = Selection(self)
         self.garbage = CollectorRest()
         self.named_requirements: set[str] = set()
         """Ids that the markers of collected tests name."""

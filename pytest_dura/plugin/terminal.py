@@ -9,7 +9,11 @@ from pytest_dura.plugin.baseline_lines import baseline_header, show_baseline
 from pytest_dura.plugin.failure_mode_lines import failure_mode_table
 from pytest_dura.plugin.fault_lines import fault_table
 from pytest_dura.plugin.messages import Shown, shown_lines
-from pytest_dura.plugin.overrides import overrides_deeper_down, root_conftest_with
+from pytest_dura.plugin.overrides import (
+    none_in_root_conftest,
+    overrides_deeper_down,
+    root_conftest_with,
+)
 from pytest_dura.plugin.places import from_here
 from pytest_dura.plugin.repeats import show_repeats
 from pytest_dura.plugin.reuse_lines import resume_lines, reuse_lines, searched_lines
@@ -41,6 +45,7 @@ def header(session: DuraSession) -> list[str]:
         lines.append(f"dura: --dura-runs={options.runs} replaces the planned number of runs")
     if options.shard is not None:
         lines.append(f"dura: {options.shard} of that; the others run elsewhere")
+    lines += [f"dura: {role} is OFF: {where}" for role, where in _switched_off(session)]
     lines += session.simulating.header()
     lines += [f"dura: {one}" for one in session.shared.lines]
     lines += session.models.header()
@@ -53,6 +58,15 @@ def header(session: DuraSession) -> list[str]:
             for file, role in overrides_deeper_down(session.config)
         ]
     return [one for line in lines for one in shown_lines(line)]
+
+
+def _switched_off(session: DuraSession) -> list[tuple[str, str]]:
+    """Roles that run nowhere, as far as that is known before anything runs, and who says so."""
+    found = {role: f"the fixture in {file}" for file, role in none_in_root_conftest(session.config)}
+    for planned in session.plan:
+        for role in planned.case.roles_off({}):
+            found.setdefault(role, f"the scenario {planned.case.scenario.name}")
+    return sorted(found.items())
 
 
 def unused(session: DuraSession) -> list[str]:
@@ -117,14 +131,15 @@ def _show_objections(terminal: Any, objections: list[str]) -> None:
 
 def _gate_line(record: SessionRecord) -> str:
     """The gate's word, and the verdicts that it rests on."""
-    from pytest_dura.evidence.formats.stated import part
+    from pytest_dura.evidence.formats.stated import part, selected
 
     totals = record["totals"]
     parts = [f"{totals[word]} {word}" for word in _COUNTED if totals[word]]
     whose = f"gate of {part(record)}" if part(record) else "gate"
     found = search_counts(record)
     told = f"; searches: {found}" if found else ""
-    return f"{whose}: {totals['gate']}, {', '.join(parts) or 'no verdict'}{told}"
+    gate = [totals["gate"], *filter(None, [selected(record)]), *(parts or ["no verdict"])]
+    return f"{whose}: {', '.join(gate)}{told}"
 
 
 def _page(file: Path) -> Path:
@@ -135,7 +150,11 @@ def _page(file: Path) -> Path:
 
 def _show_cases(session: DuraSession, terminal: Any, record: SessionRecord) -> None:
     """What was run, and the tables of what it came to."""
+    from pytest_dura.evidence.formats.stated import roles_off
+
     terminal.line(f"component under test: {_names(record)}, base seed {record['base_seed']}")
+    for line in roles_off(record):
+        terminal.line(line, yellow=True)
     if session.options.runs is not None:
         terminal.line(f"--dura-runs={session.options.runs} replaced the planned number of runs")
     terminal.line("")

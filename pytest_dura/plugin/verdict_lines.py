@@ -6,7 +6,7 @@ import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from pytest_dura.evidence.formats.stated import also_without, besides
+from pytest_dura.evidence.formats.stated import also_without, besides, by_assertion, event_line
 from pytest_dura.evidence.text import name, one_line
 from pytest_dura.plugin.commands import replay_command, rerun_command
 from pytest_dura.plugin.fault_lines import chain_line
@@ -36,15 +36,10 @@ def show_verdicts(session: DuraSession, terminal: Any, record: SessionRecord) ->
     kept = {id(one) for one in shown}
     same: dict[tuple[str, ...], list[Data]] = {}
     for verdict in shown:
-        where = _where(verdict)
-        same.setdefault((verdict["verdict"], where, _counts(verdict)), []).append(verdict)
-    for (word, where, counts), group in same.items():
-        terminal.write(f"{word:<9}", **COLOURS[word])
-        terminal.line(f"  {where}")
-        terminal.line(f"{'':<11}{counts}")
-        names = ", ".join(dict.fromkeys(map(_with_margin, group)))
-        for line in textwrap.wrap(names, WIDTH - 11, break_on_hyphens=False):
-            terminal.line(f"{'':<11}{line.replace(TOGETHER, ' ')}")
+        told = verdict["verdict"], _where(verdict), _counts(verdict), *_rests_on(verdict)
+        same.setdefault(told, []).append(verdict)
+    for told, group in same.items():
+        _show_alike(terminal, told, group)
     for line in left_out(one["verdict"] for one in verdicts if id(one) not in kept):
         terminal.line(line)
     terminal.line(f"{'':<11}(behind each requirement: its least margin, in the check's unit)")
@@ -60,6 +55,20 @@ def show_verdicts(session: DuraSession, terminal: Any, record: SessionRecord) ->
     for group in alike.values():
         check = str(group[0]["check"] or checks.get(group[0]["requirement"], ""))
         _show_failure(session, terminal, check, group, episodes)
+
+
+def _show_alike(terminal: Any, told: tuple[str, ...], verdicts: Sequence[Data]) -> None:
+    """Verdicts of a case that differ by their requirement and margin alone."""
+    word, where, counts, *rests_on = told
+    terminal.write(f"{word:<9}", **COLOURS[word])
+    terminal.line(f"  {where}")
+    terminal.line(f"{'':<11}{counts}")
+    names = ", ".join(dict.fromkeys(map(_with_margin, verdicts)))
+    for line in textwrap.wrap(names, WIDTH - 11, break_on_hyphens=False):
+        terminal.line(f"{'':<11}{line.replace(TOGETHER, ' ')}")
+    for sentence in rests_on:
+        for line in textwrap.wrap(sentence, WIDTH - 11, subsequent_indent="  "):
+            terminal.line(f"{'':<11}{line}")
 
 
 def _counts(verdict: Data) -> str:
@@ -80,6 +89,12 @@ def _counts(verdict: Data) -> str:
         counts += f", {verdict['saved']} of {verdict['planned']} runs saved"
     waiver = f" [{verdict['waiver']['kind']}]" if verdict["waiver"] else ""
     return counts + waiver
+
+
+def _rests_on(verdict: Data) -> list[str]:
+    """That assertions decided it, and what they looked at; what failed is shown further below."""
+    told = [one_line(one, LONGEST) for one in by_assertion(verdict)]
+    return [one for one in told if not one.startswith(("failed: ", "by its check"))]
 
 
 def _with_margin(verdict: Data) -> str:
@@ -113,7 +128,11 @@ def _show_failure(
     )
     for line in textwrap.wrap(one_line(first["reason"], LONGEST), WIDTH - 2):
         terminal.line(f"  {line}")
-    if check and len(verdicts) == 1 and check != first["requirement"]:
+    own = first["assertion"] or {"failed": [], "by_check": 0}
+    for line in by_assertion(first)[: len(own["failed"][:1])]:
+        terminal.line(f"  {one_line(line, LONGEST)}")
+    held = own["failed"] and not own["by_check"]  # what failed is an assertion of the test
+    if check and len(verdicts) == 1 and check != first["requirement"] and not held:
         terminal.line(f"  check:  {check}")
     _show_episode(session, terminal, first, episodes)
     items = list(dict.fromkeys(item for one in verdicts for item in one["item"].split(", ")))
@@ -143,7 +162,7 @@ def _show_episode(
         # What ended the episode before its time, if anything did.
         for event in episode["events"]:
             if event["kind"] == "critical":
-                terminal.line(f"  event:  at t = {event['time']:.2f} s {event['detail']}")
+                terminal.line(f"  event:  {event_line(event)}")
     else:
         told = str(verdict["spoilt"]["detail"])
         if verdict["spoilt"]["verdict"] == "invalid" and not told.startswith("invalid: "):

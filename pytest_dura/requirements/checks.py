@@ -14,6 +14,9 @@ import numpy as np
 
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.role_spec import RoleSpec
+from pytest_dura.requirements.stl.language.checks import ranging_or_refuse
+from pytest_dura.requirements.stl.language.formula import Formula
+from pytest_dura.requirements.stl.language.parsing import parse
 
 _PATH = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*")
 
@@ -53,6 +56,18 @@ def check_name(check: Check) -> str:
     return f"{named.__module__}:{named.__qualname__}"
 
 
+def read_formula(text: str, signals: tuple[str, ...] | None = None) -> Formula:
+    """The formula of a check; ``signals`` are the known names, where they are known.
+
+    Raises:
+        ConfigurationError: For anything that is no formula, and for one of which a part reads the
+            beginning of an episode alone.
+    """
+    formula = parse(text, signals)
+    ranging_or_refuse(formula)
+    return formula
+
+
 @lru_cache(maxsize=256)
 def load_function(path: str) -> Callable[..., Any]:
     """The function that an import path leads to.
@@ -76,10 +91,11 @@ def load_function(path: str) -> Callable[..., Any]:
 
 
 def check_result(value: Any) -> CheckResult:
-    """What a check function returned, as a result: a truth value, or a margin (0 satisfies).
+    """What a check function returned, as a result: a bool, or a float as margin (0 satisfies).
 
     Raises:
-        TypeError: For anything else.
+        TypeError: For anything else. A whole number may be a count or an exit code, of which 0 or
+            1 would satisfy whatever it counts.
         ValueError: For a margin or a time that is not a number.
     """
     if isinstance(value, CheckResult):
@@ -89,12 +105,13 @@ def check_result(value: Any) -> CheckResult:
         value = value.item()
     if _is_truth_value(value):
         return CheckResult(bool(value))
-    if isinstance(value, (int, float)) or hasattr(value, "__float__"):
+    if isinstance(value, (float, np.floating)):
         margin = _number(value)
         return CheckResult(margin >= 0, margin)
-    raise TypeError(
-        f"returned {type(value).__name__}, not a truth value, a margin or a CheckResult"
-    )
+    expected = "not a truth value (bool), a margin (float) or a CheckResult"
+    if isinstance(value, int):
+        raise TypeError(f"returned the int {value}, {expected}; compare it, as in `count == 0`")
+    raise TypeError(f"returned {type(value).__name__}, {expected}")
 
 
 def _plain(result: CheckResult) -> CheckResult:

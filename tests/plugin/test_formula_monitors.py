@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 LOOK = """
-def test_it(run_episode):
-    episode = run_episode("corridor/tight")
+def test_it(orchestrator):
+    episode = orchestrator.run("corridor/tight")
     (times, scores) = episode.metrics.robustness[{role!r}]
     assert [round(one, 6) for one in scores] == [
         round(one - {bound}, 6) for one in episode.signals["gap"][:-1]

@@ -105,7 +105,7 @@ def test_what_a_check_function_returns(project, check, word, margin, line):
     [
         ("raises", "LookupError: no such map (checks.py:"),
         ("nan", "ValueError: its margin is not a number (NaN)"),
-        ("nothing", "TypeError: returned NoneType, not a truth value, a margin or a CheckResult"),
+        ("nothing", "TypeError: returned NoneType, not a truth value (bool), a margin (float)"),
         ("exits", "SystemExit: 3"),
         ("at_no_time", "ValueError: its time is not a number (NaN)"),
         ("holds_by_number", "TypeError: its `holds` is -2.5, not a truth value"),

@@ -33,7 +33,9 @@ def test_the_root_conftest_swaps_the_component_in_every_mode(project, mode):
 def test_a_class_in_the_root_conftest_is_found_beside_another_conftest(project):
     project.write("conftest.py", CONFTEST)
     project.write("tests/conftest.py", "import pytest\nclass Mine: pass\n")
-    project.write("tests/test_it.py", "def test_it(run_episode): run_episode('corridor/tight')\n")
+    project.write(
+        "tests/test_it.py", "def test_it(orchestrator): orchestrator.run('corridor/tight')\n"
+    )
     result = project.run("tests", "corridor/tight")
     result.assert_outcomes(passed=2)
 
@@ -41,7 +43,8 @@ def test_a_class_in_the_root_conftest_is_found_beside_another_conftest(project):
 def test_an_override_deeper_down_is_for_its_own_tests(project):
     project.write("conftest.py", CONFTEST)
     project.write("tests/conftest.py", CONFTEST.replace("Mine", "Deeper"))
-    look = "def test_it(run_episode): assert run_episode('corridor/tight').spec.component == '{}'\n"
+    look = "def test_it(orchestrator):\n    found = orchestrator.run('corridor/tight')\n"
+    look += "    assert found.spec.component == '{}'\n"
     project.write("tests/test_it.py", look.format("Deeper (tests)"))
     project.write("test_top.py", look.format("Mine"))
     project.write(

@@ -29,9 +29,11 @@ class Mended(Careful):
     pass
 """
 PROPERTY = """
+import pytest
 from hypothesis import given
 from pytest_dura import strategies
 
+@pytest.mark.dura(verdict=False)
 @given(case=strategies.cases("corridor/free"))
 def test_holds_everywhere(case, run_episode):
     assert not run_episode(case).collided

@@ -118,7 +118,9 @@ def test_by_hand(project):
 def test_run_episode_suits_hypothesis(project):
     project.write(
         "test_it.py",
+        "import pytest\n"
         "from hypothesis import given, settings, strategies as st\n"
+        "@pytest.mark.dura(verdict=False)\n"
         "@settings(max_examples=5, deadline=None, database=None)\n"
         "@given(seed=st.integers(0, 1000))\n"
         "def test_it(run_episode, seed):\n"

@@ -18,6 +18,7 @@ from thermostat import Bias
 from pytest_dura import (
     Assessed,
     Assessment,
+    ConfigurationError,
     Episode,
     Proposal,
     Recovery,
@@ -30,6 +31,7 @@ from pytest_dura import (
 )
 from pytest_dura.core.state import GeneratorView
 from pytest_dura.requirements import judge as judging
+from pytest_dura.requirements.checks import read_formula
 from pytest_dura.requirements.judge import RequirementJudge
 from pytest_dura.requirements.model import Requirement
 from pytest_dura.requirements.stl.language.formula import Formula, node_text
@@ -99,7 +101,15 @@ def asked_for(step: float) -> st.SearchStrategy[str]:
     )
     found = st.one_of(throughout, ranged, ranged).map(lambda root: Formula(root, node_text(root)))
     wide = formulas(NAMES, time_step=step, max_window=8)
-    return st.one_of(found, wide).map(str)
+    return st.one_of(found, wide).map(str).map(ranging)
+
+
+def ranging(text: str) -> str:
+    """The formula as a check may be: what stands under no operator is put at the beginning."""
+    try:
+        return str(read_formula(text))
+    except ConfigurationError:
+        return f"always[0:0] ({text})"
 
 
 @st.composite

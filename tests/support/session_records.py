@@ -88,6 +88,7 @@ def verdict(requirement, case, words, *, planned=None, waiver=None, **changes):
     told = {
         **judged.to_json(), "check": REQUIREMENTS[requirement].check, "paired": None,
         "also_without": None, "item": f"{case}::{requirement}", "waiver": waiver, "attempts": [],
+        "assertion": None,
     }  # fmt: skip
     return told | changes
 
@@ -161,6 +162,7 @@ def session_record(directory=Path("nowhere"), **changes):
              "delay": {"min": 0.1, "median": 0.1, "max": 0.1}},
         ],
         "baseline": None, "argument": None, "shard": None, "merged_from": None,
+        "selection": {"planned": 3, "asked": 3, "left_out": [], "runs": None, "declared_runs": []},
         "execution": {"executor": "in-process", "processes": None},
         "reuse": {"mode": "none", "session": "5" * 32, "problems": [], "taken_over": 0,
                   "sessions": [], "outdated": [], "searched": None},
@@ -206,7 +208,8 @@ def _case(name):
     faults = [{"type": "ghost-obstacle", "id": "ghost", "target": "lidar"}] if plus else []
     return {
         "id": name, "scenario": scenario, "faults": faults, "component": "C", "without": [],
-        "requirements": sorted(REQUIREMENTS), "planned": 4 if plus else 2, "runs_override": None,
+        "off": [], "requirements": sorted(REQUIREMENTS), "planned": 4 if plus else 2,
+        "runs_override": None,
         "missing_runs": [], "missing_runs_total": 0, "repeat": None,
         "variation": {"world.wall": {"min": 2.0, "max": 6.0}},
         "metrics": {

@@ -127,6 +127,11 @@ def _asked(campaign: Campaign, wanted: Any) -> Asked:
     return Asked(requirement, check)
 
 
+def is_formula(text: str) -> bool:
+    """Whether a text that is no known requirement is a formula, and no id or import path."""
+    return _ID.fullmatch(text) is None and not is_function_path(text)
+
+
 def _requirement(campaign: Campaign, wanted: Any) -> tuple[Requirement, Any]:
     known = campaign.bench.library().requirements
     if wanted is None:

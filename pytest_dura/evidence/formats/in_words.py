@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from pytest_dura.evidence.formats.stated import part
+from pytest_dura.evidence.formats.stated import part, roles_off, selected
 from pytest_dura.evidence.record.repeats import not_repeatable
 from pytest_dura.evidence.record.reuse import why_again
 from pytest_dura.evidence.record.searches import CLAIMED, NOTHING
@@ -51,6 +51,7 @@ def not_shown(record: SessionRecord) -> Iterator[str]:
             f"This is {which}: of what the others hold it says nothing. `python -m pytest_dura "
             "merge` joins them all, and gates on the whole."
         )
+    yield from _left_out(record)
     verdicts, totals = record["verdicts"], record["totals"]
     undecided = [one for one in verdicts if one["verdict"] == "undecided"]
     if undecided:
@@ -87,6 +88,7 @@ def not_shown(record: SessionRecord) -> Iterator[str]:
             "That no violation was seen does not mean that there can be none: the bound says how "
             "frequent they may still be."
         )
+    yield from _by_assertion(verdicts)
     if supported > 1:
         yield "Each bound holds by itself with its confidence; that all hold at once is less sure."
     recoveries = sum(one["metrics"]["recoveries"] for one in record["cases"] if not one["without"])
@@ -99,6 +101,35 @@ def not_shown(record: SessionRecord) -> Iterator[str]:
         "All of it is simulated: nothing is said of conditions that the scenarios and their ranges "
         "do not contain."
     )
+
+
+def _left_out(record: SessionRecord) -> Iterator[str]:
+    """Roles that are switched off, and what was planned and not asked for."""
+    for line in roles_off(record):
+        yield f"{name(line)}: what it would have seen or done is in no verdict."
+    told, which = record["selection"], selected(record)
+    if not which:
+        return
+    left = told["planned"] - told["asked"]
+    names = ", ".join(map(name, told["left_out"][:MOST_NAMES]))
+    more = f" and {left - MOST_NAMES} more" if left > MOST_NAMES else ""
+    yield f"Of its plan the session was asked for a part: {which}." + (
+        f" Left out: {names}{more}." if names else ""
+    )
+
+
+def _by_assertion(verdicts: list[Data]) -> Iterator[str]:
+    """Verdicts that rest on nothing but what tests assert."""
+    found = [
+        one
+        for one in verdicts
+        if one["verdict"] == "supported" and one["assertion"] and one["assertion"]["alone"]
+    ]
+    if found:
+        yield (
+            f"{_share(found, verdicts)} supported by assertions of tests alone: what holds is what "
+            "a test asserts of what it looked at, and whether that is the requirement is not shown."
+        )
 
 
 def _outcomes(record: SessionRecord, words: tuple[str, ...]) -> list[tuple[Data, Data]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections import Counter
 from collections.abc import Mapping
 from typing import Any, get_args
 
@@ -17,6 +18,8 @@ UNREVIEWED = "generated, unreviewed"
 WORDS: tuple[str, ...] = get_args(CampaignWord)
 """Of verdicts on campaigns: supported, violated, undecided."""
 EPISODE_WORDS: tuple[str, ...] = get_args(EpisodeWord)
+NAMED = 8
+"""Names of what a test looked at, in a sentence."""
 _SHA256 = re.compile(r"[0-9a-f]{64}")
 
 
@@ -58,6 +61,59 @@ def why_no_rate(verdict: Data) -> str:
     """That its runs are all equal, after a colon; empty where they differ, or there is one."""
     situation = verdict.get("situation")
     return "" if situation is None else f": {SITUATIONS[situation]}"
+
+
+def by_assertion(verdict: Data) -> list[str]:
+    """What a verdict rests on that assertions of a test decided, sentence by sentence.
+
+    There is none for a verdict by checks alone. Names in it are a user's, and have to be escaped.
+    """
+    found = verdict["assertion"]
+    if found is None:
+        return []
+    seen = ", ".join(found["observed"][:NAMED]) or "nothing"
+    if len(found["observed"]) > NAMED:
+        seen += f" and {len(found['observed']) - NAMED} more"
+    told = [f"failed: {one['message']}, in {one['episode']}" for one in found["failed"][:1]]
+    if found["alone"]:
+        told.append(f"by assertion: the test looked at {seen}")
+    elif found["observed"]:
+        told.append(f"by its check, and by assertion: the test looked at {seen}")
+    for one in found["false"]:
+        count = f"{one['episodes']} episode{'' if one['episodes'] == 1 else 's'}"
+        told.append(f"false in {count} with which the test passed: {one['check']}")
+    return told
+
+
+def event_line(event: Data) -> str:
+    """What ended an episode: ``at t = 6.50 s the ego ran into VICTIM``."""
+    return f"at t = {event['time']:.2f} s {event['detail']}"
+
+
+def selected(record: SessionRecord) -> str:
+    """What the session was asked for of its plan; empty where it was the whole plan.
+
+    Such as ``1 of 2 planned verdicts asked for, 5 runs instead of 15``.
+    """
+    told = record["selection"]
+    parts = []
+    if told["asked"] < told["planned"]:
+        parts.append(f"{told['asked']} of {told['planned']} planned verdicts asked for")
+    if told["runs"] is not None:
+        declared = " to ".join(map(str, dict.fromkeys(told["declared_runs"])))
+        runs = f"{told['runs']} run{'' if told['runs'] == 1 else 's'}"
+        parts.append(f"{runs} instead of {declared}")
+    return ", ".join(parts)
+
+
+def roles_off(record: SessionRecord) -> list[str]:
+    """Which roles are switched off, and in how many of the cases."""
+    cases = [one for one in record["cases"] if not one["without"]]
+    counts = Counter(role for one in cases for role in one["off"])
+    several = "s" if len(cases) > 1 else ""
+    return [
+        f"{role} is OFF in {counts[role]} of {len(cases)} case{several}" for role in sorted(counts)
+    ]
 
 
 def part(record: SessionRecord) -> str:

@@ -17,7 +17,7 @@ from pytest_dura.evidence.formats.in_words import not_shown, shown
 from pytest_dura.evidence.formats.provenance_lines import provenance_lines
 from pytest_dura.evidence.formats.search_rows import COLUMNS as _SEARCHES
 from pytest_dura.evidence.formats.search_rows import search_failures, search_rows
-from pytest_dura.evidence.formats.stated import bound, part, sample
+from pytest_dura.evidence.formats.stated import bound, by_assertion, part, sample, selected
 from pytest_dura.evidence.record.counts import Counts
 from pytest_dura.evidence.record.session_record import SessionRecord
 from pytest_dura.evidence.text import code, markdown, name
@@ -123,7 +123,7 @@ def _head(record: SessionRecord) -> Iterator[str]:
     elif whole:
         yield f"# Gate of {whole} {gate['result']}: a part of a session, not the whole"
     else:
-        yield f"# Gate {gate['result']}"
+        yield f"# Gate {', '.join(filter(None, [gate['result'], selected(record)]))}"
     yield from ["", f"| {' | '.join(counts)} |", f"|{' --- |' * len(counts)}"]
     yield f"| {' | '.join(map(str, counts.values()))} |"
     yield ""
@@ -177,6 +177,8 @@ def _but_requirement(record: SessionRecord, one: Data) -> tuple[str, str]:
         f"component {_name(one['component'])}: {markdown(one['reason'], 400) or 'no reason'}. "
         f"{sample(one)}; {bound(one)}."
     )
+    for line in by_assertion(one):
+        told += f"\n  - {markdown(line, 600)}"
     if one["counterexamples"]:
         told += "\n  - " + _counterexample(record, one["counterexamples"])
     return f"{one['verdict']}**{waiver}", told

@@ -154,7 +154,7 @@ def _place(key: str, one: Any, other: Any) -> tuple[str, Any, Any]:
 
 
 def _session(record: SessionRecord) -> Named:
-    for key in ("base_seed", "evidence_level", "require_repeatable", "argument"):
+    for key in ("base_seed", "evidence_level", "require_repeatable", "argument", "selection"):
         yield key, record[key]
     yield "gate.warn_undecided", record["gate"]["warn_undecided"]
     yield "shard.options", record["shard"]["options"]

@@ -43,6 +43,7 @@ def header(parts: Sequence[Part], output: Path) -> dict[str, Any]:
         "argument": first["argument"],
         "reuse": joined_reuse(one.record["reuse"] for one in parts),
         "shard": None,
+        "selection": first["selection"],
         "merged_from": [_told(one) for one in parts],
     }
 

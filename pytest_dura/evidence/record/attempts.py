@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -38,6 +39,10 @@ def final_outcomes(told: Sequence[Data]) -> list[Data]:
     return list(final.values())
 
 
+LOOKED_AT = 50
+"""Names of what a test looked at."""
+FAILED = 10
+"""Episodes with the assertion that failed there."""
 WORST_FIRST = ("violated", "missing", "open", "invalid", "satisfied")
 
 
@@ -87,6 +92,24 @@ def judged_looks(
         component=component,
         situation=situation if whole else None,
     ).to_json()
+
+
+def assertions(final: Sequence[Data]) -> Data:
+    """What the assertions of a test rest on, over all episodes that it looked at.
+
+    Args:
+        final: Of :func:`final_outcomes`.
+    """
+    told = [(one["episode"], one["assertion"]) for one in final]
+    false = Counter(check for _, one in told for check in one["false"])
+    failed = sorted((name, one["failed"]) for name, one in told if one["failed"])
+    return {
+        "alone": all(one["alone"] for _, one in told),
+        "by_check": sum(one["by_check"] for _, one in told),
+        "observed": sorted({name for _, one in told for name in one["observed"]})[:LOOKED_AT],
+        "false": [{"check": name, "episodes": false[name]} for name in sorted(false)[:LOOKED_AT]],
+        "failed": [{"episode": name, "message": why} for name, why in failed[:FAILED]],
+    }
 
 
 def _run_number(episode: str) -> tuple[str, int]:

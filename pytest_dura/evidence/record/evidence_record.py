@@ -8,7 +8,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from pytest_dura.evidence.record.attempts import final_outcomes, judged_looks, question, test_of
+from pytest_dura.evidence.record.attempts import (
+    assertions,
+    final_outcomes,
+    judged_looks,
+    question,
+    test_of,
+)
 from pytest_dura.evidence.record.case_metrics import CaseMetrics
 from pytest_dura.evidence.record.components import Components
 from pytest_dura.evidence.record.episodes import add_run, situations_of
@@ -51,6 +57,8 @@ class EvidenceRecord:
     header: Data
     directory: Path | None = None
     searches: Searches = field(default_factory=Searches, init=False)
+    objections: dict[str, None] = field(default_factory=dict, init=False)
+    """What items say that stands against the session, whatever its verdicts say."""
     _components: Components = field(default_factory=Components)
     _requirements: dict[str, Data] = field(default_factory=dict)
     _cases: dict[tuple[str, str], Data] = field(default_factory=dict)
@@ -112,6 +120,7 @@ class EvidenceRecord:
             self._repeats[about] = dict(worse(self._repeats.get(about), told) or told)
         self._models.add(report["models"])
         self._problems.update(report["problems"])
+        self.objections.update(dict.fromkeys(report["objections"]))
         self._reuse.add(report)
         for verdict in report["verdicts"]:
             self._add_verdict(item, verdict)
@@ -223,7 +232,7 @@ class EvidenceRecord:
         # The same item may ask several questions; what is asked again is another attempt.
         key = question(item, verdict)
         before = self._verdicts.get(key)
-        new = {**verdict, "item": item, "waiver": None, "attempts": []}
+        new = {**verdict, "item": item, "waiver": None, "attempts": [], "assertion": None}
         if before is None:
             self._verdicts[key] = new
             return
@@ -244,7 +253,8 @@ class EvidenceRecord:
         situation = None if known is None else known.situation
         verdict = judged_looks(self._requirement(requirement), case, component, told, situation)
         waiver = self._waiver_of(final, verdict)
-        return {**verdict, **NO_QUESTION, "item": test, "waiver": waiver, "attempts": []}
+        own: Data = {"item": test, "waiver": waiver, "attempts": [], "assertion": assertions(final)}
+        return {**verdict, **NO_QUESTION, **own}
 
     def _waiver_of(self, final: list[Data], verdict: Data) -> Data | None:
         """What excuses the verdict: nothing, if there is more than what waived items told."""
@@ -288,7 +298,8 @@ class EvidenceRecord:
             verdict["reason"] = "episodes of the case ran, and no verdict was made on them"
         waived = self._first_waived.get(item)
         waiver = None if waived is None else self._waivers[waived]
-        return {**verdict, **NO_QUESTION, "item": item, "waiver": waiver, "attempts": []}
+        own: Data = {"item": item, "waiver": waiver, "attempts": [], "assertion": None}
+        return {**verdict, **NO_QUESTION, **own}
 
     def _requirement(self, name: str) -> Requirement:
         return Requirement.from_json(self._requirements.get(name, {"id": name}))

@@ -29,7 +29,8 @@ class ItemReport:
         verdicts: ``CampaignVerdict.to_json()``, with the ``check`` and ``paired`` of the
             requirement that was judged.
         outcomes: ``EpisodeVerdict.to_json()`` of tests that look at one episode, with ``case``,
-            ``planned``, and the ``at_most`` and ``confidence`` of the requirement.
+            ``planned``, the ``at_most`` and ``confidence`` of the requirement, and the
+            ``assertion`` of the test: what it looked at, and what failed.
         searches: ``Falsification.to_json()``, with the ``scenario`` of its case, the ``simulator``
             and the ``roles``.
         monitors: ``MonitorQuality.to_json()``, with the ``case`` that it was measured on.
@@ -39,6 +40,7 @@ class ItemReport:
         models: Language models that were used, as the record's ``models`` has them, with what this
             ``process`` has asked them since it began.
         problems: What casts doubt on the whole session, each beginning with ``infrastructure:``.
+        objections: What else stands against the session, whatever its verdicts say.
         notes: What the user should know of the session and casts no doubt on it.
         searched: ``{run, origin}`` of simulations of searches, where earlier sessions may have made
             them; ``run`` tells them apart.
@@ -61,6 +63,7 @@ class ItemReport:
     traces: list[Data] = field(default_factory=list)
     models: list[Data] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
+    objections: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     searched: list[Data] = field(default_factory=list)
     repeats: list[Data] = field(default_factory=list)

@@ -21,11 +21,11 @@ from pytest_dura.requirements.checks import (
     check_result,
     is_function_path,
     load_function,
+    read_formula,
 )
 from pytest_dura.requirements.model import Requirement
 from pytest_dura.requirements.stl.language.formula import Formula, unknown_signal
 from pytest_dura.requirements.stl.language.nodes import conjuncts
-from pytest_dura.requirements.stl.language.parsing import parse
 from pytest_dura.requirements.stl.offline.evaluation import Ending, Evaluation, evaluate
 from pytest_dura.requirements.verdicts.accounts import never_measured, untold
 from pytest_dura.requirements.verdicts.sealed import SealedColumns
@@ -190,7 +190,7 @@ def judged(check: Check, episode: Episode) -> tuple[EpisodeWord, CheckResult]:
             episode does not have.
     """
     if isinstance(check, str) and not is_function_path(check):
-        return _by_formula(parse(check), episode)
+        return _by_formula(read_formula(check), episode)
     function = load_function(check) if isinstance(check, str) else check
     return _by_function(function, check_name(check), episode)
 
@@ -362,7 +362,7 @@ class JudgedEpisode(Episode):
         Raises:
             ConfigurationError: If the formula cannot be read or names an unknown signal.
         """
-        found, _ = evaluate_episode(parse(formula), self)
+        found, _ = evaluate_episode(read_formula(formula), self)
         return -math.inf if found is None else found.robustness
 
     def satisfies(self, check: Check) -> bool:

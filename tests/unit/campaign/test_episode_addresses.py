@@ -179,11 +179,11 @@ def test_a_metric_counts_with_its_code(project):
 
 
 def test_requirements_count_where_they_end_the_episode_and_for_what_ends_it(project):
-    judging = (Requirement("R", "Text.", check="x > 0"),)
+    judging = (Requirement("R", "Text.", check="always (x > 0)"),)
     assert changed(task(judging=judging)) == ["requirements that end it"]
     reworded = (replace(judging[0], text="Other text.", at_most=0.1),)
     assert changed(task(judging=reworded), judging=judging) == []
-    stricter = (replace(judging[0], check="x > 1"),)
+    stricter = (replace(judging[0], check="always (x > 1)"),)
     assert changed(task(judging=stricter), judging=judging) == ["requirements that end it"]
 
 

@@ -215,8 +215,8 @@ def test_numbers_lie_on_a_grid_and_within_their_range(value, low, high, expected
 
 
 def test_a_violation_that_only_a_baseline_met_is_confirmed_and_claimed() -> None:
-    ends = Requirement("ENDS", check="temperature < 19.9")
-    middle = Requirement("MIDDLE", check="temperature < 16 or temperature > 19")
+    ends = Requirement("ENDS", check="always[0:0] (temperature < 19.9)")
+    middle = Requirement("MIDDLE", check="always[0:0] (temperature < 16 or temperature > 19)")
     library = Library({"room": room()}, {})
     bench = Bench(lambda: library)
     told: list[object] = []

@@ -55,7 +55,7 @@ def requirement() -> dict[str, Any]:
 
 def case(number: int, component: str) -> dict[str, Any]:
     return {
-        "id": f"a/b+f{number}", "scenario": "a/b", "component": component, "without": [],
+        "id": f"a/b+f{number}", "scenario": "a/b", "component": component, "without": [], "off": [],
         "faults": [{"id": f"f{number}"}], "requirements": ["R"], "planned": 2,
         "runs_override": None, "variation": {},
     }  # fmt: skip

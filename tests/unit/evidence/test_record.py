@@ -61,6 +61,7 @@ def report(item="a/b::R", **parts):
             "models",
             "repeats",
             "problems",
+            "objections",
             "parts",
             "notes",
             "searched",
@@ -71,7 +72,8 @@ def report(item="a/b::R", **parts):
 
 def looked_at(told, planned=2):
     rate = {"at_most": None, "confidence": 0.95}
-    return {**told.to_json(), "case": "a/b", "planned": planned, **rate}
+    own = {"alone": True, "by_check": False, "observed": [], "false": [], "failed": ""}
+    return {**told.to_json(), "case": "a/b", "planned": planned, **rate, "assertion": own}
 
 
 def record():

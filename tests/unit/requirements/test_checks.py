@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import asdict
+from decimal import Decimal
+from fractions import Fraction
 from functools import partial
 from typing import Any
 
@@ -20,7 +22,8 @@ from pytest_dura.requirements.checks import check_name, check_result
     [
         (True, True, None),
         (np.bool_(False), False, None),
-        (0, True, 0.0),
+        (0.0, True, 0.0),
+        (np.float64(0.0), True, 0.0),
         (-0.25, False, -0.25),
         (np.float32(1.5), True, 1.5),
         (np.array(-2.0), False, -2.0),
@@ -47,10 +50,21 @@ def test_a_result_is_made_plain_so_that_the_record_can_hold_it() -> None:
     assert json.loads(json.dumps(asdict(found)))["holds"] is False
 
 
-@pytest.mark.parametrize("value", [None, "yes", [True], 1j, CheckResult(1), CheckResult(None)])
+@pytest.mark.parametrize(
+    "value",
+    [
+        None, "yes", [True], 1j, CheckResult(1), CheckResult(None),
+        0, 1, -1, np.int64(0), np.array(1), np.array([0]), Fraction(1, 2), Decimal(1),
+    ],
+)  # fmt: skip
 def test_what_is_neither_is_refused(value: Any) -> None:
     with pytest.raises(TypeError, match="not a truth value"):
         check_result(value)
+
+
+def test_a_whole_number_is_refused_with_the_remedy() -> None:
+    with pytest.raises(TypeError, match=r"returned the int 0, .* compare it, such as"):
+        check_result(0)
 
 
 def test_a_result_that_contradicts_itself_is_refused() -> None:

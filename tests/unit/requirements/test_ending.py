@@ -54,8 +54,8 @@ def ended(episode: Episode) -> tuple[str, float]:
         ("always[0:0.3] (temperature < 1000)", 0.3),
         ("always[0:1.5] (temperature > 1000 implies power > 2)", 1.5),
         ("eventually[0:2.1] (temperature > 1000 implies power > 2)", 2.1),
-        ("temperature > 1", 0.0),
-        ("next (temperature > 1)", 0.1),
+        ("always[0:0] (temperature > 1)", 0.0),
+        ("always[0:0] (next (temperature > 1))", 0.1),
     ],
 )
 def test_it_ends_at_the_look_at_which_all_is_decided(check: str, time: float) -> None:
@@ -188,7 +188,7 @@ def test_an_episode_that_ended_early_has_no_signals_that_hindsight_gives() -> No
     assert found.termination == "decided"
     assert "peak" not in found.signals
     with pytest.raises(ConfigurationError, match="run it with --dura-end=complete if that"):
-        judge_episode(Requirement("R", check="peak < 25"), found)
+        judge_episode(Requirement("R", check="always (peak < 25)"), found)
     whole = run(WARM, simulator=Foreseeing(), end=Termination(4.0))
     assert "peak" in whole.signals
 

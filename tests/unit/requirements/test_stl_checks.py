@@ -11,6 +11,7 @@ from pytest_dura.requirements.stl.language.checks import (
     check_time_step,
     in_samples,
     past_only_or_refuse,
+    ranging_or_refuse,
 )
 from pytest_dura.requirements.stl.language.nodes import Window
 from pytest_dura.requirements.stl.language.parsing import parse
@@ -91,3 +92,43 @@ def test_a_formula_that_looks_ahead_is_not(text: str, found: str, column: int) -
     assert error.problem.splitlines()[-1] == " " * (4 + column) + "^"
     assert "measured to flip verdicts" in str(error.expected)
     assert "give the formula to a requirement" in str(error.remedy)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "always (gap > 0)",
+        "not always (gap > 0)",
+        "always (gap > 0) and eventually (x > 1)",
+        "(always (gap > 0)) implies (not eventually (x > 1))",
+        "(gap > 1) until (x > 1)",
+        "always (historically[0:2] (gap > 0))",
+        "next (always (gap > 0))",
+        "historically (always (gap > 0))",
+    ],
+)
+def test_a_formula_over_the_whole_episode_passes(text: str) -> None:
+    ranging_or_refuse(parse(text))
+
+
+@pytest.mark.parametrize(
+    "text, part",
+    [
+        ("gap > 0", "gap > 0"),
+        ("not gap > 0", "not (gap > 0)"),
+        ("gap > 0 or x > 1", "(gap > 0) or (x > 1)"),
+        ("(gap > 0) and (always (x < 1))", "gap > 0"),
+        ("(x < 1) implies (always (gap > 0))", "x < 1"),
+        ("(always (x < 1)) and (not (gap > 0 or x > 2))", "not ((gap > 0) or (x > 2))"),
+        ("historically (gap > 0)", "historically (gap > 0)"),
+        ("(gap > 0) since (x > 1)", "(gap > 0) since (x > 1)"),
+        ("once ((gap > 0) and (always (x < 1)))", "once ((gap > 0) and (always (x < 1)))"),
+        ("next (gap > 0)", "next (gap > 0)"),
+        ("rise (gap > 0)", "rise (gap > 0)"),
+    ],
+)
+def test_a_part_that_reads_the_beginning_alone_is_refused_by_name(text: str, part: str) -> None:
+    with pytest.raises(ConfigurationError, match="judged at the beginning of the episode") as found:
+        ranging_or_refuse(parse(text))
+    assert found.value.found == part
+    assert f"write `always ({part})`" in str(found.value.remedy)

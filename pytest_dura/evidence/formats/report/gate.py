@@ -9,7 +9,7 @@ from pytest_dura.evidence.formats.in_words import not_shown, shown
 from pytest_dura.evidence.formats.report.anchors import verdict_anchor
 from pytest_dura.evidence.formats.report.gathering import Gathered
 from pytest_dura.evidence.formats.report.links import Links
-from pytest_dura.evidence.formats.stated import merged, part
+from pytest_dura.evidence.formats.stated import merged, part, selected
 from pytest_dura.evidence.record.session_record import SessionRecord
 
 Data = Mapping[str, Any]
@@ -28,4 +28,5 @@ def section(record: SessionRecord, _gathered: Gathered, _links: Links) -> Data:
         "not_shown": list(not_shown(record)),
         "part": part(record),
         "merged": merged(record),
+        "selected": selected(record),
     }

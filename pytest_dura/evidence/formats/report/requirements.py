@@ -9,6 +9,7 @@ from pytest_dura.evidence.formats.report.anchors import requirement_anchor, verd
 from pytest_dura.evidence.formats.report.folding import apart
 from pytest_dura.evidence.formats.report.gathering import Gathered
 from pytest_dura.evidence.formats.report.links import Links
+from pytest_dura.evidence.formats.stated import by_assertion
 from pytest_dura.evidence.record.session_record import SessionRecord
 from pytest_dura.requirements.verdicts.situations import SITUATIONS
 
@@ -94,6 +95,7 @@ def _row(verdict: Data, links: Links) -> Data:
         "worst": [
             {**one, "link": links.of_episode(one["episode"], verdict["component"])} for one in shown
         ],
+        "by_assertion": by_assertion(verdict),
         "more": len(verdict["counterexamples"]) - len(shown),
         "pairs": pairs if pairs and "only_with" in pairs else None,
         "no_rate": SITUATIONS.get(verdict.get("situation") or "", ""),

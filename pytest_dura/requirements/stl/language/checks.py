@@ -1,4 +1,4 @@
-"""Checks of a formula before it judges anything: its windows, and whether it looks ahead."""
+"""Checks of a formula before it judges anything: its windows, and what of a trace it reads."""
 
 from __future__ import annotations
 
@@ -6,8 +6,21 @@ import math
 import re
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.requirements.stl.language.formula import Formula, marked
-from pytest_dura.requirements.stl.language.nodes import Temporal, TemporalPair, Window, walk
+from pytest_dura.requirements.stl.language.formula import Formula, marked, node_text
+from pytest_dura.requirements.stl.language.nodes import (
+    Boolean,
+    Comparison,
+    Node,
+    Not,
+    Signal,
+    Temporal,
+    TemporalPair,
+    Window,
+    walk,
+)
+
+RANGING = ("always", "eventually", "until")
+"""Operators that range over the samples from the one at hand on."""
 
 TIME_TOLERANCE = 1e-6
 """Seconds by which a bound may miss a sample: time steps such as 1/15 s have no exact text."""
@@ -56,6 +69,42 @@ def past_only_or_refuse(formula: Formula, what: str) -> None:
         remedy="say it with once, historically or since, as `historically[0:2] (gap > 1)`, or "
         "give the formula to a requirement, which judges the finished episode",
     )
+
+
+def ranging_or_refuse(formula: Formula) -> None:
+    """Refuse a formula of which a part reads the trace's beginning alone.
+
+    An episode is judged at its first sample. What stands under no ``always``, ``eventually`` or
+    ``until`` is never asked about the rest of it, and an operator that looks back from the first
+    sample sees that sample only.
+
+    Raises:
+        ConfigurationError: Naming the first such part, with a mark under it.
+    """
+    bare = _bare(formula.root)
+    if not bare:
+        return
+    text = node_text(bare[0])
+    position = min(node.position for node in walk(bare[0]) if isinstance(node, Signal))
+    raise ConfigurationError(
+        f"`{text}` is judged at the beginning of the episode alone{marked(formula.text, position)}",
+        found=text,
+        expected="each part of the formula under always, eventually or until",
+        remedy=f"write `always ({text})`, or `eventually ({text})`, as it is meant",
+    )
+
+
+def _bare(node: Node) -> list[Node]:
+    """The greatest parts that stand under no operator of ``RANGING`` and have none below."""
+    if isinstance(node, Comparison):
+        return [node]
+    if isinstance(node, (Temporal, TemporalPair)) and node.operator in RANGING:
+        return []
+    if isinstance(node, (Boolean, TemporalPair)):
+        left, right = _bare(node.left), _bare(node.right)
+        return [node] if (left, right) == ([node.left], [node.right]) else [*left, *right]
+    below = _bare(node.operand)
+    return [node] if below == [node.operand] or (below and not isinstance(node, Not)) else below
 
 
 def _on_a_sample(bound: float, time_step: float) -> bool:
