@@ -125,10 +125,10 @@ class Orchestrator:
         self._last_index = spec.termination.last_index(spec.time_step)
         self._injector_ns = 0
         self._watch = Watch(self.role_timeout)
-        with Boundary() as self._boundary, alarms(self._watch), rare_collections():
-            with noting_draws() as draws:
-                episode = self._run()
-        episode.drawn = draws.any
+        draws = noting_draws()
+        with Boundary() as self._boundary, alarms(self._watch), rare_collections(), draws as noted:
+            episode = self._run()
+        episode.drawn = noted.any
         return episode
 
     def _run(self) -> Episode:
