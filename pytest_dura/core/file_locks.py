@@ -41,3 +41,35 @@ def is_named(handle: int, file: Path) -> bool:
         return os.path.samestat(os.fstat(handle), file.stat())
     except FileNotFoundError:
         return False
+
+
+class OwnedHandle:
+    """A file descriptor that is closed only as long as it stands for the file that was opened.
+
+    Code that runs in this process may close descriptors that are not its own
+    (``os.closerange(3, 256)``). Their numbers are then given to other files, which must neither be
+    closed nor written in place of the first one.
+
+    Args:
+        number: The open descriptor.
+    """
+
+    def __init__(self, number: int) -> None:
+        self.number: int | None = number
+        self._opened = os.fstat(number)
+
+    @property
+    def is_intact(self) -> bool:
+        """Whether it is open, and on the file that was opened."""
+        if self.number is None:
+            return False
+        try:
+            return os.path.samestat(os.fstat(self.number), self._opened)
+        except OSError:
+            return False
+
+    def close(self) -> None:
+        """Close it, if it is still ours. A second call does nothing."""
+        intact, number, self.number = self.is_intact, self.number, None
+        if intact and number is not None:
+            os.close(number)

@@ -102,8 +102,9 @@ def add_options(parser: pytest.Parser) -> None:
     add(
         "--dura-resume",
         action="store_true",
-        help="go on with the interrupted session that the evidence directory is of: its episodes "
-        "are taken over, as far as nothing that they rest on has changed since",
+        help="go on with the session that the evidence directory is of, which was interrupted, or "
+        "lost a process: its episodes are taken over, as far as nothing that they rest on has "
+        "changed since",
     )
     add(
         "--dura-reuse",

@@ -173,7 +173,8 @@ class SessionEvidence:
         try:
             gate, self.final = self._judged(session)
             self.final = write_bundle(self.final)
-            self.session.shared.end(complete=self.final["status"] == "complete")
+            whole = len(self.final["gate"]["reasons"]) == len(gate.reasons)
+            self.session.shared.end(self.final, written=whole)
             self.file = self.final.directory / "evidence.json"
         except ConfigurationError as error:
             self.objections += error_text(error).splitlines()

@@ -253,6 +253,7 @@ class SessionHooks:
             self.session.simulating.tell_controller(workeroutput)
             self.session.properties.tell_controller(workeroutput)
             self.session.selection.tell_controller(workeroutput)
+            self.session.shared.tell_controller(workeroutput)
         self.session.evidence.finish(session)
 
     def pytest_keyboard_interrupt(self) -> None:
@@ -296,12 +297,13 @@ class SessionHooks:
         self.session.models.tell_worker(node.workerinput)
 
     @pytest.hookimpl(optionalhook=True)
-    def pytest_testnodedown(self, node: WorkerController) -> None:
-        """Hear what a worker has simulated itself."""
+    def pytest_testnodedown(self, node: WorkerController, error: object) -> None:
+        """Hear what a worker has simulated itself, or that it ended in the middle."""
         workeroutput = getattr(node, "workeroutput", {})
         self.session.simulating.hear_worker(workeroutput)
         self.session.properties.hear_worker(workeroutput)
         self.session.selection.hear_worker(workeroutput)
+        self.session.shared.hear_worker(workeroutput, error)
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_xdist_make_scheduler(

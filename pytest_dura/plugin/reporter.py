@@ -225,6 +225,8 @@ class Reporter:
         self._asserted = False
         if self.session.simulating.is_lost:  # what there is by now can be resumed
             item.session.shouldstop = "nobody is left who simulates"
+        if self.session.shared.is_broken:
+            item.session.shouldstop = "file descriptors of this process were closed"
 
     def _keep_last(self, call: pytest.CallInfo[None]) -> None:
         """Keep the episode at which a test failed that asked for no verdict: its last one."""

@@ -46,9 +46,9 @@ def _lines(reuse: Mapping[str, Any], count: int, one: str, whose: str = "") -> I
         yield f"{counted(rest, one)}{whose} simulated again for other reasons: see the record"
 
 
-def resume_lines(session: DuraSession, record: SessionRecord) -> Iterator[str]:
-    """How an interrupted session goes on, if anything of it was kept."""
-    if record["status"] == "complete" or not session.shared.shelf.count():
+def resume_lines(session: DuraSession) -> Iterator[str]:
+    """How a session that was not whole goes on, if anything of it was kept."""
+    if session.shared.is_whole or not session.shared.shelf.count():
         return
     if session.shared.mode == "reuse":
         yield "to go on, give the same command again: its episodes are kept"

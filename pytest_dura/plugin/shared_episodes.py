@@ -16,15 +16,18 @@ from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.plugin.places import from_here
 
 if TYPE_CHECKING:
-    from collections.abc import MutableMapping
+    from collections.abc import Mapping, MutableMapping
 
     from pytest_dura.campaign.episodes.shelf import Shelf
     from pytest_dura.campaign.episodes.store import EpisodeStore
+    from pytest_dura.evidence.record.session_record import SessionRecord
     from pytest_dura.plugin.session import DuraSession
 
 FOLDER = ".episodes"
-"""In the evidence directory, as long as a session runs, and after one that was interrupted."""
+"""In the evidence directory, as long as a session runs, and after one that was not whole."""
 _INPUT = "dura_session"
+_LOST = "dura_lost"
+"""Key of what a worker of pytest-xdist tells the controller at its end."""
 
 
 class SharedEpisodes:
@@ -40,6 +43,9 @@ class SharedEpisodes:
         """What the terminal says before anything runs."""
         self._store: EpisodeStore | None = None
         self._told = self._told_searched = 0
+        self._lost = False
+        self.is_whole = False
+        """Whether the session came to its end, lost nothing, and left all of its evidence."""
 
     @cached_property
     def id(self) -> str:
@@ -72,6 +78,11 @@ class SharedEpisodes:
 
         self._store = EpisodeStore(self.shelf, self.session.simulating.execution())
         return self._store
+
+    @property
+    def is_broken(self) -> bool:
+        """Whether an episode closed the file descriptors of this process, which cannot go on."""
+        return self._store is not None and self._store.is_broken
 
     def take_problems(self) -> list[str]:
         """Why episodes could not be shared, as far as it was not told yet."""
@@ -121,27 +132,52 @@ class SharedEpisodes:
         options = self.session.options
         left = self.shelf.count()
         kept = f"{left} episode{'' if left == 1 else 's'}"
+        # Removed once a session is whole, so that a session which was not has left it.
+        begun = self.shelf.directory.is_dir()
         if options.reuse is not None:
             place = from_here(options.reuse, self.session.config.invocation_params.dir)
             self.lines = [f"reusing: {kept} of earlier sessions in {place}"]
             return
         # Reading a great record takes its time, and after most sessions there is nothing left.
-        when = self._interrupted_at() if options.resume or left else None
+        earlier = self._unfinished(begun=begun) if options.resume or left else None
         if options.resume:
-            self.lines = [f"resuming: {kept} of the interrupted session of {when}"]
+            self.lines = [f"resuming: {kept} of {earlier}"]
             return
-        if when is not None:
-            what = f"dropped: {kept} of the interrupted session of {when}"
+        if earlier is not None:
+            what = f"dropped: {kept} of {earlier}"
             self.lines = [f"{what}; --dura-resume would have taken them over"]
         self._clear()
 
-    def end(self, *, complete: bool) -> None:
-        """Remove the episodes of a session that has come to its end; nobody will resume it."""
+    @property
+    def _lost_here(self) -> bool:
+        return self._store is not None and self._store.lost
+
+    def tell_controller(self, workeroutput: MutableMapping[str, Any]) -> None:
+        """Tell the controller whether this worker lost an episode with whoever simulated it."""
+        workeroutput[_LOST] = self._lost_here
+
+    def hear_worker(self, workeroutput: Mapping[str, Any], error: object) -> None:
+        """Take in what a worker tells at its end, and whether it came to its end at all."""
+        self._lost |= bool(error) or bool(workeroutput.get(_LOST))
+
+    def end(self, record: SessionRecord, *, written: bool) -> None:
+        """Remove the episodes of a session that is whole; another one can be resumed.
+
+        Args:
+            record: Of the session.
+            written: Whether all of its evidence could be written.
+        """
         shutil.rmtree(self._marks, ignore_errors=True)
-        if complete and self.session.options.reuse is None:
-            # What stays is in nobody's way: the next session removes it, or says that it cannot.
-            with suppress(OSError):
+        lost = self._lost or self._lost_here or record["totals"]["missing"]
+        self.is_whole = written and record["status"] == "complete" and not lost
+        if self.session.options.reuse is not None:
+            return
+        # What cannot be removed is in nobody's way: the next session does it, or tells why not.
+        with suppress(OSError):
+            if self.is_whole:
                 self.shelf.clear()
+            else:  # so that it can be resumed, also if nothing was simulated
+                self.shelf.directory.mkdir(exist_ok=True)
 
     def _clear(self) -> None:
         try:
@@ -155,8 +191,11 @@ class SharedEpisodes:
                 remedy="remove it, or choose another directory",
             ) from None
 
-    def _interrupted_at(self) -> str | None:
-        """When the session began that the evidence is of, unless it came to its end.
+    def _unfinished(self, *, begun: bool) -> str | None:
+        """The session that the evidence is of, in words, unless it was whole.
+
+        Args:
+            begun: Whether it left the directory of its episodes.
 
         Raises:
             ConfigurationError: If it is to be resumed, and there is none that can be.
@@ -164,6 +203,9 @@ class SharedEpisodes:
         from pytest_dura.evidence.bundle.directory import RECORD, read_session_record
 
         options = self.session.options
+        file = options.evidence / RECORD
+        if begun and not file.exists():
+            return "a session that was interrupted before it wrote a record"
         try:
             record = read_session_record(options.evidence)
         except ConfigurationError:
@@ -171,14 +213,17 @@ class SharedEpisodes:
                 raise
             return None
         if record["status"] != "complete":
-            return str(record["created"])
+            return f"the interrupted session of {record['created']}"
+        if begun:
+            return f"the session of {record['created']}, which was not whole"
         if options.resume:
             raise ConfigurationError(
-                "there is nothing to resume: the session of this evidence was not interrupted",
-                file=str(options.evidence / RECORD),
+                "there is nothing to resume: the session of this evidence was not interrupted, and "
+                "lost nothing",
+                file=str(file),
                 key="--dura-resume",
                 found="complete",
-                expected="the evidence of a session that was killed or interrupted",
+                expected="the evidence of a session that was interrupted, or lost a process",
                 remedy="drop --dura-resume; to keep episodes from session to session, use "
                 "--dura-reuse=DIR",
             )

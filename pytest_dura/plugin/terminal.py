@@ -117,7 +117,7 @@ def summary(session: DuraSession, terminal: Any) -> None:
             terminal.line("a part of a session: `python -m pytest_dura merge` gates on the whole")
         page = from_here(_page(session.evidence.file), session.config.invocation_params.dir)
         terminal.line(f"evidence: {page}")
-        for line in resume_lines(session, record):
+        for line in resume_lines(session):
             terminal.line(line)
 
 

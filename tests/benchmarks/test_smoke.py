@@ -34,6 +34,7 @@ SMALLEST = {
         *("--seeds", "1", "--budget", "1", "--jobs", "1"),
         *("--planners", "reactive", "--scenarios", "conflicting-traffic"),
     ],
+    "kills.py": ["--trials", "1", "--only", "executor process"],
     "llm_replay.py": [
         *(
             "--runs",
@@ -71,6 +72,7 @@ HEADERS = {
     "fault_table.py": ["rule_based", "propagated"],
     "injector_cost.py": ["share of a tick"],
     "intersection_search.py": ["bang-bang"],
+    "kills.py": ["simulated twice"],
     "llm_replay.py": ["session"],
     "loop_cost.py": [
         "ratio to highway-env without Generator",

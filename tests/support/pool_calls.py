@@ -9,10 +9,37 @@ import sys
 import time
 from pathlib import Path
 
+import pytest
+
 from pytest_dura import ConfigurationError
-from pytest_dura.campaign.execution import worker
+from pytest_dura.campaign.execution import child, worker
 
 HELD: list[bytearray] = []
+
+
+class KilledStarts:
+    """Kills the processes of pools while they start, the first ones.
+
+    Args:
+        monkeypatch: Of the test.
+        folder: Where each start leaves a mark.
+        times: How many are killed.
+    """
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, folder: Path, times: int) -> None:
+        self._file = folder / "starts"
+        deed = (
+            "import os, signal; "
+            f"starts = os.open({str(self._file)!r}, os.O_WRONLY | os.O_CREAT | os.O_APPEND); "
+            f"os.write(starts, b'.'); os.fstat(starts).st_size <= {times} "
+            "and os.kill(os.getpid(), signal.SIGKILL); "
+        )
+        monkeypatch.setattr(child, "_START", deed + child._START)
+
+    @property
+    def count(self) -> int:
+        """How many processes were started by now, whether killed or not."""
+        return self._file.stat().st_size if self._file.exists() else 0
 
 
 def number() -> bytes:
@@ -39,6 +66,23 @@ def endless(folder: str = "", *, seconds: float | None = None) -> bytes:
         Path(folder, f"{os.getpid()} {child.pid}").touch()
     while True:
         time.sleep(1.0)
+
+
+def outlived(folder: str, *, seconds: float | None = None) -> bytes:
+    """End this process, and leave a copy of it behind that no signal to its group reaches."""
+    if os.fork() == 0:
+        os.setsid()
+        Path(folder, str(os.getpid())).touch()
+        while True:
+            time.sleep(1.0)
+    while not any(Path(folder).iterdir()):
+        time.sleep(0.01)
+    os._exit(3)
+
+
+def limited(text: str, *, seconds: float | None = None) -> bytes:
+    """Take a limit, and come back at once."""
+    return str(len(text)).encode()
 
 
 def refused(value: list[int]) -> bytes:

@@ -15,7 +15,7 @@ from typing import Any
 from pytest_dura.campaign.episodes.address import Address
 from pytest_dura.campaign.episodes.codec import MOST_BYTES, DamagedEpisodeError, unpack
 from pytest_dura.core.episode import Episode, EpisodeSpec
-from pytest_dura.core.file_locks import is_named, lock
+from pytest_dura.core.file_locks import OwnedHandle, is_named, lock
 
 EPISODE, CLAIM, NEW = ".episode", ".claim", ".new"
 MOST_ATTEMPTS = 2
@@ -60,32 +60,32 @@ class Claim:
     """
 
     def __init__(self, handle: int, file: Path, attempts: int) -> None:
-        self._handle: int | None = handle
+        self._handle = OwnedHandle(handle)
         self._file = file
         self.attempts = attempts
         _HELD.add(self)
 
+    @property
+    def is_held(self) -> bool:
+        """Whether nobody closed its file, which gives the claim up."""
+        return self._handle.is_intact
+
     def release(self) -> None:
         """Let others have it. A second call does nothing."""
-        handle, self._handle = self._handle, None
-        if handle is None:
-            return
         _HELD.discard(self)
+        if not self.is_held:  # somebody closed it: by now the name may be another's
+            return
         # While it is locked: afterwards the name may be another's. What cannot be removed counts
         # as an attempt, no more.
         if sys.platform == "win32":  # which removes no open files
-            os.close(handle)
-            handle = None
+            self._handle.close()
         with suppress(OSError):
             self._file.unlink(missing_ok=True)
-        if handle is not None:
-            os.close(handle)
+        self._handle.close()
 
     def forget(self) -> None:
         """Close the file without giving the claim up, for a copy of the process that holds it."""
-        handle, self._handle = self._handle, None
-        if handle is not None:
-            os.close(handle)
+        self._handle.close()
 
 
 _HELD: set[Claim] = set()

@@ -16,14 +16,32 @@ from pytest_dura.campaign.episodes.memory import EpisodeMemory
 from pytest_dura.campaign.episodes.missing import missing_episode
 from pytest_dura.campaign.episodes.shelf import MOST_ATTEMPTS, Claim, Shelf
 from pytest_dura.campaign.episodes.task import EpisodeTask
-from pytest_dura.campaign.execution.executors import Execution, ProcessLostError
+from pytest_dura.campaign.execution.executors import (
+    MOST_SECONDS,
+    Execution,
+    ProcessLostError,
+    limit_of,
+)
+from pytest_dura.campaign.execution.replies import CallFailedError
 from pytest_dura.core.episode import Episode
-from pytest_dura.core.errors import ConfigurationError, describe_error
+from pytest_dura.core.errors import ConfigurationError, DuraError, describe_error
 from pytest_dura.requirements.verdicts import JudgedEpisode
 
 IN_FLIGHT = 2
 """Episodes per worker that are under way, so that none has to wait for the next one."""
+MOST_WAIT = IN_FLIGHT * MOST_SECONDS
+"""Seconds that an episode of another process is waited for, beside its component's time budgets;
+then it is simulated here. The other process may have begun another one before it."""
+SECONDS_TO_SETTLE = 60.0
+"""Seconds that the shelf is waited for to take in an episode; then nobody else has it."""
 _FIRST_WAIT, _LONGEST_WAIT = 0.001, 0.05
+
+
+class DescriptorsClosedError(DuraError):
+    """Code of an episode closed the file descriptors of the process that runs the session.
+
+    What the process writes from now on may end in another file, so that it cannot go on.
+    """
 
 
 @dataclass
@@ -36,6 +54,7 @@ class _Flight:
     future: Future[Any]
     changed: tuple[str, ...] | None = None
     kept: bool = False
+    broken: DescriptorsClosedError | None = None
     settled: Event = field(default_factory=Event)
     """Set when it lies on the shelf, or never will."""
 
@@ -68,6 +87,10 @@ class EpisodeStore:
         """Episodes that were simulated for this process."""
         self.problems: list[str] = []
         """Why episodes could not be shared; the first reason of each kind."""
+        self.lost = False
+        """Whether an episode could not be had since whoever was to simulate it was lost."""
+        self.is_broken = False
+        """Whether an episode closed what this process has open; see DescriptorsClosedError."""
         self._addresses = Addresses()
         self._flights: dict[str, _Flight] = {}
 
@@ -80,6 +103,7 @@ class EpisodeStore:
 
         Raises:
             ConfigurationError: If a part of it cannot be built.
+            DescriptorsClosedError: If its code closed what this process has open.
         """
         found = self.memory.find(task)
         if found is not None:
@@ -133,14 +157,14 @@ class EpisodeStore:
         self, task: EpisodeTask, address: Address, ahead: Iterable[EpisodeTask]
     ) -> tuple[JudgedEpisode, bool]:
         """The episode, and whether it lies on the shelf."""
-        wait = _FIRST_WAIT
+        wait, end = _FIRST_WAIT, time.monotonic() + limit_of(task.spec, MOST_WAIT)
         while True:
             flight = self._flights.get(address.name)
             if flight is None:
                 found = self._shelved(task, address)
                 if found is not None:
                     return found, True
-                flight = self._begun(task, address)
+                flight = self._begun(task, address, wait=time.monotonic() < end)
             if flight is not None:
                 self._begin_ahead(ahead)
                 return self._landed(flight)
@@ -155,8 +179,14 @@ class EpisodeStore:
             return None
         return JudgedEpisode.of(found[0])
 
-    def _begun(self, task: EpisodeTask, address: Address) -> _Flight | None:
-        """The simulation of an episode, begun here; ``None`` if another process has it."""
+    def _begun(self, task: EpisodeTask, address: Address, *, wait: bool = True) -> _Flight | None:
+        """The simulation of an episode, begun here.
+
+        Args:
+            task: What it is had by.
+            address: Of the same.
+            wait: Whether to return ``None`` if another process has it.
+        """
         claim = None
         if self.shelf is not None:
             try:
@@ -164,9 +194,10 @@ class EpisodeStore:
             except OSError as error:
                 self._note(error)
             else:
-                if claim is None:
+                if claim is None and wait:
                     return None
-                if self._shelved(task, address) is not None:  # another process was quicker
+                if claim is not None and self._shelved(task, address) is not None:
+                    # Another process was quicker.
                     claim.release()
                     return None
         try:
@@ -225,7 +256,9 @@ class EpisodeStore:
     def _keep(self, flight: _Flight) -> None:
         """Put an episode on the shelf, if there is one, and let go of the claim."""
         try:
-            if self.shelf is not None and not flight.future.cancelled():
+            if flight.claim is not None and not flight.claim.is_held:
+                flight.broken = _descriptors_closed(flight.task)
+            elif self.shelf is not None and not flight.future.cancelled():
                 packed = _packed(flight)
                 if packed is not None:
                     self.shelf.put(flight.address, flight.task.spec, packed, flight.changed)
@@ -233,18 +266,26 @@ class EpisodeStore:
         except Exception as problem:  # a disk may be full, an event no plain data: it is told
             self._note(problem)
         finally:
-            if flight.claim is not None:
-                flight.claim.release()
-            flight.settled.set()
+            try:
+                if flight.claim is not None:
+                    flight.claim.release()
+            finally:  # whatever becomes of the claim, who waits goes on
+                flight.settled.set()
 
     def _landed(self, flight: _Flight) -> tuple[JudgedEpisode, bool]:
         try:
             found = flight.future.result()
         except ProcessLostError as error:
             found = missing_episode(flight.task.spec, str(error))
+        except CallFailedError:
+            self.lost = True
+            raise
         finally:
             self._flights.pop(flight.address.name, None)
-        flight.settled.wait()
+        flight.settled.wait(SECONDS_TO_SETTLE)
+        if flight.broken is not None:
+            self.is_broken = True
+            raise flight.broken
         self.simulated += 1
         if isinstance(found, bytes):
             found = unpack(found, flight.task.spec)
@@ -265,6 +306,14 @@ class EpisodeStore:
         text = f"episodes cannot be shared with other processes, nor with a later session: {why}"
         if text not in self.problems:
             self.problems.append(text)
+
+
+def _descriptors_closed(task: EpisodeTask) -> DescriptorsClosedError:
+    return DescriptorsClosedError(
+        f"infrastructure: file descriptors of the session's process were closed in {task.spec.id} "
+        f"({task.spec.component}), so that it cannot go on; with --dura-executor=processes the "
+        "episode loses a process of its own"
+    )
 
 
 def _packed(flight: _Flight) -> bytes | None:

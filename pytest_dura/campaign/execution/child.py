@@ -9,11 +9,12 @@ import subprocess
 import sys
 import tempfile
 import threading
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from queue import Empty, SimpleQueue
+from typing import IO, Any
 
 from pytest_dura.campaign.execution.replies import CallFailedError
 from pytest_dura.campaign.execution.worker import READY, RETIRES, read_frame, write_frame
@@ -22,8 +23,12 @@ _START = (
     "import json, sys; sys.path[:] = json.loads(sys.argv.pop()); "
     "from pytest_dura.campaign.execution.worker import main; main()"
 )
-_SECONDS_TO_START = 300.0
+SECONDS_TO_START = 300.0
 """Imports from a disk that many processes read at once are slow."""
+_SECONDS_TO_END = 10.0
+"""How long a process is waited for that was killed, or closed its output."""
+_EVERY = 1.0
+"""Seconds after which it is looked whether a process still exists."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +61,8 @@ class ChildEndedError(Exception):
 class Child:
     """A process that carries out one call at a time.
 
-    It has a session of its own, so that a key pressed in the terminal does not reach it.
+    It has a session of its own, so that a key pressed in the terminal does not reach it. No wait
+    for it rests on the end of its output alone, which a process that it left behind may hold open.
 
     Args:
         surroundings: What it finds.
@@ -67,30 +73,48 @@ class Child:
 
     def __init__(self, surroundings: Surroundings) -> None:
         command = [sys.executable, *["-O"] * sys.flags.optimize, "-c", _START]
-        with tempfile.TemporaryFile() as errors:
-            try:
-                self._process = subprocess.Popen(
-                    [*command, json.dumps(list(surroundings.path))],
-                    cwd=surroundings.folder,
-                    stdin=subprocess.PIPE,
-                    stdout=subprocess.PIPE,
-                    stderr=errors,
-                    start_new_session=True,
-                )
-            except OSError as error:
-                raise CallFailedError(f"no process can be started: {error}") from None
-            assert self._process.stdin is not None
-            assert self._process.stdout is not None
-            self._calls, self._replies = self._process.stdin, self._process.stdout
-            try:
-                ready = self._reply(_SECONDS_TO_START) == READY
-            except ChildEndedError:
-                ready = False
-            if not ready:
-                self.end()
-                errors.seek(0)
-                said = errors.read().decode(errors="replace").strip() or "it said nothing"
-                raise CallFailedError(f"a process that simulates did not start: {said}")
+        self._errors = tempfile.TemporaryFile()  # noqa: SIM115 - closed in `end`
+        try:
+            self._process = subprocess.Popen(
+                [*command, json.dumps(list(surroundings.path))],
+                cwd=surroundings.folder,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=self._errors,
+                start_new_session=True,
+            )
+        except OSError as error:
+            self._errors.close()
+            raise CallFailedError(f"no process can be started: {error}") from None
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._calls = self._process.stdin
+        self._replies: SimpleQueue[bytes | None] = SimpleQueue()
+        """Frames as they come; ``None`` at the end."""
+        self._reader = threading.Thread(
+            target=self._read, args=(self._process.stdout,), name="dura-replies", daemon=True
+        )
+        self._reader.start()
+        self._over = False
+
+    def wait_until_ready(self) -> None:
+        """Wait until it takes calls.
+
+        Raises:
+            CallFailedError: If it does not get there; then it is ended.
+        """
+        try:
+            with self._limited(SECONDS_TO_START) as late:
+                ready = self._reply(SECONDS_TO_START, late) == READY
+            how = "it wrote something else"
+        except ChildEndedError as ended:
+            ready, how = False, str(ended)
+        if ready:
+            return
+        self._errors.seek(0)
+        printed = self._errors.read().decode(errors="replace").strip()
+        self.end()
+        raise CallFailedError(f"a process that simulates did not start: {printed or how}")
 
     @property
     def pid(self) -> int:
@@ -100,7 +124,7 @@ class Child:
     @property
     def is_alive(self) -> bool:
         """Whether it has not ended, as far as it is known."""
-        return self._process.poll() is None
+        return not self._over and self._process.poll() is None
 
     def call(
         self, function: str, args: Sequence[Any], kwargs: Mapping[str, Any]
@@ -116,11 +140,13 @@ class Child:
             ChildEndedError: If there is no reply: the process ended, or was ended after so long.
         """
         request = {"function": function, "args": list(args), "kwargs": dict(kwargs)}
-        try:
-            write_frame(self._calls, json.dumps(request).encode())
-        except OSError:
-            raise ChildEndedError(self._how_it_ended()) from None
-        found = self._reply(kwargs.get("seconds"))
+        data, seconds = json.dumps(request).encode(), kwargs.get("seconds")
+        with self._limited(seconds) as late:
+            try:
+                write_frame(self._calls, data)  # a process that was stopped reads nothing
+            except OSError:
+                raise self._ended(seconds, late) from None
+            found = self._reply(seconds, late)
         return found[1:], found[:1] != RETIRES
 
     def kill(self) -> None:
@@ -131,39 +157,73 @@ class Child:
         self._process.kill()
 
     def end(self) -> None:
-        """End it, and let go of whatever it holds here."""
+        """End it, and let go of whatever it holds here. A second call does nothing."""
+        if self._over:
+            return
+        self._over = True
         self.kill()
-        self._process.wait()
-        self._replies.close()
+        with suppress(subprocess.TimeoutExpired):  # the kernel does not let go of it
+            self._process.wait(_SECONDS_TO_END)
+        self._reader.join(_EVERY)
         with suppress(OSError):  # of a request that it never read
             self._calls.close()
+        self._errors.close()
 
-    def _reply(self, seconds: float | None) -> bytes:
+    def _read(self, stream: IO[bytes]) -> None:
+        """Take in what it writes, in a thread of its own, which alone touches the stream."""
+        with stream:
+            found: bytes | None = b""
+            while found is not None:
+                try:
+                    found = read_frame(stream)
+                except Exception:  # whatever is written there that is no reply
+                    found = None
+                self._replies.put(found)
+
+    @contextmanager
+    def _limited(self, seconds: float | None) -> Iterator[threading.Event]:
+        """End the process after so long; the event tells that this happened."""
         late = threading.Event()
-        timer = None
-        if seconds is not None:
-            timer = threading.Timer(seconds, self._kill_late, [late])
-            timer.daemon = True
-            timer.start()
-        try:
-            found = read_frame(self._replies)
-        finally:
-            if timer is not None:
-                timer.cancel()
-        if found is not None:
-            return found
-        if late.is_set():
-            raise ChildEndedError(f"it took longer than {seconds:g} s", seconds)
-        raise ChildEndedError(self._how_it_ended())
 
-    def _kill_late(self, late: threading.Event) -> None:
-        late.set()
-        self.kill()
+        def kill_late() -> None:
+            late.set()
+            self.kill()
+
+        if seconds is None:
+            yield late
+            return
+        timer = threading.Timer(seconds, kill_late)
+        timer.daemon = True
+        timer.start()
+        try:
+            yield late
+        finally:
+            timer.cancel()
+
+    def _reply(self, seconds: float | None, late: threading.Event) -> bytes:
+        over = False
+        while (found := self._next()) == b"" and not over:
+            over = late.is_set() or not self.is_alive  # what it wrote by then is on its way
+        if not found:  # also if what it left behind holds its output open
+            raise self._ended(seconds, late)
+        return found
+
+    def _next(self) -> bytes | None:
+        """The next frame; ``None`` behind the last one, and nothing if none comes for a while."""
+        try:
+            return self._replies.get(timeout=_EVERY)
+        except Empty:
+            return b""
+
+    def _ended(self, seconds: float | None, late: threading.Event) -> ChildEndedError:
+        if late.is_set():
+            return ChildEndedError(f"it took longer than {seconds:g} s", seconds)
+        return ChildEndedError(self._how_it_ended())
 
     def _how_it_ended(self) -> str:
         """In words."""
         try:
-            code = self._process.wait(timeout=10.0)
+            code = self._process.wait(_SECONDS_TO_END)
         except subprocess.TimeoutExpired:  # it closed its output, and goes on
             return "it closed the pipe to the session"
         if code >= 0 or os.name == "nt":

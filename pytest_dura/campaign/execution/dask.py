@@ -29,6 +29,8 @@ P = ParamSpec("P")
 
 SECONDS_WITHOUT_WORKERS = 300.0
 """How long a session waits for workers, when the last one is gone."""
+SECONDS_WITHOUT_ANSWER = 60.0
+"""How long the scheduler may leave a question open that it answers at once otherwise."""
 _SECONDS_TO_END = 5.0
 _EVERY = 1.0
 
@@ -180,7 +182,11 @@ class DaskExecutor(Executor):
         without = 0.0
         while not self._closed.wait(_EVERY):
             try:
-                self.width = max(1, sum((found := self._client.nthreads()).values()))
+                # As `Client.nthreads`, which would wait for a scheduler that is stopped for ever.
+                found = self._client.sync(
+                    self._client.scheduler.ncores, callback_timeout=SECONDS_WITHOUT_ANSWER
+                )
+                self.width = max(1, sum(found.values()))
             except Exception:  # whatever Dask raises then: the scheduler does not answer
                 if not self._closed.is_set():
                     self._lost, self.is_lost = lost(self.address), True

@@ -24,6 +24,7 @@ KEY = "--dura-executor"
 SECONDS_TO_CONNECT = 5.0
 SECONDS_TO_FIRST_WORKER = 30.0
 _SECONDS_TO_COMPARE = 300.0
+_SECONDS_TO_FETCH = 30.0
 _PAUSE, _SOON = 0.2, 0.05
 
 
@@ -143,7 +144,10 @@ def _answer(client: Any, worker: str, task: Any, end: float) -> bytes:
     # Dask would keep the task for a worker of this name, which never comes back.
     while not task.done() and time.monotonic() < end and worker in client.nthreads():
         time.sleep(_SOON)
-    return cast("bytes", task.result(timeout=_PAUSE))
+    if not task.done():
+        raise TimeoutError("it is gone, or does not answer")
+    # What is done is still to be fetched, from a machine that may do much else.
+    return cast("bytes", task.result(timeout=_SECONDS_TO_FETCH))
 
 
 def _dask_of(told: Mapping[str, Any]) -> dict[str, str]:

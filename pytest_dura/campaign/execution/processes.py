@@ -23,8 +23,12 @@ P = ParamSpec("P")
 
 MOST_LOST = 2
 """Processes that a call may end before it is given up."""
+MOST_STARTS = 3
+"""How often a process is started for a call before the call fails: one may be killed, or find no
+memory, before it takes any call. No call is to blame for that."""
 _IDLE = 60.0
 """Seconds without a call after which a process ends; the next call starts another."""
+_SESSION_ENDED = "the session ended before the episode did"
 
 
 def usable_cores() -> int:
@@ -179,7 +183,7 @@ class ProcessPool(Executor):
     def _verdict(self, ended: ChildEndedError, lost: int) -> Exception | None:
         """What a call comes to that lost its process; ``None`` if another process is given it."""
         if self._killing:
-            return CallFailedError("the session ended before the episode did")
+            return CallFailedError(_SESSION_ENDED)
         if ended.seconds is not None:
             return ProcessLostError(f"its process was ended, since {ended}")
         if lost >= MOST_LOST:
@@ -187,11 +191,33 @@ class ProcessPool(Executor):
         return None
 
     def _started(self, child: Child | None) -> Child:
-        """A process that is alive: the one at hand, or a fresh one."""
+        """A process that takes calls: the one at hand, or a fresh one.
+
+        Raises:
+            CallFailedError: If none can be started, in as many attempts as there are.
+        """
         if child is not None and child.is_alive:
             return child
         self._end(child)
+        for left in reversed(range(MOST_STARTS)):
+            made = None
+            try:
+                made = self._begun()
+                made.wait_until_ready()
+            except CallFailedError:
+                self._end(made)
+                if self._killing or not left:
+                    raise
+            else:
+                return made
+        raise AssertionError("unreachable")
+
+    def _begun(self) -> Child:
+        """A process that starts; known at once, so that the end of the pool reaches it."""
         assert self._surroundings is not None
+        with self._lock:
+            if self._killing:
+                raise CallFailedError(_SESSION_ENDED)
         made = Child(self._surroundings)
         with self._lock:
             self._children[threading.current_thread()] = made

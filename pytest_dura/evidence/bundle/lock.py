@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.core.file_locks import is_named, lock
+from pytest_dura.core.file_locks import OwnedHandle, is_named, lock
 
 LOCK = ".lock"
 """Name of the file in the evidence directory; it is there as long as a session is."""
@@ -30,7 +30,7 @@ class DirectoryLock:
 
     def __init__(self, directory: Path) -> None:
         self._file = directory / LOCK
-        self._handle: int | None = None
+        self._handle: OwnedHandle | None = None
         try:
             directory.mkdir(parents=True, exist_ok=True)
             while self._handle is None:
@@ -49,16 +49,16 @@ class DirectoryLock:
         if self._handle is None:
             return
         handle, self._handle = self._handle, None
+        if not handle.is_intact:  # somebody closed it: by now the name may be another's
+            return
         # Who finds the file finds it unlocked, so that one which cannot be removed hinders nobody.
         with contextlib.suppress(OSError):
             if sys.platform == "win32":  # which removes no open files
-                os.close(handle)
-                self._file.unlink(missing_ok=True)
-                return
+                handle.close()
             self._file.unlink(missing_ok=True)  # as long as it is held; then it may be another's
-        os.close(handle)
+        handle.close()
 
-    def _tried(self) -> int | None:
+    def _tried(self) -> OwnedHandle | None:
         """The file, open and locked; ``None`` if its former holder removed it meanwhile."""
         no_link = getattr(os, "O_NOFOLLOW", 0)
         handle = os.open(self._file, os.O_RDWR | os.O_CREAT | no_link, 0o644)
@@ -83,4 +83,4 @@ class DirectoryLock:
         except BaseException:  # also ctrl-C leaves no lock that nobody holds; it is raised again
             os.close(handle)
             raise
-        return handle
+        return OwnedHandle(handle)

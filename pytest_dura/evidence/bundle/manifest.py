@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -28,8 +28,13 @@ def manifest_text(files: Mapping[str, Mapping[str, Any]]) -> str:
     return json.dumps({"files": listed, "digest": _digest(listed)}, indent=1) + "\n"
 
 
-def manifest_problems(directory: Path) -> Iterator[str]:
-    """Everything in which a bundle's files differ from its manifest."""
+def manifest_problems(directory: Path, unlisted: Collection[str] = ()) -> Iterator[str]:
+    """Everything in which a bundle's files differ from its manifest.
+
+    Args:
+        directory: The bundle's.
+        unlisted: Names of files that are there for another purpose, and may be.
+    """
     try:
         text = (directory / MANIFEST).read_bytes().decode()
         listed = json.loads(text)["files"]
@@ -42,7 +47,7 @@ def manifest_problems(directory: Path) -> Iterator[str]:
         return
     if text != canonical:
         yield f"{MANIFEST}: not as it was written; its own digest or form does not agree"
-    there = set(files_of(directory)) - {MANIFEST}
+    there = set(files_of(directory)) - {MANIFEST, *unlisted}
     for name in sorted(there - set(listed)):
         yield f"{name}: not in the manifest"
     for name in sorted(set(listed) - there):

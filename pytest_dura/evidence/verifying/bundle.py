@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import re
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from pytest_dura.evidence.verifying.reuse import reuse_problems
 from pytest_dura.evidence.verifying.sums import record_problems
 from pytest_dura.evidence.verifying.traces import Rejudged, trace_problems
 
+_KEPT = re.compile(r"\.episodes/[0-9a-f]{2}/[0-9a-f]{64}\.(episode|claim)")
 DAMAGED = (
     AttributeError,
     LookupError,
@@ -78,12 +80,13 @@ def verify_bundle(directory: Path, junit: Path | None = None) -> Verification:
     odd = [name for name in odd if not (directory / name).is_file()]
     if odd:  # reading a pipe would wait for ever
         return Verification([f"{name}: no file, where a bundle holds files only" for name in odd])
-    found = Verification(list(manifest_problems(directory)), len(names))
+    found = Verification([], len(names))
     try:
         record = read_session_record(directory)
     except ConfigurationError as error:
-        found.problems.append(f"{RECORD}: {error}")
+        found.problems += [*manifest_problems(directory), f"{RECORD}: {error}"]
         return found
+    found.problems += manifest_problems(directory, _kept_episodes(record, names))
     try:
         found.problems += _schema_problems(record)
         if any(one.startswith(f"{RECORD}: schema") for one in found.problems):
@@ -102,6 +105,14 @@ def verify_bundle(directory: Path, junit: Path | None = None) -> Verification:
     if junit is not None:
         found.problems += junit_problems(record, junit)
     return found
+
+
+def _kept_episodes(record: SessionRecord, names: Iterable[str]) -> list[str]:
+    """The files from which a session that did not pass can be resumed; no part of its evidence."""
+    gate = record.head.get("gate")
+    if not isinstance(gate, Mapping) or gate.get("result") == "passed":
+        return []
+    return [name for name in names if _KEPT.fullmatch(name)]
 
 
 def claim_problems(record: SessionRecord, rejudged: Rejudged) -> Iterator[str]:

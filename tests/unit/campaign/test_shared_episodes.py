@@ -19,6 +19,7 @@ from counted_rooms import (
     simulated,
 )
 
+from pytest_dura.campaign.episodes import store as store_module
 from pytest_dura.campaign.episodes.address import Addresses
 from pytest_dura.campaign.episodes.codec import pack
 from pytest_dura.campaign.episodes.shelf import CLAIM, EPISODE, Shelf
@@ -314,3 +315,23 @@ def test_where_a_twin_is_simulated_elsewhere_the_next_pairs_are_begun(tmp_path):
     own, twin = "room/warm#{}".format, "room/warm~recovery_planner#{}".format
     order = [name(run) for run in range(3) for name in (own, twin)]
     assert asked == [(name, order[at - at % 2 :]) for at, name in enumerate(order)]
+
+
+def test_nobody_waits_for_ever_for_an_episode_that_another_process_has(tmp_path, monkeypatch):
+    monkeypatch.setattr(store_module, "MOST_WAIT", 0.1)
+    task = counted_task(tmp_path, 1)
+    address = Addresses().of(task)
+    claim = Shelf(tmp_path / "shelf", "s").claim(address)
+    assert counted_store(tmp_path).get(task).digest == task.run().digest
+    claim.release()
+    assert Shelf(tmp_path / "shelf", "s").has(address)
+
+
+def test_a_claim_whose_file_somebody_closed_closes_nothing_else(tmp_path):
+    claim = Shelf(tmp_path / "shelf", "s").claim(Addresses().of(counted_task(tmp_path, 1)))
+    number = claim._handle.number
+    with (tmp_path / "other").open("w") as other:
+        os.dup2(other.fileno(), number)  # as if it were closed, and its number given away
+        assert not claim.is_held
+        claim.release()
+        os.close(number)  # it is open still, on the other file

@@ -272,3 +272,16 @@ def test_nobody_waits_for_ever_where_the_last_worker_is_gone(small, monkeypatch)
     cluster.worker()
     until(execution.executor._client.nthreads)
     assert execution.submit(shaky(3)).result(timeout=20.0)
+
+
+def test_nobody_waits_for_ever_for_a_scheduler_that_does_not_answer(small, monkeypatch):
+    monkeypatch.setattr(dask, "SECONDS_WITHOUT_ANSWER", 1.0)
+    monkeypatch.setattr(dask, "_EVERY", 0.2)
+    cluster_of, executor_of = small
+    cluster, _ = cluster_of(1)
+    execution = Execution("dask", executor_of(cluster))
+    future = execution.submit(shaky(1, seconds=30.0))
+    cluster.scheduler.send_signal(signal.SIGSTOP)
+    with pytest.raises(ConfigurationError, match=r"connection .* is lost"):
+        future.result(timeout=15.0)
+    assert execution.is_lost

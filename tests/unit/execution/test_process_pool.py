@@ -16,8 +16,9 @@ import psutil
 import pytest
 
 from pytest_dura import ConfigurationError
+from pytest_dura.campaign.execution import child
 from pytest_dura.campaign.execution.child import Surroundings
-from pytest_dura.campaign.execution.processes import ProcessPool
+from pytest_dura.campaign.execution.processes import MOST_STARTS, ProcessPool
 from pytest_dura.campaign.execution.replies import CallFailedError, ProcessLostError
 
 SUPPORT = str(Path(pool_calls.__file__).parent)
@@ -50,7 +51,8 @@ def test_a_process_killed_in_the_middle_loses_nothing(pool, tmp_path):
     names = [f"call{n}" for n in range(6)]
     futures = [pool.submit(pool_calls.noted, str(tmp_path), name, 0.1) for name in names]
     until(lambda: len(list(tmp_path.iterdir())) >= 3)
-    os.kill(pool.pids[0], signal.SIGKILL)
+    newest = max(tmp_path.iterdir(), key=lambda file: file.stat().st_mtime_ns)
+    os.kill(int(newest.suffix[1:]), signal.SIGKILL)  # not one that is still starting
     assert [one.result().decode() for one in futures] == names
     assert len(list(tmp_path.iterdir())) == len(names) + 1  # what was under way, once more
 
@@ -64,14 +66,68 @@ def test_a_call_that_ends_its_process_twice_is_given_up_and_no_other_is(pool, tm
     assert len(list(tmp_path.iterdir())) == len(others)
 
 
-def test_a_signal_is_named(pool):
-    futures = [pool.submit(pool_calls.endless)]
-    for _ in range(2):
-        [pid] = until(lambda: pool.pids)
-        os.kill(pid, signal.SIGSEGV)
-        until(lambda gone=pid: gone not in pool.pids)
+def test_a_signal_is_named(pool, tmp_path):
+    futures = [pool.submit(pool_calls.endless, str(tmp_path))]
+    for count in (1, 2):
+        until(lambda so_many=count: len(list(tmp_path.iterdir())) == so_many)
+        os.kill(pool.pids[0], signal.SIGSEGV)
     with pytest.raises(ProcessLostError, match="SIGSEGV"):
-        futures[0].result()
+        futures[0].result(timeout=20.0)
+
+
+def test_a_process_killed_while_it_starts_is_started_again(pool, monkeypatch, tmp_path):
+    starts = pool_calls.KilledStarts(monkeypatch, tmp_path, MOST_STARTS - 1)
+    assert int(pool.submit(pool_calls.number).result(timeout=20.0)) == pool.pids[0]
+    assert starts.count == MOST_STARTS
+
+
+def test_starts_are_bounded_and_no_call_is_blamed_for_them(pool, monkeypatch, tmp_path):
+    starts = pool_calls.KilledStarts(monkeypatch, tmp_path, MOST_STARTS)
+    with pytest.raises(CallFailedError, match="did not start: it was ended by SIGKILL"):
+        pool.submit(pool_calls.number).result(timeout=20.0)
+    assert starts.count == MOST_STARTS
+    assert pool.submit(pool_calls.number).result(timeout=20.0), "the next call starts afresh"
+
+
+def test_a_process_that_is_starting_does_not_delay_the_end(pool, monkeypatch):
+    begun, real = [], child.Child.wait_until_ready
+
+    def stopped(started):
+        os.kill(started.pid, signal.SIGSTOP)
+        begun.append(started.pid)
+        real(started)
+
+    monkeypatch.setattr(child.Child, "wait_until_ready", stopped)
+    future = pool.submit(pool_calls.number)
+    until(lambda: begun)
+    began = time.monotonic()
+    pool.shutdown(wait=False, cancel_futures=True)
+    assert time.monotonic() - began < child.SECONDS_TO_START / 10
+    with pytest.raises(CallFailedError):
+        future.result(timeout=0)
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="the system does not fork")
+def test_a_process_that_another_one_keeps_the_pipe_of_is_not_waited_for(
+    pool, tmp_path, monkeypatch
+):
+    """A copy of the process in a session of its own has the pipe as well, and is never killed."""
+    monkeypatch.setattr(child, "_EVERY", 0.1)
+    future = pool.submit(pool_calls.outlived, str(tmp_path), seconds=60.0)
+    try:
+        with pytest.raises(ProcessLostError, match="ended 2 processes"):
+            future.result(timeout=30.0)
+    finally:
+        for noted in tmp_path.iterdir():
+            os.kill(int(noted.name), signal.SIGKILL)
+
+
+def test_a_process_that_reads_nothing_is_ended_at_the_limit_of_its_call(pool, tmp_path):
+    assert pool.submit(pool_calls.number).result(timeout=20.0)
+    os.kill(pool.pids[0], signal.SIGSTOP)
+    much = "x" * 2**20  # more than the pipe takes
+    with pytest.raises(ProcessLostError, match=r"took longer than 0\.5 s"):
+        pool.submit(pool_calls.limited, much, seconds=0.5).result(timeout=20.0)
 
 
 def test_a_call_that_overruns_its_limit_is_ended_with_all_that_it_started(pool, tmp_path):
