@@ -130,6 +130,12 @@ def add_options(parser: pytest.Parser) -> None:
         "still violates its requirement; --dura-runs limits the runs (default: 100)",
     )
     add(
+        "--dura-trust-code",
+        action="store_true",
+        help="let a bundle, or a scenario or fault file from outside the project, name code that "
+        "lies beside it: it is imported, and runs as you",
+    )
+    add(
         "--dura-undecided",
         choices=("fail", "warn"),
         default="fail",

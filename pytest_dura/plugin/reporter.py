@@ -228,7 +228,7 @@ class Reporter:
         component = generator.label
         key = generator.path, canonical(generator.params), generator.opaque
         if key not in self._components:
-            factory = type(generator.instance) if generator.opaque else generator.factory()
+            factory = type(generator.instance) if generator.opaque else generator.resolve()
             file, root = None, self.session.config.rootpath
             if isinstance(generator, LocalRole):
                 file = root / generator.path.rpartition(":")[0]

@@ -15,9 +15,9 @@ import sys
 from pathlib import Path
 
 import pytest
+from sealing import alter, seal
 
 from pytest_dura.__main__ import main
-from pytest_dura.evidence.bundle.manifest import MANIFEST, file_entry, files_of, manifest_text
 from pytest_dura.evidence.bundle.writing import write_bundle
 from pytest_dura.evidence.record.counts import Counts
 from pytest_dura.evidence.record.session_record import SessionRecord
@@ -63,20 +63,14 @@ def bundle(made, tmp_path):
 
 def sealed(bundle):
     """A manifest that agrees with whatever lies there now."""
-    names = [name for name in files_of(bundle) if name != MANIFEST]
-    (bundle / MANIFEST).write_text(
-        manifest_text({name: file_entry(bundle / name) for name in names})
-    )
+    seal(bundle)
     return verify_bundle(bundle)
 
 
 def changed(bundle, change):
     """The bundle after a change to its record."""
-    file = bundle / "evidence.json"
-    record = json.loads(file.read_text())
-    change(record)
-    file.write_text(json.dumps(record, indent=1, ensure_ascii=False) + "\n")
-    return sealed(bundle)
+    alter(bundle, change)
+    return verify_bundle(bundle)
 
 
 def test_the_bundle_of_a_session_is_intact(made):
