@@ -119,9 +119,11 @@ def generator_option(text: str) -> RoleSpec:
         )
     spec = RoleSpec(short.get(text, text))
     try:
-        factory = spec.factory()
-        if inspect.isclass(factory):
-            _check_class(factory, spec)
+        target = spec.resolve()
+        if inspect.isclass(target):
+            _check_class(target, spec)
+        else:
+            spec.factory()
     except ConfigurationError as error:
         raise placed(error, file="", line=None, key=key) from None
     return spec

@@ -233,6 +233,10 @@ class Reporter:
             if isinstance(generator, LocalRole):
                 file = root / generator.path.rpartition(":")[0]
             described = describe_component(generator.path, factory, generator.params, file, root)
+            sources = described.pop("sources")
+            if described["digest"] is not None:
+                # They are many: the first report of each process has them.
+                self._report.sources[described["digest"]] = sources
             named = {"name": component, **described, "opaque": generator.opaque}
             self._components[key] = named
         if self._components[key] not in self._report.components:
