@@ -181,6 +181,13 @@ def add_options(parser: pytest.Parser) -> None:
         default=DEFAULT_PROGRESS_INTERVAL,
     )
     parser.addini(
+        "dura_secrets",
+        "names of environment variables, or globs of them in letters of any case, whose values are "
+        "kept out of the evidence, beside those whose names speak of secrets",
+        type="args",
+        default=[],
+    )
+    parser.addini(
         "dura_scenario_paths",
         "directories with scenario and requirement files (default: scenarios, if it exists)",
         type="paths",

@@ -124,7 +124,8 @@ def session_record(directory=Path("nowhere"), **changes):
              "changed": False},
         ],
         "component_under_test": {"name": "C", "path": "m:G", "params": {}, "version": "1.2",
-                                 "digest": DIGEST, "sources": {DIGEST: SOURCES}, "opaque": False, "distribution": "m",
+                                 "digest": DIGEST, "sources": {DIGEST: SOURCES},
+                                 "opaque": False, "distribution": "m",
                                  "file_count": 1,
                                  "files": [{"path": "m.py", "sha256": "e" * 64}]},
         "models": [
