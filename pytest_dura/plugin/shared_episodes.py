@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from pytest_dura.campaign.episodes.store import EpisodeStore
     from pytest_dura.plugin.session import DuraSession
 
-FOLDER = ".episodes"
+FOLDER = ".episodes"  # as `KEPT` of pytest_dura.evidence.bundle.directory
 """In the evidence directory, as long as a session runs, and after one that was interrupted."""
 _INPUT = "dura_session"
 
