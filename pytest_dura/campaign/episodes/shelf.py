@@ -204,10 +204,8 @@ class Shelf:
         _make_folder(file.parent)
         new = file.with_suffix(f".{os.getpid()}{NEW}")
         try:
-            with os.fdopen(
-                os.open(new, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, _PRIVATE), "wb"
-            ) as out:
-                out.write(data)
+            new.touch(_PRIVATE)
+            new.write_bytes(data)
             new.replace(file)
         except BaseException:  # also on ctrl-C nothing half-written stays; it is raised again
             with suppress(OSError):
