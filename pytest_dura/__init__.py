@@ -59,6 +59,7 @@ if TYPE_CHECKING:
         StateManager,
         Tick,
     )
+    from pytest_dura.core.trust import factory
     from pytest_dura.faults.model import Fault, Moment
     from pytest_dura.faults.parts import FaultPart
     from pytest_dura.requirements.checks import CheckResult
@@ -135,6 +136,7 @@ __all__ = [
     "check_role",
     "check_simulator",
     "derive_seed",
+    "factory",
     "sealed",
     "stream",
 ]
@@ -165,6 +167,7 @@ _HOMES = {
     "pytest_dura.core.seeding": "derive_seed stream",
     "pytest_dura.core.simulator": "Simulator",
     "pytest_dura.core.state": "Event GeneratorView Lazy Percept RoleView StateManager Tick",
+    "pytest_dura.core.trust": "factory",
     "pytest_dura.requirements.verdicts.campaigns": "CampaignVerdict",
     "pytest_dura.faults.model": "Fault Moment",
     "pytest_dura.faults.parts": "FaultPart",

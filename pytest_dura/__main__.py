@@ -9,10 +9,12 @@ from collections.abc import Sequence
 from io import TextIOWrapper
 from pathlib import Path
 
+from pytest_dura import __version__
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.evidence.text import one_line, visible
 
 USAGE_ERROR = 2
+NOT_RENDERED = 3
 LONGEST = 2000
 """Characters of what is told; it quotes what a damaged record holds."""
 
@@ -21,8 +23,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """The exit code.
 
     0 if a bundle is intact, or the gate of merged ones passed; 1 if anything differs, or it did
-    not; 2 for a wrong call, and for bundles that cannot be merged. 0 as well if a directory was
-    pruned.
+    not; 2 for a wrong call, and for bundles that cannot be merged; 3 if nothing differs that could
+    be compared, and the formats were not rendered again. 0 as well if a directory was pruned.
     """
     parser = argparse.ArgumentParser(prog="python -m pytest_dura", description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
@@ -162,6 +164,12 @@ def _verify(directory: Path, junit: Path | None) -> int:
             f"{found.rejudged.judged} of their judgements made again on traces; "
             f"gate {counts.gate}"
         )
+    if found.intact and found.not_rendered is not None:
+        print(
+            f"not re-rendered: pytest-dura {one_line(found.not_rendered, LONGEST)} wrote this "
+            f"bundle, and this is {__version__}; of its pages, counts and references alone agree"
+        )
+        return NOT_RENDERED
     several = "" if len(found.problems) == 1 else "s"
     print("intact" if found.intact else f"NOT INTACT: {len(found.problems)} difference{several}")
     return 0 if found.intact else 1

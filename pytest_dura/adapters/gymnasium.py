@@ -19,6 +19,7 @@ from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.seeding import watch_draws
 from pytest_dura.core.simulator import Simulator
 from pytest_dura.core.state import NOTHING, Percept, Tick
+from pytest_dura.core.trust import check_import
 
 if TYPE_CHECKING:
     import gymnasium
@@ -265,7 +266,7 @@ def _number(value: Any) -> float:
 
 
 def _callable(value: Callable[..., Any] | str) -> Any:
-    return RoleSpec(value).factory() if isinstance(value, str) else value
+    return RoleSpec(value).function() if isinstance(value, str) else value
 
 
 def _make(name: str, params: Mapping[str, Any]) -> gymnasium.Env[Any, Any]:
@@ -273,8 +274,9 @@ def _make(name: str, params: Mapping[str, Any]) -> gymnasium.Env[Any, Any]:
 
     # "module:Name" is ours; "module:Name-v0" is Gymnasium's own way to import before making.
     if ":" in name and "-" not in name.partition(":")[2]:
-        env = RoleSpec(name, params).create()
+        env = RoleSpec(name, params).create(gymnasium.Env)
     else:
+        check_import(name if ":" in name else "gymnasium")
         try:
             env = gymnasium.make(
                 name, **{"max_episode_steps": -1, "disable_env_checker": True, **params}

@@ -37,7 +37,7 @@ class LocalRole(RoleSpec):
         folder = file.rpartition("/")[0]
         return f"{name} ({folder})" if folder else name
 
-    def factory(self) -> Callable[..., Any]:
+    def resolve(self) -> Callable[..., Any]:
         """The class or factory that was given."""
         return self.target
 
@@ -89,8 +89,12 @@ def given_role(role: str, value: Any, file: str | None = None) -> RoleSpec | Non
             remedy=f"derive it from pytest_dura.{base.__name__}",
         )
     if file is not None and callable(value):
-        return LocalRole(f"{file}:{value.__name__}", value)
-    return RoleSpec.of(value)
+        spec: RoleSpec = LocalRole(f"{file}:{value.__name__}", value)
+    else:
+        spec = RoleSpec.of(value)
+    if inspect.isroutine(value):
+        spec.factory(base)  # refused now, rather than by the first episode
+    return spec
 
 
 def generator_option(text: str) -> RoleSpec:
@@ -115,9 +119,11 @@ def generator_option(text: str) -> RoleSpec:
         )
     spec = RoleSpec(short.get(text, text))
     try:
-        factory = spec.factory()
-        if inspect.isclass(factory):
-            _check_class(factory, spec)
+        target = spec.resolve()
+        if inspect.isclass(target):
+            _check_class(target, spec)
+        else:
+            spec.factory()
     except ConfigurationError as error:
         raise placed(error, file="", line=None, key=key) from None
     return spec

@@ -10,6 +10,9 @@ from pytest_dura.core.errors import ConfigurationError
 LISTED = 50
 """Names that a message lists at most; a fault grid may have made tens of thousands."""
 
+_PROBLEMS = 20
+"""Problems that a message lists at most; a file may have any number of them."""
+
 
 def listed(names: Sequence[str]) -> str:
     """The names, or the first of them and how many more there are."""
@@ -33,7 +36,9 @@ class CombinedError(ConfigurationError):
         self.parts = tuple(parts)
         first = self.parts[0]
         lines = [first.remedy or "correct this and what follows"]
-        lines += [f"  also:     {_one_line(error)}" for error in self.parts[1:]]
+        lines += [f"  also:     {_one_line(error)}" for error in self.parts[1:_PROBLEMS]]
+        if len(self.parts) > _PROBLEMS:
+            lines.append(f"  and {len(self.parts) - _PROBLEMS:,} more")
         super().__init__(
             f"{first.problem} (the first of {len(self.parts)} problems)",
             file=first.file,

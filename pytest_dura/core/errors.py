@@ -12,6 +12,10 @@ from pytest_dura.core.boundary import CallEnded, let_pass
 _name_of: Any = vars(type)["__name__"].__get__
 _traceback_of: Any = vars(BaseException)["__traceback__"].__get__
 
+LONGEST_TEXT = 10_000
+"""Characters that are kept of what a component, a role or a simulator says at once."""
+_AROUND = 1_000
+
 
 class DuraError(Exception):
     """Base of all deliberate errors; ``str(error)`` is the whole message for the user."""
@@ -100,7 +104,7 @@ def describe_error(error: BaseException) -> str:
     text goes into the episode's digest. Errors raised by the loop itself have no place. The error
     may be of a class that does what it likes where it is looked at.
     """
-    message = read_text(str, error, "(its message cannot be read)")
+    message = cut(read_text(str, error, "(its message cannot be read)"))
     text = f"{type_name(error)}: {message}" if message else type_name(error)
     text = re.sub(r"\b0x[0-9a-fA-F]{6,}", "0x…", text)
     trace = _traceback_of(error)
@@ -135,6 +139,16 @@ def read_text(read: Any, value: object, instead: str) -> str:
         let_pass(error)
         return instead
     return text
+
+
+def cut(text: str) -> str:
+    """The text, or how it begins and how many characters were cut off.
+
+    A text of which a part was cut already stays as it is, with what stands around that.
+    """
+    if len(text) <= LONGEST_TEXT + _AROUND:
+        return text
+    return f"{text[:LONGEST_TEXT]}… ({len(text) - LONGEST_TEXT} characters cut)"
 
 
 def shorten(value: object, limit: int = 120) -> str:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pytest_dura.core.accounts import PREFIX, accounted, copied
 from pytest_dura.core.boundary import let_pass
 from pytest_dura.core.episode import Episode, EpisodeSpec
-from pytest_dura.core.errors import InfrastructureError, describe_error
+from pytest_dura.core.errors import InfrastructureError, cut, describe_error
 from pytest_dura.core.metrics import DependabilityMetrics, FaultRecord
 from pytest_dura.core.outputs import bounded, check_texts, exact_texts
 from pytest_dura.core.recording import Recording, Scene
@@ -212,7 +212,7 @@ class EpisodeLog:
         """The RecoveryPlanner has replaced the proposal."""
         self._recovery = recovery.name
         told = (recovery.name, recovery.explanation)
-        self._recovery_told = ": ".join(part for part in told if part)
+        self._recovery_told = cut(": ".join(part for part in told if part))
         self.metrics.log_time("recovery_planner", tick.index, nanoseconds)
         before = len(self.metrics.recoveries)
         self.metrics.log_recovery(tick.index)
@@ -237,8 +237,8 @@ class EpisodeLog:
         columns["proposed"].append(bounded(proposed))
         columns["executed"].append(bounded(executed))
         columns["attempts"].append(decision.attempts)
-        said["explanations"].append("" if proposal is None else proposal.explanation)
-        said["reasons"].append("; ".join(decision.reasons))
+        said["explanations"].append("" if proposal is None else cut(proposal.explanation))
+        said["reasons"].append(cut("; ".join(decision.reasons)))
         said["recoveries"].append(self._recovery_told)
         self._accounts.append(self._account)
         self._recovery_told = ""

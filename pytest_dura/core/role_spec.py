@@ -11,6 +11,9 @@ from typing import Any
 
 from pytest_dura.core.boundary import CallEnded, let_pass
 from pytest_dura.core.errors import ConfigurationError, describe_error
+from pytest_dura.core.roles import Role
+from pytest_dura.core.simulator import Simulator
+from pytest_dura.core.trust import check_buildable, check_function, check_import
 
 
 @dataclass(frozen=True)
@@ -64,11 +67,12 @@ class RoleSpec:
         """The same with other parameters."""
         return RoleSpec(self.path, dict(params), self.instance)
 
-    def factory(self) -> Callable[..., Any]:
-        """The imported class or factory.
+    def resolve(self) -> Any:
+        """What the path leads to, imported and not called.
 
         Raises:
-            ConfigurationError: If the path cannot be imported.
+            ConfigurationError: If the path cannot be imported, or must not be: see
+                :func:`pytest_dura.core.trust.check_import`.
         """
         module_name, _, qualname = self.path.partition(":")
         if not module_name or not qualname:
@@ -78,6 +82,7 @@ class RoleSpec:
                 expected="package.module:Name",
                 remedy="put a colon between the module and the class or function",
             )
+        check_import(self.path)
         try:
             target: Any = importlib.import_module(module_name)
             for part in qualname.split("."):
@@ -90,24 +95,48 @@ class RoleSpec:
                 expected="an importable package.module:Name",
                 remedy="check the spelling, and that the package is installed or on the path",
             ) from error
-        if not callable(target):
-            raise ConfigurationError(
-                f"{self.path!r} is not a class or factory",
-                found=target,
-                expected="a class, or a function that returns a role",
-            )
-        factory: Callable[..., Any] = target
-        return factory
+        return target
 
-    def create(self) -> Any:
-        """A fresh object, or the opaque instance.
+    def factory(self, *kinds: type) -> Callable[..., Any]:
+        """The imported class or factory.
+
+        Args:
+            kinds: Base classes of what it may build; default: a role or a simulator.
 
         Raises:
-            ConfigurationError: If the path cannot be imported, or refuses the parameters.
+            ConfigurationError: If the path cannot be imported, or leads to something else, which
+                is not called then.
+        """
+        target = self.resolve()
+        check_buildable(self.path, target, kinds or (Role, Simulator))
+        found: Callable[..., Any] = target
+        return found
+
+    def function(self) -> Callable[..., Any]:
+        """The imported function, of a check or a measure for example.
+
+        Raises:
+            ConfigurationError: If the path cannot be imported, or leads to something that is not
+                the project's own: see :func:`pytest_dura.core.trust.check_function`.
+        """
+        target = self.resolve()
+        check_function(self.path, target)
+        found: Callable[..., Any] = target
+        return found
+
+    def create(self, *kinds: type) -> Any:
+        """A fresh object, or the opaque instance.
+
+        Args:
+            kinds: See :meth:`factory`.
+
+        Raises:
+            ConfigurationError: If the path leads to nothing that may be built, or refuses the
+                parameters.
         """
         if self.instance is not None:
             return self.instance
-        factory = self.factory()
+        factory = self.factory(*kinds)
         try:
             inspect.signature(factory).bind(**self.params)
         except TypeError as error:

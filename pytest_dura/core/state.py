@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
+from pytest_dura.core.errors import LONGEST_TEXT, cut
 from pytest_dura.core.percepts import NOTHING, History, Lazy, Percept, PerceptView, sealed_parts
 
 if TYPE_CHECKING:
@@ -32,6 +33,13 @@ class Event:
     detail: str = ""
     data: Mapping[str, Any] = NOTHING
     wall_clock: bool = False
+
+    def __post_init__(self) -> None:
+        """Bound the texts, whoever wrote them: an episode has many events."""
+        for name in ("kind", "subject", "detail"):
+            text = getattr(self, name)
+            if isinstance(text, str) and len(text) > LONGEST_TEXT:  # as hardly any
+                object.__setattr__(self, name, cut(text))
 
     def to_json(self) -> dict[str, Any]:
         """Plain data for the evidence record."""

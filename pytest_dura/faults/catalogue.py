@@ -101,7 +101,7 @@ def _imported_once(path: str) -> type[Fault]:
 
 
 def _imported(path: str) -> type[Fault]:
-    found = RoleSpec(path).factory()
+    found = RoleSpec(path).resolve()
     if not (isinstance(found, type) and issubclass(found, Fault)):
         raise ConfigurationError(
             f"{path} is not a fault",

@@ -26,6 +26,7 @@ from pytest_dura.plugin.fixtures import (
 )
 from pytest_dura.plugin.hooks import SessionHooks
 from pytest_dura.plugin.hypothesis_tests import register_profile
+from pytest_dura.plugin.places import use_code_places
 from pytest_dura.plugin.session import session_of
 
 __all__ = [
@@ -68,6 +69,7 @@ def pytest_cmdline_main(config: pytest.Config) -> int | None:
     """Answer ``--dura-list`` and ``--dura-replay``, which run no tests."""
     # Hypothesis looks for its profile in `pytest_configure`, which comes later.
     register_profile(config)
+    use_code_places(config)
     return session_of(config).run_command()
 
 

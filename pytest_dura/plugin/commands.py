@@ -50,6 +50,8 @@ def _command(session: DuraSession, arguments: list[str]) -> str:
     setup = ["-c", option.inifilename] if option.inifilename else []
     if option.rootdir:
         setup.append(f"--rootdir={option.rootdir}")
+    if option.dura_trust_code:
+        setup.append("--dura-trust-code")
     return " ".join(["pytest", *map(_quoted, [*setup, *arguments])])
 
 

@@ -131,6 +131,12 @@ def add_options(parser: pytest.Parser) -> None:
         "still violates its requirement; --dura-runs limits the runs (default: 100)",
     )
     add(
+        "--dura-trust-code",
+        action="store_true",
+        help="let a bundle, or a scenario or fault file from outside the project, name code that "
+        "lies beside it: it is imported, and runs as you",
+    )
+    add(
         "--dura-undecided",
         choices=("fail", "warn"),
         default="fail",
@@ -174,6 +180,13 @@ def add_options(parser: pytest.Parser) -> None:
         "seconds, at least, between lines on the progress of campaigns where there is no terminal, "
         f"or `never` (default: {DEFAULT_PROGRESS_INTERVAL})",
         default=DEFAULT_PROGRESS_INTERVAL,
+    )
+    parser.addini(
+        "dura_secrets",
+        "names of environment variables, or globs of them in letters of any case, whose values are "
+        "kept out of the evidence, beside those whose names speak of secrets",
+        type="args",
+        default=[],
     )
     parser.addini(
         "dura_scenario_paths",

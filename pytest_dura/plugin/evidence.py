@@ -68,13 +68,14 @@ class SessionEvidence:
         config = self.session.config
         if self.record is not None or self.session.is_worker or config.option.collectonly:
             return
-        from pytest_dura.evidence.bundle.directory import begin_bundle
+        from pytest_dura.evidence.bundle.directory import begin_bundle, check_directory
         from pytest_dura.evidence.bundle.lock import DirectoryLock
         from pytest_dura.evidence.record.evidence_record import EvidenceRecord
         from pytest_dura.provenance.environment import describe_environment
         from pytest_dura.provenance.ourselves import describe_tool
 
         options = self.session.options
+        check_directory(options.evidence)
         self._lock = DirectoryLock(options.evidence)
         try:
             self.record = EvidenceRecord(

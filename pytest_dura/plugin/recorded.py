@@ -6,6 +6,7 @@ import difflib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pytest_dura.core.errors import ConfigurationError
@@ -77,8 +78,31 @@ def recorded_episodes(
     from pytest_dura.evidence.bundle.directory import read_record
 
     record = read_record(options.evidence)
+    _check_whole(options.evidence, option)
     with damage_told(options, name, option):
         return record, [_found(config, record, one, option) for one in _named(record, name, option)]
+
+
+def _check_whole(evidence: Path, option: str) -> None:
+    """Refuse a bundle that its manifest does not hold for: it names what is imported and run.
+
+    Raises:
+        ConfigurationError: With the first difference.
+    """
+    from pytest_dura.evidence.bundle.manifest import manifest_problems
+
+    problems = list(manifest_problems(evidence))
+    if problems:
+        more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
+        raise ConfigurationError(
+            f"this bundle is not as it was written: {problems[0]}{more}",
+            file=str(evidence / "evidence.json"),
+            key=option,
+            found=len(problems),
+            expected="a bundle that agrees with its manifest.json",
+            remedy="run `python -m pytest_dura verify` on it, restore its files, or run the "
+            "session again",
+        )
 
 
 @contextmanager

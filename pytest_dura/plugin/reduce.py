@@ -105,6 +105,8 @@ def _told(reduction: Reduction, budget: int) -> list[str]:
 def _record(record: Data, recorded: Recorded, reduction: Reduction, folder: Path) -> None:
     """A record with the reduced episode alone, in the form of the one that it came from."""
     from pytest_dura.evidence.bundle.directory import write_record
+    from pytest_dura.evidence.bundle.files import write_file
+    from pytest_dura.evidence.bundle.manifest import MANIFEST, file_entry, manifest_text
     from pytest_dura.evidence.record.episodes import episode_record
     from pytest_dura.evidence.record.session_record import SessionRecord
 
@@ -123,4 +125,5 @@ def _record(record: Data, recorded: Recorded, reduction: Reduction, folder: Path
         "baseline": None,
         "reduced_from": recorded.spec.id,
     }
-    write_record(folder, SessionRecord.of({**record, **told}, folder))
+    file = write_record(folder, SessionRecord.of({**record, **told}, folder))
+    write_file(folder / MANIFEST, [manifest_text({file.name: file_entry(file)})])

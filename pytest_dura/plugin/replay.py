@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -29,6 +28,8 @@ def replay(session: DuraSession) -> int:
         ConfigurationError: For an unknown episode, one that cannot be built again, and a page that
             cannot be written.
     """
+    from pytest_dura.evidence.traces.trace import Trace
+
     config, options = session.config, session.options
     name = str(options.replay)
     _, found = recorded_episodes(config, options, name, OPTION)
@@ -37,14 +38,18 @@ def replay(session: DuraSession) -> int:
         session.models.prepare(one.spec)
         with damage_told(options, name, OPTION):
             episode = one.run(recorded=True)
-        same, lines = _compared(one, episode, options.evidence)
+        # As a session would have kept it.
+        trace = Trace.of(episode).without_secrets(session.redact)
+        same, lines = _compared(one, episode, trace, options.evidence)
         equal &= same
         lines += [] if same else session.models.asked_anew()
-        say([*lines, f"  player: {_page(one, episode, options.evidence)}"])
+        say([*lines, f"  player: {_page(one, episode, trace, options.evidence)}"])
     return 0 if equal else 1
 
 
-def _compared(one: Recorded, episode: Episode, evidence: Path) -> tuple[bool, list[str]]:
+def _compared(
+    one: Recorded, episode: Episode, replayed: Trace, evidence: Path
+) -> tuple[bool, list[str]]:
     """Whether the episode is the recorded one, and what there is to say of it."""
     same = one.digest == episode.digest
     end = f"{episode.time[-1]:.1f} s" if episode.ticks else "no tick"
@@ -69,17 +74,16 @@ def _compared(one: Recorded, episode: Episode, evidence: Path) -> tuple[bool, li
     except ConfigurationError as error:
         told = [f"    {line}" for line in str(error).splitlines()]
         return False, [*lines, "  its trace cannot be compared:", *told]
-    return _by_trace(recorded, one, episode, lines)
+    return _by_trace(recorded, replayed, one, episode, lines)
 
 
 def _by_trace(
-    recorded: Trace, one: Recorded, episode: Episode, lines: list[str]
+    recorded: Trace, replayed: Trace, one: Recorded, episode: Episode, lines: list[str]
 ) -> tuple[bool, list[str]]:
     """Whether the episode is the recorded one, and where it differs from its trace."""
     from pytest_dura.evidence.text import one_line
     from pytest_dura.evidence.traces.difference import first_difference
 
-    replayed = _trace_of(episode)
     first = first_difference(recorded, replayed)
     place = one_line(str(first), 1000)
     if one.digest != episode.digest:
@@ -146,15 +150,7 @@ def _read_trace(told: Any, evidence: Path) -> Trace:
     return trace
 
 
-def _trace_of(episode: Episode) -> Trace:
-    """The episode's trace as a session would have kept it: without secrets."""
-    from pytest_dura.evidence.redaction.redactor import Redactor
-    from pytest_dura.evidence.traces.trace import Trace
-
-    return Trace.of(episode).without_secrets(Redactor.of_environment(os.environ).redact)
-
-
-def _page(one: Recorded, episode: Episode, evidence: Path) -> str:
+def _page(one: Recorded, episode: Episode, trace: Trace, evidence: Path) -> str:
     """Write the page that plays the episode; its URL.
 
     Raises:
@@ -164,7 +160,6 @@ def _page(one: Recorded, episode: Episode, evidence: Path) -> str:
     from pytest_dura.evidence.player.page import player_page
     from pytest_dura.evidence.traces.names import episode_name
 
-    trace = _trace_of(episode)
     file = beside(evidence, "replay") / f"{episode_name(trace.about)}.html"
     write_file(file, [player_page(trace, _verdicts(one, episode))])
     return file.as_uri()

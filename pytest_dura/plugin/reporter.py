@@ -264,11 +264,15 @@ class Reporter:
         component = generator.label
         key = generator.path, canonical(generator.params), generator.opaque
         if key not in self._components:
-            factory = type(generator.instance) if generator.opaque else generator.factory()
+            factory = type(generator.instance) if generator.opaque else generator.resolve()
             file, root = None, self.session.config.rootpath
             if isinstance(generator, LocalRole):
                 file = root / generator.path.rpartition(":")[0]
             described = describe_component(generator.path, factory, generator.params, file, root)
+            sources = described.pop("sources")
+            if described["digest"] is not None:
+                # They are many: the first report of each process has them.
+                self._report.sources[described["digest"]] = sources
             named = {"name": component, **described, "opaque": generator.opaque}
             self._components[key] = named
         if self._components[key] not in self._report.components:

@@ -179,7 +179,7 @@ class DuraSession:
         from pytest_dura.evidence.redaction.redactor import Redactor
 
         if self._redactor is None:
-            self._redactor = Redactor()
+            self._redactor = Redactor(self.config.getini("dura_secrets"))
         self._redactor.learn(os.environ)
         return self._redactor.redact(value)
 

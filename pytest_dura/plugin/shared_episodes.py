@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from pytest_dura.evidence.record.session_record import SessionRecord
     from pytest_dura.plugin.session import DuraSession
 
-FOLDER = ".episodes"
+FOLDER = ".episodes"  # as `KEPT` of pytest_dura.evidence.bundle.directory
 """In the evidence directory, as long as a session runs, and after one that was not whole."""
 _INPUT = "dura_session"
 _LOST = "dura_lost"

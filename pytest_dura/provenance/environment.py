@@ -108,7 +108,7 @@ def describe_component(
     file: Path | None = None,
     root: Path | None = None,
 ) -> dict[str, Any]:
-    """Import path, distribution and version, and a digest of the sources.
+    """Import path, distribution and version, a digest of the sources, and that of each of them.
 
     See :func:`pytest_dura.provenance.sources.sources_of` for what belongs to a component.
 
@@ -134,8 +134,9 @@ def describe_component(
         "distribution": distribution,
         "version": None if distribution is None else _version(distribution),
         "digest": None if sources is None else sources.digest,
-        "file_count": 0 if sources is None else sources.count,
+        "file_count": 0 if sources is None else len(sources.named),
         "files": [] if sources is None else sources.files,
+        "sources": {} if sources is None else sources.named,
     }
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,14 +22,14 @@ class Sources:
     """What a component is made of.
 
     Args:
-        digest: SHA-256 of the names and the SHA-256 of all files, in order of their names.
-        count: How many files.
+        digest: Of all files, see :func:`digest_of`.
+        named: SHA-256 of each file by its name, relative to the folder of the package.
         files: ``{path, sha256}`` of each, or of the defining one where they are many.
         read: The same files on this machine.
     """
 
     digest: str
-    count: int
+    named: dict[str, str]
     files: list[dict[str, str]]
     read: tuple[Path, ...]
 
@@ -55,25 +55,31 @@ def sources_of(file: Path, module: str, root: Path, *, most: int = MOST) -> Sour
         base = package.parent
     else:
         base = package
-    state = hashlib.sha256()
-    told = []
+    told, named = [], {}
     try:
         for one in found:
             sha256 = hashlib.sha256(one.read_bytes()).hexdigest()
             # Names within the package: it is the same component wherever it is installed.
-            name = one.relative_to(base).as_posix()
-            state.update(f"{name}\0{sha256}\n".encode("utf-8", "surrogateescape"))
+            named[one.relative_to(base).as_posix()] = sha256
             told.append((one, sha256))
     except OSError:  # gone, or not for us to read
         return None
     listed = told if len(told) <= LISTED and not is_installed(file) else []
     listed = listed or [one for one in told if one[0] == file]
     return Sources(
-        digest=state.hexdigest(),
-        count=len(told),
+        digest=digest_of(named),
+        named=named,
         files=[{"path": told_path(one, root), "sha256": sha256} for one, sha256 in listed],
         read=tuple(one for one, _ in listed),
     )
+
+
+def digest_of(named: Mapping[str, str]) -> str:
+    """SHA-256 of the names and the SHA-256 of files, in order of their names."""
+    state = hashlib.sha256()
+    for name in sorted(named):
+        state.update(f"{name}\0{named[name]}\n".encode("utf-8", "surrogatepass"))
+    return state.hexdigest()
 
 
 def top_package(file: Path, module: str) -> Path | None:

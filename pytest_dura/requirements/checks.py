@@ -75,7 +75,7 @@ def load_function(path: str) -> Callable[..., Any]:
     Raises:
         ConfigurationError: If it cannot be imported, or cannot be called with one episode.
     """
-    function = RoleSpec(path.strip()).factory()
+    function = RoleSpec(path.strip()).function()
     try:
         inspect.signature(function).bind(object())
     except TypeError as error:

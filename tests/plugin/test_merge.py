@@ -11,6 +11,7 @@ from itertools import permutations
 from pathlib import Path
 
 import pytest
+from sealing import seal
 
 from pytest_dura.__main__ import main
 from pytest_dura.core.errors import ConfigurationError
@@ -18,7 +19,7 @@ from pytest_dura.evidence.baseline.file import Baseline
 from pytest_dura.evidence.bundle import directory as bundle_directory
 from pytest_dura.evidence.bundle.directory import read_session_record
 from pytest_dura.evidence.bundle.lock import DirectoryLock
-from pytest_dura.evidence.bundle.manifest import MANIFEST, file_entry, files_of, manifest_text
+from pytest_dura.evidence.bundle.manifest import file_entry, files_of
 from pytest_dura.evidence.bundle.writing import write_bundle
 from pytest_dura.evidence.merging import merge_bundles
 from pytest_dura.evidence.record.session_record import SessionRecord
@@ -461,20 +462,13 @@ def test_an_episode_of_two_shards_that_differs_fails_the_whole(two, tmp_path, mo
 # -- What is hostile, and where it goes -------------------------------------------------------
 
 
-def sealed(folder):
-    names = [name for name in files_of(folder) if name != MANIFEST]
-    (folder / MANIFEST).write_text(
-        manifest_text({name: file_entry(folder / name) for name in names})
-    )
-
-
 def test_a_trace_that_leads_out_of_the_bundle_is_not_followed(two, tmp_path):
     (tmp_path / "evil.mcap").write_bytes(b"evil")
     record = json.loads((two[0] / "evidence.json").read_text())
     traced = next(one for one in record["episodes"] if one["trace"])
     traced["trace"]["file"] = "episodes/../../evil.mcap"
     (two[0] / "evidence.json").write_text(json.dumps(record, indent=1) + "\n")
-    sealed(two[0])
+    seal(two[0])
     refused(two, tmp_path / "out", "is not intact")
 
 
@@ -495,7 +489,7 @@ def test_links_are_not_followed(two, tmp_path, name):
 )  # fmt: skip
 def test_a_record_that_is_none_is_refused(two, tmp_path, text):
     (two[0] / "evidence.json").write_bytes(text.encode("utf-8", "surrogateescape"))
-    sealed(two[0])
+    seal(two[0])
     refused(two, tmp_path / "out", "is not intact")
 
 

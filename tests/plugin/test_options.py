@@ -48,7 +48,7 @@ from corridors import scenario
         ),
         (
             ["--dura-generator=corridor:STEPS"],
-            ["ERROR: 'corridor:STEPS' is not a class or factory"],
+            ["ERROR: 'corridor:STEPS' is neither a class nor a factory *"],
         ),
         (["--dura-evidence=pytest.ini"], ["ERROR: the evidence goes into a directory*"]),
     ],

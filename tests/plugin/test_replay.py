@@ -8,6 +8,7 @@ from urllib.parse import urlparse
 from urllib.request import url2pathname
 
 import pytest
+from sealing import alter, seal
 
 from pytest_dura.evidence.traces.mcap_file import read_trace, write_trace
 
@@ -89,6 +90,7 @@ def tampered(project, change):
     file = project.path / "dura-evidence" / told["file"]
     told.update(write_trace(file, change(read_trace(file))))
     project.write("dura-evidence/evidence.json", json.dumps(record))
+    seal(project.path / "dura-evidence")
 
 
 def test_a_trace_of_another_episode_is_found_at_its_tick(project):
@@ -137,6 +139,7 @@ def test_a_damaged_trace(project, damage, line, code):
     project.run("corridor/free")
     (file,) = (project.path / "dura-evidence/episodes").iterdir()
     damage(file)
+    seal(project.path / "dura-evidence")
     result = project.run("--dura-replay=corridor/free#0")
     result.stdout.fnmatch_lines(["  the same", line])
     assert result.ret == code
@@ -145,9 +148,11 @@ def test_a_damaged_trace(project, damage, line, code):
 
 def test_a_record_that_leads_out_of_the_bundle(project):
     project.run("corridor/free")
-    record = project.evidence()
-    record["episodes"][0]["trace"]["file"] = "episodes/../../secret-0123abcd.mcap"
-    project.write("dura-evidence/evidence.json", json.dumps(record))
+    name = "episodes/../../secret-0123abcd.mcap"
+    alter(
+        project.path / "dura-evidence",
+        lambda record: record["episodes"][0]["trace"].update(file=name),
+    )
     result = project.run("--dura-replay=corridor/free#0")
     assert result.ret == 1
     assert "the record names a trace that is none of the bundle's" in result.stdout.str()
@@ -248,9 +253,7 @@ def test_an_episode_that_may_end_at_a_violation(project):
 )
 def test_a_damaged_record(project, damage):
     project.run("corridor/free")
-    record = project.evidence()
-    damage(record)
-    project.write("dura-evidence/evidence.json", json.dumps(record))
+    alter(project.path / "dura-evidence", damage)
     result = project.run("--dura-replay=corridor/free#0")
     assert result.ret == 4
     result.stderr.fnmatch_lines(["ERROR: *evidence.json: the record is damaged (*", "  remedy:*"])

@@ -213,18 +213,29 @@ def test_two_sessions_do_not_write_one_directory(project):
 def test_links_in_the_directory_are_replaced_and_never_followed(project):
     scenario(project, requirements="[GAP-1]")
     evidence, outside = project.path / "dura-evidence", project.path / "outside"
-    evidence.mkdir()
     outside.mkdir()
-    for name in ("evidence.json", *RENDERED):
+    assert project.run("corridor/it", "--dura-evidence-level=summary").ret == 0
+    for name in RENDERED:
         (outside / name).write_text("mine")
+        (evidence / name).unlink()
         (evidence / name).symlink_to(outside / name)
-    (outside / "traces").mkdir()
-    (evidence / "episodes").symlink_to(outside / "traces")
     assert project.run("corridor/it").ret == 0
     assert not any(file.is_symlink() for file in evidence.iterdir())
     assert {file.read_text() for file in outside.iterdir() if file.is_file()} == {"mine"}
-    assert not list((outside / "traces").iterdir())
     assert json.loads((evidence / "evidence.json").read_text())["status"] == "complete"
+
+
+@pytest.mark.parametrize("name", ["evidence.json", "episodes"])
+def test_a_record_or_a_folder_that_is_a_link_is_refused(project, name):
+    scenario(project, requirements="[GAP-1]")
+    evidence, outside = project.path / "dura-evidence", project.path / "outside"
+    outside.mkdir()
+    assert project.run("corridor/it", "--dura-evidence-level=summary").ret == 0
+    (evidence / name).unlink(missing_ok=True)
+    (evidence / name).symlink_to(outside)
+    assert project.run("corridor/it").ret == 4
+    assert (evidence / name).is_symlink()
+    assert not list(outside.iterdir())
 
 
 @pytest.mark.parametrize("arguments", [["-p", "no:xdist"], ["-n", "1"]], ids=["plain", "n1"])

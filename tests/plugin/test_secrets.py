@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import io
+import os
 import re
+import stat
 import zlib
 from base64 import b64decode, b64encode
 from pathlib import Path
@@ -105,6 +107,31 @@ def test_the_key_would_be_found_if_it_were_there(leaking, monkeypatch):
              if KEY.encode() in data or KEY.encode("utf-32-le") in data}  # fmt: skip
     assert "/decision" in found
     assert "packed" in found
+
+
+def test_the_project_names_further_secrets(leaking, monkeypatch):
+    leaking.write("conftest.py", CONFTEST.replace("PLANNER_API_KEY", "Plain"))
+    monkeypatch.setenv("Plain", KEY)
+    monkeypatch.delenv("PLANNER_API_KEY")
+    leaking.run("corridor/tight", "--dura-evidence-level=all", "-odura_secrets=other_* PLA?N")
+    found = {name for name, data in texts(leaking.path / "dura-evidence")
+             if KEY.encode() in data or KEY.encode("utf-32-le") in data}  # fmt: skip
+    assert found == set()
+    assert leaking.evidence()["redacted"]["Plain"] > 0
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no such modes")
+def test_episodes_that_are_kept_are_the_users_alone(leaking):
+    old = os.umask(0o022)
+    try:
+        leaking.run("corridor/tight", "--dura-reuse=kept/here")
+    finally:
+        os.umask(old)
+    kept = leaking.path / "kept/here"
+    modes = {stat.S_IMODE(one.stat().st_mode) for one in (kept, *kept.rglob("*")) if one.is_dir()}
+    assert modes == {0o700}
+    files = [one for one in kept.rglob("*") if one.is_file()]
+    assert {stat.S_IMODE(one.stat().st_mode) for one in files} == {0o600}
 
 
 def test_an_episode_whose_spec_held_a_secret_says_why_it_cannot_be_replayed(leaking):

@@ -15,9 +15,10 @@ import sys
 from pathlib import Path
 
 import pytest
+from sealing import alter, seal
 
 from pytest_dura.__main__ import main
-from pytest_dura.evidence.bundle.manifest import MANIFEST, file_entry, files_of, manifest_text
+from pytest_dura.evidence.bundle.manifest import file_entry
 from pytest_dura.evidence.bundle.writing import write_bundle
 from pytest_dura.evidence.record.counts import Counts
 from pytest_dura.evidence.record.session_record import SessionRecord
@@ -63,20 +64,14 @@ def bundle(made, tmp_path):
 
 def sealed(bundle):
     """A manifest that agrees with whatever lies there now."""
-    names = [name for name in files_of(bundle) if name != MANIFEST]
-    (bundle / MANIFEST).write_text(
-        manifest_text({name: file_entry(bundle / name) for name in names})
-    )
+    seal(bundle)
     return verify_bundle(bundle)
 
 
 def changed(bundle, change):
     """The bundle after a change to its record."""
-    file = bundle / "evidence.json"
-    record = json.loads(file.read_text())
-    change(record)
-    file.write_text(json.dumps(record, indent=1, ensure_ascii=False) + "\n")
-    return sealed(bundle)
+    alter(bundle, change)
+    return verify_bundle(bundle)
 
 
 def test_the_bundle_of_a_session_is_intact(made):
@@ -365,3 +360,65 @@ def test_a_junit_file_that_says_something_else_is_found(made, tmp_path, before, 
     found = verify_bundle(made, tmp_path / "junit.xml")
     assert all(one.startswith("junit.xml: ") for one in found.problems)
     assert found.problems
+
+
+def of_another_version(bundle):
+    """As its writer would have sealed it."""
+    before = file_entry(bundle / "evidence.json")["sha256"]
+    alter(bundle, lambda record: record["tool"].update(version="0.0.9"))
+    statement = bundle / "test-result.intoto.json"
+    after = file_entry(bundle / "evidence.json")["sha256"]
+    statement.write_text(statement.read_text().replace(before, after))
+    seal(bundle)
+
+
+def test_formats_of_another_version_are_not_rendered_again_and_it_says_so(bundle, capsys):
+    report = bundle / "report.html"
+    report.write_text(report.read_text().replace("violated", "supported", 1))
+    seal(bundle)
+    assert main(["verify", str(bundle)]) == 1
+    of_another_version(bundle)
+    assert main(["verify", str(bundle)]) == 3
+    told = capsys.readouterr().out
+    assert "\nnot re-rendered: pytest-dura 0.0.9 wrote this bundle, and this is " in told
+    assert not told.endswith("\nintact\n")
+    (bundle / "summary.md").write_text("all is well\n")
+    assert main(["verify", str(bundle)]) == 1
+
+
+def test_the_digest_of_a_component_is_that_of_its_files(bundle):
+    under_test = json.loads((bundle / "evidence.json").read_text())["component_under_test"]
+    assert under_test["sources"][under_test["digest"]].keys() == {"corridor.py"}
+
+    def other_file(record):
+        (named,) = record["component_under_test"]["sources"].values()
+        named["corridor.py"] = "0" * 64
+
+    found = changed(bundle, other_file)
+    assert "evidence.json: component Reckless: its digest is not that of its files" in (
+        found.problems
+    )
+
+
+@pytest.mark.parametrize(
+    "change, problem",
+    [
+        (lambda told: told.update(digest="0" * 64), "no files are listed of which its digest"),
+        (lambda told: told.pop("sources"), "no files are listed of which its digest"),
+        (lambda told: told.update(file_count=2), "2 files, and 1 are listed"),
+        (lambda told: told["files"][0].update(sha256="0" * 64), "corridor.py is none of the files"),
+        (lambda told: told["sources"].update({"0" * 64: {}}), "which no component has"),
+    ],
+)
+def test_what_a_component_is_made_of_agrees(bundle, change, problem):
+    found = changed(bundle, lambda record: change(record["component_under_test"]))
+    assert any(problem in one for one in found.problems)
+
+
+def test_a_file_that_no_bundle_has_is_a_difference(bundle):
+    (bundle / "episodes/notes.txt").write_text("mine\n")
+    (bundle / "readme.html").write_text("<p>all is well</p>\n")
+    assert sealed(bundle).problems == [
+        "episodes/notes.txt: in the manifest, and no file of this bundle",
+        "readme.html: in the manifest, and no file of this bundle",
+    ]

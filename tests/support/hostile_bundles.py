@@ -37,6 +37,7 @@ from pytest_dura.evidence.text import name as shown
 from pytest_dura.evidence.traces.mcap_file import read_trace, write_trace
 from pytest_dura.evidence.traces.names import trace_path
 from pytest_dura.plugin.gate import Gate
+from pytest_dura.provenance.sources import digest_of
 
 PROJECT = Path(__file__).parents[1] / "plugin" / "project"
 MEGABYTE = 2**20
@@ -200,6 +201,11 @@ class Spoiler:
             return name, {role: self._role(one) for role, one in value.items()}
         if name == "elements":
             return name, {self.id(one): self._element(told) for one, told in value.items()}
+        if name == "sources":
+            return name, {
+                digest: {self(file): sha256 for file, sha256 in named.items()}
+                for digest, named in value.items()
+            }
         if name in OURS or (name == "kind" and value.startswith("fault_")):
             return name, value
         if name == "component" and isinstance(value, dict):
@@ -278,6 +284,7 @@ def session(real, directory, spoil):
     told["baseline"] = Baseline.read(".", real).to_json(SessionRecord.of(told, real))
     reasons = [one["reason"] for one in told["verdicts"]]
     told = spoil.record(json.loads(json.dumps(told)), schema())
+    _digest_sources(told["component_under_test"])
     for one, reason in zip(told["verdicts"], reasons, strict=True):
         one["reason"] = re.sub(r"\bbias\b", lambda _: spoil("bias"), reason)
     for one, trace in zip(told["episodes"], traces, strict=True):
@@ -303,6 +310,14 @@ def session(real, directory, spoil):
         SessionRecord.of(plain(told), directory), finished=told["finished"], gate=gate.to_json(),
         inputs=told["inputs"], wall_seconds=2.0, evidence_seconds=1.0, redact=lambda same: same,
     )  # fmt: skip
+
+
+def _digest_sources(under_test):
+    """Let the digests of components be those of files with these names."""
+    made = {before: digest_of(named) for before, named in under_test["sources"].items()}
+    under_test["sources"] = {made[one]: named for one, named in under_test["sources"].items()}
+    for one in (under_test, *under_test.get("others", ())):
+        one["digest"] = made.get(one["digest"])
 
 
 def _trace(directory, one, trace, spoil):
@@ -342,7 +357,9 @@ def _name_everything(told):
     under_test = told["component_under_test"]
     under_test |= {
         "params": {"planner": {"model": "large", "prompt": ["drive", "well"]}},
-        "others": [{**under_test, "name": "another component"}],
+        "others": [
+            {**{k: v for k, v in under_test.items() if k != "sources"}, "name": "another component"}
+        ],
     }
     told["environment"]["packages"]["a package"] = "a version"
     for one in told["episodes"]:

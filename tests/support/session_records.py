@@ -9,9 +9,12 @@ from baseline_records import spec
 
 from pytest_dura.evidence.record.evidence_record import SCHEMA_VERSION
 from pytest_dura.evidence.record.session_record import SessionRecord
+from pytest_dura.provenance.sources import digest_of
 from pytest_dura.requirements.model import Requirement
 from pytest_dura.requirements.verdicts import EpisodeVerdict, judge_campaign
 
+SOURCES = {"m/__init__.py": "e" * 64}
+DIGEST = digest_of(SOURCES)
 CASES = ("a/clear", "a/clear+ghost", "a/clear~recovery_planner")
 REQUIREMENTS = {
     "SAF-1": Requirement("SAF-1", "Never collides.", kind="safety", source="house rule",
@@ -124,7 +127,8 @@ def session_record(directory=Path("nowhere"), **changes):
              "changed": False},
         ],
         "component_under_test": {"name": "C", "path": "m:G", "params": {}, "version": "1.2",
-                                 "digest": "d" * 64, "opaque": False, "distribution": "m",
+                                 "digest": DIGEST, "sources": {DIGEST: SOURCES},
+                                 "opaque": False, "distribution": "m",
                                  "file_count": 1,
                                  "files": [{"path": "m.py", "sha256": "e" * 64}]},
         "models": [

@@ -132,7 +132,7 @@ def named(parts: Mapping[str, str]) -> str:
 
 def _files_of(part: RoleSpec) -> dict[_File, None]:
     """Where a part is defined: its class or function, and what its path names, if it differs."""
-    found = _file_of(part.factory())
+    found = _file_of(part.resolve())
     module = part.path.partition(":")[0]
     if not isinstance(part, LocalRole):
         found |= _file_of_module(module)

@@ -61,7 +61,7 @@ def is_importable(function: Callable[..., Any]) -> bool:
     if not is_named(function) or function.__module__ in _PRIVATE:
         return False
     try:
-        return RoleSpec.of(function).factory() is function
+        return RoleSpec.of(function).resolve() is function
     except Exception:  # importing runs the user's code: whatever it raises, it is not importable
         return False
 

@@ -23,6 +23,8 @@ MOST_ATTEMPTS = 2
 _SECONDS_OF_USE = 3600.0
 """How exactly it is noted when an episode was used last: so it is rarely written."""
 _FORMAT = 1
+_PRIVATE = 0o600
+"""Mode of all files: they hold what secrets components were given, and what they made of them."""
 _MOST_HEAD = 1 << 20
 _MOST_FILE = _MOST_HEAD + MOST_BYTES
 
@@ -149,9 +151,9 @@ class Shelf:
             OSError: If the directory cannot be written.
         """
         file = self._file(address, CLAIM)
-        file.parent.mkdir(parents=True, exist_ok=True)
+        _make_folder(file.parent)
         while True:
-            handle = os.open(file, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o644)
+            handle = os.open(file, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), _PRIVATE)
             try:
                 lock(handle)
                 if not is_named(handle, file):
@@ -199,9 +201,10 @@ class Shelf:
         }
         data = json.dumps(head).encode() + b"\n" + packed
         file = self._file(address, EPISODE)
-        file.parent.mkdir(parents=True, exist_ok=True)
+        _make_folder(file.parent)
         new = file.with_suffix(f".{os.getpid()}{NEW}")
         try:
+            new.touch(_PRIVATE)
             new.write_bytes(data)
             new.replace(file)
         except BaseException:  # also on ctrl-C nothing half-written stays; it is raised again
@@ -241,6 +244,13 @@ class Shelf:
 
     def _file(self, address: Address, kind: str) -> Path:
         return self.directory / address.name[:2] / f"{address.name}{kind}"
+
+
+def _make_folder(folder: Path) -> None:
+    """Make a folder of episodes, which are not redacted: for the owner alone, if it is new."""
+    for one in (folder.parent, folder):
+        one.parent.mkdir(parents=True, exist_ok=True)
+        one.mkdir(mode=0o700, exist_ok=True)
 
 
 def _used(file: Path) -> None:

@@ -100,7 +100,7 @@ class EpisodeTask:
         return cls(
             EpisodeSpec.from_json(data["spec"]),
             tuple(Requirement.from_json(one) for one in data["judging"]),
-            {name: RoleSpec(path).factory() for name, path in data["metrics"].items()},
+            {name: RoleSpec(path).resolve() for name, path in data["metrics"].items()},
             data["recorded"],
             data["again"],
             data["role_timeout"],

@@ -56,7 +56,7 @@ class Baseline:
                 created=str(record["created"]),
                 status=str(record["status"]),
                 base_seed=_seed(record["base_seed"]),
-                component={"name": None, **record["component_under_test"]},
+                component=_without_sources({"name": None, **record["component_under_test"]}),
                 claims=tuple(claims_of(SessionRecord.of(record, file.parent))),
             )
         except (AttributeError, KeyError, TypeError, ValueError, RecursionError) as error:
@@ -118,3 +118,9 @@ def _seed(value: Any) -> int:
     if isinstance(value, bool) or not isinstance(value, int):
         raise TypeError(f"{value!r} is no seed")
     return value
+
+
+def _without_sources(component: dict[str, Any]) -> dict[str, Any]:
+    """What is recorded of an earlier component; its files are listed where it is."""
+    component.pop("sources", None)
+    return component

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,6 +14,8 @@ from typing import Any
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.whole_files import temporary_prefix
 from pytest_dura.evidence.bundle.files import write_file
+from pytest_dura.evidence.bundle.lock import LOCK
+from pytest_dura.evidence.bundle.manifest import files_of, listed_files
 from pytest_dura.evidence.bundle.streaming import Streamed, stream_record
 from pytest_dura.evidence.plain import plain
 from pytest_dura.evidence.record.evidence_record import SCHEMA_VERSION
@@ -37,7 +40,68 @@ STREAMED = 8 << 20
 """Bytes of a record above which its episodes are read one at a time."""
 TRACES = FOLDER
 """The folder of the traces."""
+KEPT = ".episodes"
+"""The folder of the episodes that a session which is interrupted leaves to the next one."""
+_TOOL = re.compile(rb'"tool"\s*:\s*\{\s*"name"\s*:\s*"pytest-dura"')
+_HEAD = 1 << 16
 BEGUN = tuple(map(temporary_prefix, (RECORD, *RENDERED)))
+
+
+def check_directory(directory: Path) -> None:
+    """Refuse to write evidence over what is none of ours.
+
+    A directory is ours if it is empty, or holds a record of ours and beside it what its manifest
+    lists, or what a session leaves that did not come to its end.
+
+    Raises:
+        ConfigurationError: If it is a symbolic link, or holds anything else.
+    """
+    if directory.is_symlink():
+        raise _not_ours("the evidence directory is a symbolic link", directory, str(directory))
+    names = [one for one in files_of(directory) if not _is_passing(one)]
+    if not names:
+        return
+    record = directory / RECORD
+    if RECORD not in names:
+        raise _not_ours("this directory is not empty and holds no evidence", directory, names[0])
+    if record.is_symlink() or not record.is_file() or not _says_ours(record):
+        problem = f"its {RECORD} is not of a session of pytest-dura"
+        raise _not_ours(f"this directory is not empty, and {problem}", directory, RECORD)
+    ours = {RECORD, *RENDERED, *listed_files(directory)}
+    for name in names:
+        folder, _, last = name.rpartition("/")
+        if name not in ours and not (folder == TRACES and is_trace_name(last)):
+            problem = "this directory holds a file that is no part of the evidence in it"
+            raise _not_ours(problem, directory, name)
+
+
+def _is_passing(name: str) -> bool:
+    """Whether a file is of a session that runs or was killed: a lock, a spool, episodes, traces."""
+    first, _, rest = name.partition("/")
+    if rest:
+        passing = first == KEPT or (first == TRACES and rest.startswith("."))
+        return passing or (first == TRACES and is_trace_name(rest))
+    return first == LOCK or first.startswith((*BEGUN, SPOOL))
+
+
+def _says_ours(record: Path) -> bool:
+    """Whether a record names us as its tool, at its beginning: it may be great, or damaged."""
+    try:
+        with record.open("rb") as stream:
+            return _TOOL.search(stream.read(_HEAD)) is not None
+    except OSError:
+        return False
+
+
+def _not_ours(problem: str, directory: Path, found: str) -> ConfigurationError:
+    return ConfigurationError(
+        problem,
+        file=str(directory),
+        key="--dura-evidence",
+        found=found,
+        expected="a directory that is empty, or not there yet, or holds evidence and nothing else",
+        remedy="name another directory, or move away what is in it",
+    )
 
 
 def write_record(directory: Path, record: SessionRecord) -> Path:

@@ -59,6 +59,14 @@ def manifest_problems(directory: Path, unlisted: Collection[str] = ()) -> Iterat
             yield f"{name}: changed since it was written (its SHA-256 differs)"
 
 
+def listed_files(directory: Path) -> list[str]:
+    """The names that a bundle's manifest lists; none where it is missing or damaged."""
+    try:
+        return list(json.loads((directory / MANIFEST).read_bytes())["files"])
+    except (OSError, ValueError, LookupError, TypeError, RecursionError):
+        return []
+
+
 def files_of(directory: Path) -> list[str]:
     """All files below a directory, by their path in it, sorted; links are not followed."""
     return sorted(

@@ -172,7 +172,7 @@ def _under_test(record: SessionRecord) -> Named:
     known = [one for one in components(record) if one["name"] is not None]
     times = Counter(one["name"] for one in known)
     for one in known:
-        told = {key: value for key, value in one.items() if key != "others"}
+        told = {key: value for key, value in one.items() if key not in ("others", "sources")}
         alone = times[one["name"]] == 1
         made = "" if alone else f" {json.dumps([one['path'], one['params']], sort_keys=True)}"
         yield f"component_under_test {one['name']}{made}", told

@@ -17,6 +17,8 @@ from pytest_dura.evidence.record.reuse import joined_reuse
 
 Data = Mapping[str, Any]
 _OF_ITS_OWN = {"metrics", "missing_runs", "missing_runs_total", "repeat"}
+_OF_ALL = {"others", "sources"}
+"""What the first component holds of the others."""
 _KEPT_FOR = ("all", "sample", "missing", "violation")
 """Of several reasons to keep a trace the last one is told."""
 
@@ -92,7 +94,8 @@ def join(record: EvidenceRecord, parts: Sequence[Part]) -> None:
     for part in parts:
         told = part.record
         report = ItemReport("")
-        report.components += [_without(one, {"others"}) for one in components(told) if one["name"]]
+        report.components += [_without(one, _OF_ALL) for one in components(told) if one["name"]]
+        report.sources.update(told["component_under_test"].get("sources", {}))
         report.cases += [_without(one, _OF_ITS_OWN) for one in told["cases"]]
         report.repeats += [
             {**one["repeat"], "case": one["id"], "component": one["component"]}

@@ -29,6 +29,8 @@ def check_output(output: Path, inputs: Sequence[Path]) -> None:
             raise _refused(
                 "the merged evidence would go into what is merged, or around it", output, str(one)
             )
+    if output.is_symlink():
+        raise _refused("the merged evidence would go where a symbolic link leads", output)
     if output.exists() and not output.is_dir():
         raise _refused("the merged evidence goes into a directory, and this is a file", output)
     if output.is_dir() and (held := {one.name for one in output.iterdir()} - {LOCK}):

@@ -15,11 +15,16 @@ class Components:
 
     def __init__(self) -> None:
         self._known: dict[str, dict[bytes, Data]] = {}
+        self._sources: dict[str, Mapping[str, str]] = {}
 
     def add(self, component: Data) -> None:
         """Take in a description: ``name``, ``path``, ``params`` and what else there is."""
         key = canonical([component.get("path"), component.get("params"), component])
         self._known.setdefault(component["name"], {}).setdefault(key, component)
+
+    def add_sources(self, sources: Mapping[str, Mapping[str, str]]) -> None:
+        """Take in what digests of components are made of; see ItemReport."""
+        self._sources.update(sources)
 
     @property
     def names(self) -> list[str]:
@@ -38,7 +43,11 @@ class Components:
                 )
 
     def to_json(self) -> dict[str, Any]:
-        """The first one by name, with all ``others``."""
+        """The first one by name, with all ``others`` and the ``sources`` of them all."""
         told = [one for name in sorted(self._known) for _, one in sorted(self._known[name].items())]
         first: dict[str, Any] = dict(told[0]) if told else {"name": None, "version": None}
-        return first | {"others": told[1:]} if len(told) > 1 else first
+        if len(told) > 1:
+            first["others"] = told[1:]
+        if self._sources:
+            first["sources"] = {key: self._sources[key] for key in sorted(self._sources)}
+        return first

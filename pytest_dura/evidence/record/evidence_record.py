@@ -109,6 +109,7 @@ class EvidenceRecord:
             self._expected.setdefault((decides, claim["requirement"], case["id"]), case)
         for component in report["components"]:
             self._components.add(component)
+        self._components.add_sources(report.get("sources", {}))
         for requirement in report["requirements"]:
             self._requirements.setdefault(requirement["id"], requirement)
         for case in report["cases"]:

@@ -23,6 +23,7 @@ class ItemReport:
     Args:
         item: Node id.
         components: Components under test, of :func:`describe_component`.
+        sources: SHA-256 of the files of components by their names, by the components' digests.
         cases: ``{id, scenario, faults, component, requirements, planned}``.
         requirements: ``Requirement.to_json()`` of each requirement involved.
         episodes: Of :func:`episode_record`.
@@ -51,6 +52,7 @@ class ItemReport:
 
     item: str
     components: list[Data] = field(default_factory=list)
+    sources: dict[str, dict[str, str]] = field(default_factory=dict)
     cases: list[Data] = field(default_factory=list)
     requirements: list[Data] = field(default_factory=list)
     episodes: list[Data] = field(default_factory=list)

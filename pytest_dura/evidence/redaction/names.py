@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from fnmatch import fnmatchcase
 from urllib.parse import unquote, urlsplit
 
 SHORTEST = 8
@@ -11,7 +12,10 @@ SHORTEST = 8
 
 _VARIABLE = re.compile(
     r"(?:TOKEN|SECRET|PASSWORD|PASSWD|PASSPHRASE|SSHPASS|CREDENTIAL|APIKEY)S?(?=_|\d*$)"
-    r"|(?:^|_)(?:KEY|PASS|PWD|AUTH|COOKIE)S?(?=_|\d*$)"
+    r"|CONNECTION_?STRINGS?(?=_|\d*$)"
+    # Whole parts of a name: PATH is no PAT, and a COMPASS no PASS.
+    r"|(?:^|_)(?:KEY|PASS|PWD|AUTH|COOKIE|PAT|WEBHOOK|CRED|LICEN[SC]E|DSN|CONN_STR)S?(?=_|\d*$)"
+    r"|(?:^|_)(?:DB|DATABASE|SQLALCHEMY\w*|MONGO\w*|REDIS\w*|POSTGRES\w*)_UR[IL](?=_|\d*$)"
 )
 _NO_SECRET = re.compile(r"_(?:FILE|PATH|DIR|SOCK|SOCKET|HOME)$|^(?:OLD)?PWD$")
 PARAMETER = re.compile(
@@ -27,13 +31,20 @@ _COMMON = {
 }  # fmt: skip
 
 
-def secrets_of(environ: Mapping[str, str]) -> Iterator[tuple[str, str]]:
-    """``(name, value)`` of the variables that hold secrets, and of passwords in their URLs."""
+def secrets_of(environ: Mapping[str, str], globs: Sequence[str] = ()) -> Iterator[tuple[str, str]]:
+    """``(name, value)`` of the variables that hold secrets, and of passwords in their URLs.
+
+    Args:
+        environ: The variables.
+        globs: Names that the user calls secret, in letters of any case.
+    """
+    own = [glob.upper() for glob in globs]
     for name, value in sorted(environ.items()):
         upper = name.upper()
-        if _VARIABLE.search(upper) and not _NO_SECRET.search(upper):
+        speaks = _VARIABLE.search(upper) and not _NO_SECRET.search(upper)
+        if speaks or any(fnmatchcase(upper, glob) for glob in own):
             yield name, value
-        elif "://" in value and "@" in value:
+        if "://" in value and "@" in value:
             password = _password(value)
             if password:
                 yield name, password

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -32,11 +32,15 @@ class Redactor:
     :mod:`pytest_dura.evidence.redaction.shapes`, and texts under keys such as ``api_key``. What is
     redacted already stays as it is.
 
+    Args:
+        globs: Names of further variables whose values are secrets, in letters of any case.
+
     Attributes:
         ignored: Names of variables whose values are too short or too ordinary to be looked for.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, globs: Sequence[str] = ()) -> None:
+        self._globs = tuple(globs)
         self.ignored: set[str] = set()
         self._values: dict[str, str] = {}
         self._forms: dict[str, str] = {}
@@ -44,9 +48,9 @@ class Redactor:
         self._seen: dict[str, str] = {}
 
     @classmethod
-    def of_environment(cls, environ: Mapping[str, str]) -> Redactor:
+    def of_environment(cls, environ: Mapping[str, str], globs: Sequence[str] = ()) -> Redactor:
         """One that knows the secrets among the environment's variables."""
-        redactor = cls()
+        redactor = cls(globs)
         redactor.learn(environ)
         return redactor
 
@@ -55,7 +59,7 @@ class Redactor:
         # Asked before whatever is written, when hardly anything has changed.
         fresh = {name: one for name, one in environ.items() if self._seen.get(name) != one}
         self._seen.update(fresh)
-        for name, value in secrets_of(fresh):
+        for name, value in secrets_of(fresh, self._globs):
             self.add(name, value)
 
     def add(self, name: str, value: str) -> None:

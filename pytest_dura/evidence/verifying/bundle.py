@@ -8,14 +8,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.evidence.bundle.directory import RECORD, read_session_record
-from pytest_dura.evidence.bundle.manifest import files_of, manifest_problems
+from pytest_dura.evidence.bundle.directory import RECORD, RENDERED, read_session_record
+from pytest_dura.evidence.bundle.manifest import files_of, listed_files, manifest_problems
 from pytest_dura.evidence.record.counts import Counts
 from pytest_dura.evidence.record.session_record import SessionRecord
 from pytest_dura.evidence.verifying.campaigns import verdict_problems
 from pytest_dura.evidence.verifying.junit import junit_problems
 from pytest_dura.evidence.verifying.recomputed import recomputed_problems
-from pytest_dura.evidence.verifying.references import format_problems
+from pytest_dura.evidence.verifying.references import format_problems, other_version
 from pytest_dura.evidence.verifying.reuse import reuse_problems
 from pytest_dura.evidence.verifying.sums import record_problems
 from pytest_dura.evidence.verifying.traces import Rejudged, trace_problems
@@ -42,16 +42,20 @@ class Verification:
         files: Files that were looked at.
         counts: What the record holds, if it could be read.
         rejudged: How much was judged again, on traces.
+        not_rendered: The version that wrote the bundle, where it is another one than this, so that
+            its formats were not rendered again: of their texts, counts and references alone were
+            compared.
     """
 
     problems: list[str]
     files: int = 0
     counts: Counts | None = None
     rejudged: Rejudged = field(default_factory=Rejudged)
+    not_rendered: str | None = None
 
     @property
     def intact(self) -> bool:
-        """Whether nothing differs. It says nothing of whether the gate passed."""
+        """Whether nothing differs that was compared. It says nothing of the gate."""
         return not self.problems
 
 
@@ -96,6 +100,8 @@ def verify_bundle(directory: Path, junit: Path | None = None) -> Verification:
     except DAMAGED as error:
         found.problems.append(f"{RECORD}: damaged ({type(error).__name__}: {error})")
         return found
+    found.problems += _extra_files(record)
+    found.not_rendered = other_version(record)
     found.problems += format_problems(record, found.counts)
     found.problems += trace_problems(record, found.rejudged)
     try:
@@ -113,6 +119,14 @@ def _kept_episodes(record: SessionRecord, names: Iterable[str]) -> list[str]:
     if not isinstance(gate, Mapping) or gate.get("result") == "passed":
         return []
     return [name for name in names if _KEPT.fullmatch(name)]
+
+
+def _extra_files(record: SessionRecord) -> Iterator[str]:
+    """Files that the manifest lists and that no bundle has."""
+    made = {RECORD, *RENDERED}
+    made.update(one["trace"]["file"] for one in record.episodes() if one["trace"] is not None)
+    for name in sorted(set(listed_files(record.directory)) - made):
+        yield f"{name}: in the manifest, and no file of this bundle"
 
 
 def claim_problems(record: SessionRecord, rejudged: Rejudged) -> Iterator[str]:

@@ -18,6 +18,13 @@ def format_problems(record: SessionRecord, counts: Counts) -> Iterator[str]:
             yield f"{one.FILE}: {problem}"
 
 
+def other_version(record: SessionRecord) -> str | None:
+    """The version that wrote the record, where it is not this one, which renders other texts."""
+    # The package's own name is loaded in any case; importing it here would reach for all of it.
+    version = str(record["tool"]["version"])
+    return None if version == import_module("pytest_dura").__version__ else version
+
+
 def _told(one: Format, record: SessionRecord, counts: Counts) -> Iterator[str]:
     try:
         yield from _format(one, record, counts)
@@ -31,9 +38,7 @@ def _format(one: Format, record: SessionRecord, counts: Counts) -> Iterator[str]
     for name in held:
         if told[name] != held[name]:
             yield f"states {name} = {told[name]}, and the record holds {held[name]}"
-    # The package's own name is loaded in any case; importing it here would reach for all of it.
-    version = import_module("pytest_dura").__version__
-    if record["tool"]["version"] == version and text != _written(one.render(record)):
+    if other_version(record) is None and text != _written(one.render(record)):
         yield "not as it is rendered from the record"
     broken = getattr(one, "broken_references", None)
     if broken is not None:

@@ -15,9 +15,11 @@ from pytest_dura.evidence.record.repeats import repeat_objections, repeat_proble
 from pytest_dura.evidence.record.searches import NOTHING, standing
 from pytest_dura.evidence.record.searches import against as sentence
 from pytest_dura.evidence.record.session_record import SessionRecord
+from pytest_dura.evidence.redaction.redactor import holds_redaction
 from pytest_dura.evidence.verifying.episodes import episode_problems
 from pytest_dura.evidence.verifying.searches import search_problems
 from pytest_dura.evidence.verifying.shards import shard_problems
+from pytest_dura.provenance.sources import digest_of
 from pytest_dura.requirements.statistics import METHOD
 from pytest_dura.requirements.statistics.exact import upper_bound
 
@@ -91,11 +93,37 @@ def _session(record: SessionRecord, counts: Counts) -> Iterator[str]:
     for file in (file for one in _components(record) for file in one.get("files") or ()):
         if (file["path"], file["sha256"]) not in hashed:
             yield f"inputs: {file['path']} of the component is not among them"
+    yield from _sources(record)
     for tape in (one["cassette"] for one in record["models"] if one["cassette"]):
         if (tape["file"], tape["sha256"]) not in hashed:
             yield f"inputs: the cassette {tape['file']} is not among them as it was replayed"
     if record["timings"]["evidence_seconds"] > record["timings"]["wall_seconds"]:
         yield "timings: the evidence took longer than the session"
+
+
+def _sources(record: SessionRecord) -> Iterator[str]:
+    """Whether the digests of components come out of those of their files."""
+    sources = record["component_under_test"].get("sources", {})
+    used = set()
+    for one in _components(record):
+        name, digest = f"component {one['name']}", one.get("digest")
+        if digest is None:
+            continue
+        used.add(digest)
+        named = sources.get(digest)
+        if named is None:
+            yield f"{name}: no files are listed of which its digest could be made"
+            continue
+        # Without the name that was a secret it cannot be made again.
+        if not holds_redaction(list(named)) and digest_of(named) != digest:
+            yield f"{name}: its digest is not that of its files"
+        if one["file_count"] != len(named):
+            yield f"{name}: {one['file_count']} files, and {len(named)} are listed"
+        for file in one["files"]:
+            if file["sha256"] not in named.values():
+                yield f"{name}: {file['path']} is none of the files that its digest is made of"
+    for digest in sorted(set(sources) - used):
+        yield f"component_under_test: files of the digest {digest}, which no component has"
 
 
 def _questions(record: SessionRecord) -> Iterator[str]:

@@ -31,7 +31,7 @@ class PerturbationParameters(FaultPart):
     @classmethod
     def _importable(cls, path: str) -> str:
         try:
-            RoleSpec(path).factory()
+            RoleSpec(path).function()
         except ConfigurationError as error:
             raise ValueError(error.problem) from error
         return path
@@ -62,7 +62,7 @@ class Perturbation(ListedFault):
             ConfigurationError: If that is no picture of the same shape.
         """
         image, path = picture(value), self.parameters.function
-        new: Any = RoleSpec(path).factory()(image.copy(), moment.rng, **self.parameters.params)
+        new: Any = RoleSpec(path).function()(image.copy(), moment.rng, **self.parameters.params)
         same_kind = isinstance(new, np.ndarray) and new.dtype == image.dtype
         if not same_kind or new.shape != image.shape:
             raise ConfigurationError(

@@ -56,7 +56,7 @@ def _function(signals: str) -> Callable[[Percept], Any]:
     if not isinstance(signals, str):
         raise _no_function("the signals of a monitor are no import path", signals)
     try:
-        return RoleSpec(signals).factory()
+        return RoleSpec(signals).function()
     except ConfigurationError as error:
         raise _no_function(error.problem, signals) from error
 

@@ -261,8 +261,9 @@ def test_a_time_step_is_fixed_unless_an_attribute_holds_it() -> None:
         ("no_such_module:Thing-v0", "Gymnasium cannot make 'no_such_module:Thing-v0'"),
         ("no_such_module:Thing", "cannot import 'no_such_module:Thing'"),
         ("thermometer", "Gymnasium cannot make 'thermometer'"),
-        (f"{HERE}:signals", "does not take these parameters"),
-        ("builtins:dict", "is not a Gymnasium environment"),
+        (f"{HERE}:signals", "is neither a class nor a factory of Env"),
+        ("builtins:dict", "Python's standard library"),
+        ("csv:Thing-v0", "Python's standard library"),
     ],
 )
 def test_an_environment_that_cannot_be_made_is_told(env: str, problem: str) -> None:

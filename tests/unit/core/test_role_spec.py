@@ -11,9 +11,10 @@ import pytest
 import thermostat
 from thermostat import Controller
 
-from pytest_dura import ConfigurationError, EpisodeSpec, Orchestrator, RoleSpec
+from pytest_dura import ConfigurationError, EpisodeSpec, Orchestrator, RoleSpec, factory
 
 
+@factory
 def make_controller(target: float = 21.0) -> Controller:
     return Controller(target)
 
@@ -83,7 +84,7 @@ def test_a_class_that_another_one_of_its_name_shadows_is_refused() -> None:
         ("thermostat:", "has the form"),
         ("no_such_module:X", "No module named 'no_such_module'"),
         ("thermostat:Controler", "has no attribute 'Controler'"),
-        ("thermostat:LIMIT", "is not a class or factory"),
+        ("thermostat:LIMIT", "is neither a class nor a factory"),
     ],
 )
 def test_a_path_that_leads_nowhere_is_told(path: str, problem: str) -> None:

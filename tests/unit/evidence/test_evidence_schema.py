@@ -62,10 +62,11 @@ OPEN = {
     "capabilities",
     "params", "world", "parameters", "data", "packages", "activation", "duration", "choice",
     "redacted", "user", "violations", "processing_us", "processing_seconds", "robustness_min",
+    "sources",
 }  # fmt: skip
 """Keys whose values are the user's own, or of names that are."""
 OPTIONAL = {"type", "duration", "world", "path", "digest", "file_count", "files", "opaque",
-            "distribution", "params"}  # fmt: skip
+            "distribution", "params", "sources"}  # fmt: skip
 STEPS = [step for step in steps(RECORD) if not (set(step[:-1]) & OPEN)]
 
 

@@ -15,7 +15,9 @@ SECRET = "tok-AbCdEf0123456789"
     [
         "GITHUB_TOKEN", "OPENAI_API_KEY", "DB_PASSWORD", "PGPASSWORD", "SSHPASS",
         "AWS_SECRET_ACCESS_KEY", "MY_PWD", "BASIC_AUTH", "GOOGLE_CREDENTIALS", "myservice_apikey",
-        "SESSION_COOKIE", "SECRET_2", "GPG_PASSPHRASE",
+        "SESSION_COOKIE", "SECRET_2", "GPG_PASSPHRASE", "GITHUB_PAT", "PAT", "SLACK_WEBHOOK_URL",
+        "CI_CREDS", "ROBOT_LICENSE", "MOSEK_LICENCE", "AZURE_STORAGE_CONNECTION_STRING",
+        "ConnectionStrings", "SENTRY_DSN", "DB_URL", "DATABASE_URI", "REDIS_URL",
     ],
 )  # fmt: skip
 def test_a_variable_whose_name_speaks_of_a_secret(name):
@@ -27,11 +29,29 @@ def test_a_variable_whose_name_speaks_of_a_secret(name):
     "name",
     [
         "PATH", "MONKEY_BUSINESS", "KEYBOARD_LAYOUT", "PWD", "OLDPWD", "SSH_AUTH_SOCK",
-        "TOKEN_FILE", "TOKENIZERS_PARALLEL", "AUTHOR", "HOSTNAME", "KEY_PATH",
+        "TOKEN_FILE", "TOKENIZERS_PARALLEL", "AUTHOR", "HOSTNAME", "KEY_PATH", "PYTHONPATH",
+        "PATTERN", "DISPATCH", "LICENSED", "MOSEKLM_LICENSE_FILE", "CREDSTORE", "DBUS_SESSION",
+        "COMPASS", "DSNAME", "DB_HOST",
     ],
 )  # fmt: skip
 def test_a_variable_that_holds_no_secret(name):
     assert Redactor.of_environment({name: SECRET}).redact(SECRET) == SECRET
+
+
+def test_a_variable_that_the_user_calls_a_secret():
+    redact = Redactor.of_environment(
+        {"Robot_Pin": SECRET, "ROBOT": SECRET[::-1]}, ["robot_*"]
+    ).redact
+    assert redact(SECRET) == "[redacted: Robot_Pin]"
+    assert redact(SECRET[::-1]) == SECRET[::-1]
+    assert Redactor.of_environment({"KEY_PATH": SECRET}, ["key_path"]).redact(SECRET) != SECRET
+
+
+def test_a_url_is_a_secret_and_its_password_another():
+    redact = Redactor.of_environment({"DB_URL": "postgres://me:pa%24sword1@host/db"}).redact
+    assert (
+        redact("pa$sword1") == redact("postgres://me:pa%24sword1@host/db") == "[redacted: DB_URL]"
+    )
 
 
 def test_the_password_in_the_url_of_any_variable():

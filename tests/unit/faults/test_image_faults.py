@@ -77,7 +77,7 @@ def test_a_perturbation_that_returns_no_such_picture_is_named(name: str, found: 
         ("perturbations:missing", "cannot import"),
         ("no_such_module:f", "cannot import"),
         ("perturbations", "package.module:Name"),
-        ("perturbations:NO_FUNCTION", "is not a class or factory"),
+        ("perturbations:NO_FUNCTION", "is not a function"),
     ],
 )
 def test_a_function_that_cannot_be_had_is_refused_before_anything_runs(path, told) -> None:

@@ -285,7 +285,7 @@ def test_a_formula_is_a_text(key: str, bad: Any) -> None:
     [
         ("pytest_dura.driving.signals", "an import path has the form"),
         ("pytest_dura.driving.signals:percept_of", "cannot import"),
-        ("pytest_dura.driving.signals:NAMES", "is not a class or factory"),
+        ("pytest_dura.driving.signals:NAMES", "is not a function"),
         ({"gap": "lidar"}, "no import path"),
     ],
 )

@@ -1,0 +1,226 @@
+"""Trust: what a name in a file or a record may lead to, before it is imported or called.
+
+Scenario files, requirement files and evidence may come from strangers. What they name is imported
+from installed packages and the session's own project alone, and called only if its author meant it
+to be: a subclass of a known base, or a function that :func:`factory` marks. A check or a measure
+is an ordinary function, and has to be the project's own.
+"""
+
+from __future__ import annotations
+
+import sys
+import sysconfig
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import cache
+from importlib.machinery import ModuleSpec
+from importlib.metadata import entry_points
+from importlib.util import find_spec
+from inspect import isclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pytest_dura.core.errors import ConfigurationError
+
+ENTRY_POINTS = "pytest_dura"
+"""Group of entry points by which an installed package offers its functions as checks."""
+_OURS = "pytest_dura"
+_MARK = "__dura_factory__"
+_PACKAGES = ("site-packages", "dist-packages")
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def factory(function: F) -> F:
+    """Mark a function as one that builds a role or a simulator, so that files may name it.
+
+    Args:
+        function: Takes the parameters of a role or simulator, and returns a fresh one.
+    """
+    setattr(function, _MARK, True)
+    return function
+
+
+@dataclass(frozen=True)
+class Places:
+    """Where the session's own code is, and where it is not.
+
+    Args:
+        own: Folders of the session's own project.
+        foreign: Folders of files that strangers may have written, where they are not of the
+            project. Of two folders that contain a module, the inner one counts.
+    """
+
+    own: tuple[Path, ...] = ()
+    foreign: tuple[Path, ...] = ()
+
+    @classmethod
+    def of(cls, own: Iterable[Path], foreign: Iterable[Path]) -> Places:
+        """Those of a session, whatever links lead there."""
+        return cls(tuple(map(Path.resolve, own)), tuple(map(Path.resolve, foreign)))
+
+    def foreign_folder(self, file: Path) -> Path | None:
+        """The folder of strangers that a file lies in, if it does."""
+        # Of a folder that is both, the strangers' files make it foreign.
+        around = [one for one in (*self.foreign, *self.own) if file.is_relative_to(one)]
+        inner = max(around, key=lambda one: len(one.parts), default=None)
+        return inner if inner in self.foreign else None
+
+
+_places = Places()
+_importable: set[str] = set()
+"""Top-level modules that were looked at already, under the present places."""
+
+
+def use_places(places: Places) -> Places:
+    """Tell this process where code may come from; returns what it was told before."""
+    global _places
+    before, _places = _places, places
+    _importable.clear()
+    _is_own.cache_clear()
+    return before
+
+
+def check_import(path: str) -> None:
+    """Refuse an import path that leads into the standard library, or to strangers.
+
+    Nothing is imported by it.
+
+    Args:
+        path: ``package.module`` or ``package.module:Name``.
+
+    Raises:
+        ConfigurationError: For a module of Python itself, and one in a folder of strangers.
+    """
+    top = path.partition(":")[0].partition(".")[0]
+    if top in _importable:
+        return
+    spec = _spec(top)
+    if spec is None:  # importing it says so
+        return
+    if _is_standard(spec):
+        raise ConfigurationError(
+            f"{path!r} leads into Python's standard library",
+            found=path,
+            expected="a class or function of your project, or of an installed package",
+            remedy="write a role, simulator or function of your own, and name that",
+        )
+    for file in _files(spec):
+        folder = _places.foreign_folder(file)
+        if folder is not None:
+            raise ConfigurationError(
+                f"{path!r} would be imported from {file}, beside files that name it",
+                found=path,
+                expected="a module of your project, or of an installed package",
+                remedy=f"read the code in {folder}, and if it is to be run, add --dura-trust-code",
+            )
+    _importable.add(top)
+
+
+def check_buildable(path: str, target: object, kinds: tuple[type, ...]) -> None:
+    """Refuse to build anything but a known kind of part.
+
+    Args:
+        path: The import path that led to it.
+        target: What it led to.
+        kinds: Base classes, of which it has to be a subclass unless it is a marked factory.
+
+    Raises:
+        ConfigurationError: For any other class, function or object.
+    """
+    if isclass(target) and issubclass(target, kinds):
+        return
+    if callable(target) and getattr(target, _MARK, None) is True:
+        return
+    bases = " or ".join(one.__name__ for one in kinds)
+    raise ConfigurationError(
+        f"{path!r} is neither a class nor a factory of {bases}",
+        found=target,
+        expected=f"a subclass of {bases}, or a function with the decorator @pytest_dura.factory",
+        remedy="derive it from its base class, or decorate the function that returns it",
+    )
+
+
+def check_function(path: str, target: object) -> None:
+    """Refuse to call anything but a function of the project's own, or one that is offered.
+
+    Args:
+        path: The import path that led to it.
+        target: What it led to.
+
+    Raises:
+        ConfigurationError: For what is built into Python, of the standard library, or of an
+            installed package that does not offer its functions.
+    """
+    if not callable(target):
+        raise ConfigurationError(
+            f"{path!r} is not a function",
+            found=target,
+            expected="a function",
+        )
+    home = getattr(target, "__module__", None)
+    if not isinstance(home, str) or not _is_own(home) or not _is_own(path.partition(":")[0]):
+        raise ConfigurationError(
+            f"{path!r} is no function of this project",
+            found=target,
+            expected="a function that your project defines, or one of an installed package with an "
+            f"entry point in the group {ENTRY_POINTS!r}",
+            remedy="define a function in your project that calls it, and name that",
+        )
+
+
+@cache
+def _is_own(module: str) -> bool:
+    """Whether functions that a module defines may be called by name."""
+    top = module.partition(".")[0]
+    if top in (_OURS, "__main__"):
+        return True
+    spec = _spec(top)
+    if spec is None or _is_standard(spec):
+        return False
+    files = _files(spec)
+    if any(_places.foreign_folder(file) for file in files):
+        return False
+    if not any(part in _PACKAGES for file in files for part in file.parts):
+        return True
+    return any(one.value.partition(":")[0].partition(".")[0] == top for one in _offered())
+
+
+def _offered() -> Iterable[Any]:
+    return entry_points(group=ENTRY_POINTS)
+
+
+def _spec(top: str) -> ModuleSpec | None:
+    """Where a top-level module is or would be imported from, without importing it."""
+    loaded = sys.modules.get(top)
+    found = getattr(loaded, "__spec__", None)
+    if loaded is None:
+        try:
+            return find_spec(top)
+        except (ImportError, ValueError):
+            return None
+    if found is None and getattr(loaded, "__file__", None):  # a conftest.py, for example
+        return ModuleSpec(top, None, origin=loaded.__file__)
+    return found
+
+
+def _is_standard(spec: ModuleSpec) -> bool:
+    if spec.origin in ("built-in", "frozen"):
+        return True
+    return any(
+        file.is_relative_to(folder) and not set(_PACKAGES) & set(file.relative_to(folder).parts)
+        for file in _files(spec)
+        for folder in _standard()
+    )
+
+
+@cache
+def _standard() -> tuple[Path, ...]:
+    names = ("stdlib", "platstdlib")
+    return tuple({Path(path).resolve() for name in names if (path := sysconfig.get_path(name))})
+
+
+def _files(spec: ModuleSpec) -> list[Path]:
+    """The files and folders that a module is made of."""
+    told = [spec.origin] if spec.origin not in (None, "namespace") else []
+    return [Path(one).resolve() for one in (*told, *(spec.submodule_search_locations or ())) if one]

@@ -1,0 +1,24 @@
+"""Bundles that somebody altered who knows how manifests are made."""
+
+from __future__ import annotations
+
+import json
+
+from pytest_dura.evidence.bundle.manifest import MANIFEST, file_entry, files_of, manifest_text
+
+
+def seal(bundle):
+    """A manifest that agrees with whatever lies there now."""
+    names = [name for name in files_of(bundle) if name != MANIFEST]
+    (bundle / MANIFEST).write_text(
+        manifest_text({name: file_entry(bundle / name) for name in names})
+    )
+
+
+def alter(bundle, change):
+    """Change the record, and seal the bundle."""
+    file = bundle / "evidence.json"
+    record = json.loads(file.read_text())
+    change(record)
+    file.write_text(json.dumps(record, indent=1, ensure_ascii=False) + "\n")
+    seal(bundle)
