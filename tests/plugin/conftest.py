@@ -14,12 +14,10 @@ from forked_workers import AVAILABLE, import_all
 from pytest_dura.campaign.loading import builtin_paths
 from pytest_dura.campaign.yaml_source import read_yaml
 from pytest_dura.evidence.formats import all_formats
-from pytest_dura.requirements.stl.language.grammar import rtamt_modules
 
 # In-process runs forget what they imported: what is ours would be compiled anew for each of them,
 # and numpy and its like cannot be imported twice.
 import_all()
-rtamt_modules()
 list(all_formats())
 
 (BUILTIN,) = builtin_paths()
