@@ -95,7 +95,7 @@ KEPT = {name: _kept(name) for name in ("entry_points", "files", "metadata")}
 
 
 @pytest.fixture
-def project(pytester, monkeypatch, forked_workers):
+def fast_sessions(monkeypatch, forked_workers):
     monkeypatch.delenv("PYTEST_ADDOPTS", raising=False)
     # Milliseconds each, for what no test can see: that files survive a loss of power.
     monkeypatch.setattr(os, "fsync", lambda _: None)
@@ -104,6 +104,10 @@ def project(pytester, monkeypatch, forked_workers):
         monkeypatch.setattr(importlib.metadata.PathDistribution, name, kept)
     if AVAILABLE:
         monkeypatch.setattr("execnet.gateway_io.popen_args", forked_workers.arguments)
+
+
+@pytest.fixture
+def project(pytester, fast_sessions):
     return Project(pytester)
 
 
