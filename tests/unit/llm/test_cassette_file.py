@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import sqlite3
 import subprocess
@@ -216,6 +217,15 @@ def test_a_description_that_somebody_changed_is_one_error(recorded, change):
     by_hand.close()
     with pytest.raises(ConfigurationError, match="of a model is no"):
         Cassette(recorded, writable=False).descriptions()
+
+
+def test_a_cassette_that_is_dropped_lets_go_of_its_file(recorded):
+    cassette = Cassette(recorded, writable=False)
+    connection = cassette._open
+    del cassette
+    gc.collect()
+    with pytest.raises(sqlite3.ProgrammingError, match="closed"):
+        connection.execute("SELECT 1")
 
 
 ENDLESS = (
