@@ -14,16 +14,8 @@ import pytest
 
 from pytest_dura.requirements.stl.language.checks import in_samples
 from pytest_dura.requirements.stl.language.formula import Formula
-from pytest_dura.requirements.stl.language.nodes import (
-    Boolean,
-    Comparison,
-    Node,
-    Not,
-    Step,
-    Temporal,
-    Window,
-)
-from pytest_dura.requirements.stl.language.rendering import Renderer
+from pytest_dura.requirements.stl.language.nodes import Boolean, Not, Signal, Window
+from pytest_dura.requirements.stl.language.rendering import node_text
 
 pytest.importorskip("rtamt", reason="rtamt's ANTLR 4.7 cannot be imported from Python 3.13 on")
 
@@ -115,23 +107,22 @@ def robustness(
     """
     names = {name: f"signal_{number}" for number, name in enumerate(formula.signals)}
 
-    def ticks(window: Window) -> str:
-        first, last = in_samples(window, time_step)
-        return f"[{first}:{last}]"
+    def rewritten(node: Any) -> Any:
+        if isinstance(node, Signal):
+            return Signal(names[node.name])
+        changed = {
+            name: rewritten(getattr(node, name))
+            for name in ("left", "right", "operand")
+            if hasattr(node, name)
+        }
+        if getattr(node, "window", None) is not None:
+            changed["window"] = Window(*map(float, in_samples(node.window, time_step)))
+        node = replace(node, **changed)
+        if not (isinstance(node, Boolean) and node.operator in ("iff", "xor")):
+            return node
+        there = Boolean("implies", node.left, node.right)
+        both = Boolean("and", there, Boolean("implies", node.right, node.left))
+        return both if node.operator == "iff" else Not(both)
 
-    text = Renderer(names.__getitem__, ticks, "!==").text(_written_out(formula.root))
+    text = node_text(rewritten(formula.root)).replace("!=", "!==")
     return raw_robustness(text, {names[name]: trace[name] for name in formula.signals})
-
-
-def _written_out(node: Node) -> Node:
-    """The formula without ``iff`` and ``xor``."""
-    if isinstance(node, Comparison):
-        return node
-    if isinstance(node, (Not, Temporal, Step)):
-        return replace(node, operand=_written_out(node.operand))
-    node = replace(node, left=_written_out(node.left), right=_written_out(node.right))
-    if node.operator not in ("iff", "xor"):
-        return node
-    there = Boolean("implies", node.left, node.right)
-    both = Boolean("and", there, Boolean("implies", node.right, node.left))
-    return both if node.operator == "iff" else Not(both)
