@@ -7,6 +7,7 @@ import json
 import sqlite3
 import subprocess
 import sys
+from contextlib import closing
 
 import pytest
 
@@ -75,8 +76,8 @@ def test_a_text_is_stored_once(tape):
     assert [one.request["messages"][1]["text"] for one in cassette.exchanges()] == [
         f"prompt {number}" for number in range(250)
     ]
-    texts = sqlite3.connect(tape).execute("SELECT COUNT(*) FROM texts").fetchone()
-    assert texts == (252,)
+    with closing(sqlite3.connect(tape)) as opened:
+        assert opened.execute("SELECT COUNT(*) FROM texts").fetchone() == (252,)
 
 
 WORK = """
@@ -322,6 +323,7 @@ def test_a_component_is_not_slow_whose_time_ends_while_the_cassette_is_locked(ta
     other.execute("ROLLBACK")
     with listening() as heard:
         assert call_within(5.0, cassette.find, exchange().key) is None
+    other.close()
     assert heard == []
 
 
