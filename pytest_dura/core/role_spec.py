@@ -93,7 +93,8 @@ class RoleSpec:
                 f"cannot import {self.path!r}: {describe_error(error)}",
                 found=self.path,
                 expected="an importable package.module:Name",
-                remedy="check the spelling, and that the package is installed or on the path",
+                remedy="check the spelling, and that the module is installed, or lies where pytest "
+                "was started or in the project's root",
             ) from error
         return target
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -93,8 +94,21 @@ class DuraSession:
         """Whether the session was asked for something of ours."""
         return self.options.any_given or bool(self._own_arguments)
 
+    def reach_project(self) -> None:
+        """Let ``planner:MyPlanner`` be imported from where pytest was started, and from the root.
+
+        ``python -m pytest`` finds it there, ``pytest`` does not. At the end of the path it hides
+        nothing that is installed; processes that simulate take the path over.
+        """
+        for folder in (self.config.invocation_params.dir, self.config.rootpath):
+            if str(folder) not in sys.path:
+                sys.path.append(str(folder))
+
     def run_command(self) -> int | None:
         """The exit code of ``--dura-list``, ``--dura-replay`` or ``--dura-reduce``, if given."""
+        options = self.options
+        if options.list_only or options.replay is not None or options.reduce is not None:
+            self.reach_project()
         if self.options.replay is not None:
             from pytest_dura.plugin.replay import replay
 
@@ -109,6 +123,7 @@ class DuraSession:
             from pytest_dura.plugin.listing import show_list
 
             with usage_errors():
+                self.roles.check()
                 self._make_plan()
                 return show_list(self)
         return None
@@ -119,6 +134,8 @@ class DuraSession:
         Raises:
             pytest.UsageError: For options and files that cannot be used.
         """
+        if self.active:
+            self.reach_project()
         with usage_errors():
             self.models.begin()
             self.roles.check()
@@ -135,6 +152,7 @@ class DuraSession:
         Raises:
             pytest.UsageError: If it cannot be written.
         """
+        self.reach_project()
         with usage_errors():
             self.evidence.start()
             self.simulating.begin()
@@ -165,6 +183,7 @@ class DuraSession:
         if self._library is None:
             from pytest_dura.campaign.loading import load_library
 
+            self.reach_project()
             try:
                 with no_garbage_collection():
                     self._library = load_library(self.options.paths)

@@ -21,7 +21,7 @@ from pytest_dura.provenance.sources import sources_of
 
 OURS = "pytest-dura"
 PACKAGES = (
-    "pytest-dura", "pytest", "pytest-xdist", "hypothesis", "highway-env", "gymnasium", "rtamt",
+    "pytest-dura", "pytest", "pytest-xdist", "hypothesis", "highway-env", "gymnasium",
     "allure-pytest", "numpy", "scipy", "pydantic", "PyYAML",
 )  # fmt: skip
 
@@ -76,7 +76,7 @@ def describe_hypothesis() -> dict[str, Any] | None:
     }
 
 
-NUMERIC = ("numpy", "scipy", "highway-env", "gymnasium", "rtamt")
+NUMERIC = ("numpy", "scipy", "highway-env", "gymnasium")
 """Packages whose versions are told one by one, since most episodes rest on them."""
 _TOOLS = ("pytest", "hypothesis", "allure", "execnet", "ruff", "mypy", "pip", "setuptools", "dask",
           "distributed")  # fmt: skip

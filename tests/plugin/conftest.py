@@ -14,12 +14,10 @@ from forked_workers import AVAILABLE, import_all
 from pytest_dura.campaign.loading import builtin_paths
 from pytest_dura.campaign.yaml_source import read_yaml
 from pytest_dura.evidence.formats import all_formats
-from pytest_dura.requirements.stl.language.grammar import rtamt_modules
 
 # In-process runs forget what they imported: what is ours would be compiled anew for each of them,
 # and numpy and its like cannot be imported twice.
 import_all()
-rtamt_modules()
 list(all_formats())
 
 (BUILTIN,) = builtin_paths()
@@ -97,7 +95,7 @@ KEPT = {name: _kept(name) for name in ("entry_points", "files", "metadata")}
 
 
 @pytest.fixture
-def project(pytester, monkeypatch, forked_workers):
+def fast_sessions(monkeypatch, forked_workers):
     monkeypatch.delenv("PYTEST_ADDOPTS", raising=False)
     # Milliseconds each, for what no test can see: that files survive a loss of power.
     monkeypatch.setattr(os, "fsync", lambda _: None)
@@ -106,6 +104,10 @@ def project(pytester, monkeypatch, forked_workers):
         monkeypatch.setattr(importlib.metadata.PathDistribution, name, kept)
     if AVAILABLE:
         monkeypatch.setattr("execnet.gateway_io.popen_args", forked_workers.arguments)
+
+
+@pytest.fixture
+def project(pytester, fast_sessions):
     return Project(pytester)
 
 

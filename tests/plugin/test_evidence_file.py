@@ -49,6 +49,23 @@ def test_plain_and_distributed_runs_leave_the_same_record(project):
     assert told() == plain
 
 
+@pytest.mark.parametrize("fixture", ["generator", "simulator", "episode", "campaign"])
+def test_a_forgotten_fixture_of_somebody_else_leaves_nothing_behind(
+    pytester, fast_sessions, fixture, mode
+):
+    pytester.makepyfile(f"def test_it({fixture}): assert {fixture}.is_mine")
+    assert pytester.runpytest_inprocess(*mode).ret == 1
+    assert not (pytester.path / "dura-evidence").exists()
+
+
+def test_a_forgotten_marker_leaves_no_earlier_pass_behind(project):
+    project.run("corridor/free")
+    assert project.evidence()["gate"]["exit_code"] == 0
+    project.write("test_it.py", "def test_it(episode): pass")
+    assert project.run().ret == 1
+    assert project.evidence()["gate"]["exit_code"] == 1
+
+
 def test_no_temporary_file_is_left(project):
     project.scenarios()
     folder = project.path / "dura-evidence"

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import gc
 import json
 import sqlite3
 import subprocess
 import sys
 from base64 import b64encode
+from contextlib import closing
 from pathlib import Path
 
 import openai.resources.chat  # noqa: F401 - see below
@@ -206,8 +206,8 @@ def test_the_evidence_names_model_server_and_cassette(talking, server):
     assert line in result.outlines
     (told,) = talking.evidence()["models"]
     tape = talking.path / "dura-cassette.sqlite"
-    (stored,) = sqlite3.connect(tape).execute("SELECT COUNT(*) FROM exchanges").fetchone()
-    gc.collect()
+    with closing(sqlite3.connect(tape)) as opened:
+        (stored,) = opened.execute("SELECT COUNT(*) FROM exchanges").fetchone()
     assert told["cassette"]["file"] == "dura-cassette.sqlite"
     assert told["cassette"]["exchanges"] == stored == told["asked"] == len(prompts(server))
     assert (told["reused"], told["injected"], told["missed"]) == (0, 0, 0)

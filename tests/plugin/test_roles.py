@@ -1,7 +1,12 @@
 from __future__ import annotations
 
+import re
+import shlex
+from pathlib import Path
+
 import pytest
 
+README = Path(__file__).parents[2] / "README.md"
 CONFTEST = """
 import pytest
 from pytest_dura import Generator, Proposal
@@ -244,3 +249,72 @@ def test_an_override_that_wraps_the_default(project):
     )
     project.run("corridor/tight").assert_outcomes(passed=1)
     assert project.evidence()["component_under_test"]["name"] == "Careful"
+
+
+def readme_planner():
+    """The README's own planner, and the command that judges it."""
+    block = r"```python\n# (planner\.py)\n(.*?)```\n\n```sh\npytest (.*?)\n```"
+    file, code, arguments = re.search(block, README.read_text(), re.DOTALL).groups()
+    return file, code, shlex.split(arguments)
+
+
+def printed(result, kind):
+    """The arguments of a command that a session printed."""
+    line = next(line for line in result.outlines if line.strip().startswith(f"{kind}:"))
+    return shlex.split(line.partition(" pytest ")[2])
+
+
+def test_the_planner_of_the_readme_is_judged_as_printed(pytester, fast_sessions):
+    file, code, arguments = readme_planner()
+    # It never enters the junction, so that something is violated and commands are printed.
+    (pytester.path / file).write_text(code.replace('"proceed"', '"wait"'))
+    few = ["--dura-select=intersection/nominal", "--dura-runs=1"]
+    result = pytester.runpytest_inprocess(*arguments, *few)
+    assert result.ret == 1
+    result.stdout.fnmatch_lines(["component under test: MyPlanner, *", "violated: *(MyPlanner)"])
+    replay, rerun = printed(result, "replay"), printed(result, "rerun")
+    assert pytester.runpytest_inprocess(*replay).ret == 0
+    again = pytester.runpytest_inprocess(*rerun)
+    again.assert_outcomes(failed=1)
+
+
+@pytest.mark.parametrize("mode", [["-n", "2"], ["--dura-executor=processes:1"]], ids=["n2", "pool"])
+def test_other_processes_find_the_planner_as_well(pytester, fast_sessions, mode):
+    file, code, (_, component) = readme_planner()
+    (pytester.path / file).write_text(code)
+    result = pytester.runpytest_inprocess(
+        "intersection/nominal::SAF-1", component, "--dura-runs=1", *mode
+    )
+    result.assert_outcomes(passed=1)
+    assert "simulated in pytest's own process" not in result.stdout.str()
+
+
+def test_the_list_resolves_the_component(pytester, fast_sessions):
+    file, code, arguments = readme_planner()
+    arguments = ["--dura-list", *arguments]
+    missing = pytester.runpytest_inprocess(*arguments)
+    assert missing.ret == 4
+    missing.stderr.fnmatch_lines(["ERROR: cannot import 'planner:MyPlanner'*", "  remedy: *"])
+    (pytester.path / file).write_text(code)
+    assert pytester.runpytest_inprocess(*arguments).ret == 0
+
+
+def test_what_is_installed_goes_before_the_projects_own_modules(pytester, fast_sessions):
+    (pytester.path / "colorsys.py").write_text("raise SystemExit('the wrong one')")
+    result = pytester.runpytest_inprocess("--dura-list", "--dura-generator=colorsys:Planner")
+    result.stderr.fnmatch_lines(["*module 'colorsys' has no attribute 'Planner'*"])
+
+
+def test_a_session_of_somebody_else_finds_no_more_than_before(pytester, fast_sessions):
+    pytester.makepyfile(
+        **{
+            "tests/test_it": """
+        import pytest
+        def test_it():
+            with pytest.raises(ImportError):
+                import own_module_in_the_root
+    """
+        }
+    )
+    pytester.makepyfile(own_module_in_the_root="")
+    pytester.runpytest_inprocess().assert_outcomes(passed=1)

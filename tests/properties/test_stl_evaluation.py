@@ -6,7 +6,6 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
-import pytest
 import stl_oracle
 from formulas import formulas, traces
 from hypothesis import given, settings
@@ -15,7 +14,6 @@ from hypothesis import strategies as st
 from pytest_dura.requirements.stl.language.formula import Formula
 from pytest_dura.requirements.stl.language.nodes import Step, Temporal, TemporalPair, children, walk
 from pytest_dura.requirements.stl.offline.evaluation import evaluate
-from pytest_dura.requirements.stl.offline.reference import rtamt_robustness
 from pytest_dura.requirements.stl.offline.robustness import (
     robustness,
     robustness_batch,
@@ -50,14 +48,6 @@ def test_robustness_is_the_textbooks_for_one_trace_and_for_many(
         found = robustness(formula, trace, STEP)
         assert found.tolist() == stl_oracle.robustness(formula.root, trace, STEP)
         assert in_batch.tolist() == found.tolist()
-
-
-@laws(120)
-@given(any_formula, traces(NAMES))
-@pytest.mark.filterwarnings("ignore:typing.io is deprecated:DeprecationWarning")
-def test_robustness_is_rtamts(formula: Formula, trace: dict[str, list[float]]) -> None:
-    found = robustness(formula, trace, STEP)
-    assert found.tolist() == rtamt_robustness(formula, trace, STEP).tolist()
 
 
 @laws(100)

@@ -1,9 +1,8 @@
-"""Laws of the full language: writing and reading, and two evaluations that must agree."""
+"""Laws of the full language: writing and reading, and margins that agree with verdicts."""
 
 from __future__ import annotations
 
 import math
-from random import Random
 
 from formulas import FINITE, formulas, traces
 from hypothesis import given, settings
@@ -15,7 +14,6 @@ from pytest_dura.requirements.stl.language.checks import check_time_step
 from pytest_dura.requirements.stl.language.formula import Formula
 from pytest_dura.requirements.stl.language.nodes import Signal, walk
 from pytest_dura.requirements.stl.language.parsing import parse
-from pytest_dura.requirements.stl.offline.reference import rtamt_robustness
 
 STEP = 0.1
 NAMES = ("gap", "percept.gap", "F", "s", "prev", "true")
@@ -39,16 +37,6 @@ def test_what_is_written_reads_back_as_the_same_formula(formula: Formula) -> Non
     for name, position in again.future_operators:
         assert again.text.startswith(name.replace("strong_", "s_"), position)
     check_time_step(again, STEP)
-
-
-@settings(derandomize=True, deadline=None, max_examples=300)
-@given(formulas(NAMES, time_step=STEP, max_leaves=8), st.integers(0, 2**32))
-def test_rtamt_and_the_textbook_agree_at_every_sample(formula: Formula, seed: int) -> None:
-    random = Random(seed)
-    for size in (2, 5, 12, 12):
-        trace = {name: [random.choice(range(-3, 4)) for _ in range(size)] for name in NAMES}
-        expected = robustness(formula.root, trace, STEP)
-        assert rtamt_robustness(formula, trace, STEP).tolist() == expected
 
 
 @settings(derandomize=True, deadline=None, max_examples=300)

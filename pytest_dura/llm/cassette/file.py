@@ -6,6 +6,7 @@ import json
 import os
 import sqlite3
 import time
+import weakref
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -61,6 +62,8 @@ class CassetteFile:
             else:
                 self._undo_half_a_write()
             self._open = self._connected("rwc" if writable else "ro")
+        # Also of a cassette that is dropped, whose connection Python 3.13 would warn of.
+        self._let_go = weakref.finalize(self, self._open.close)
         try:
             with self.errors():
                 # Waiting for the disk at each exchange takes longer than many a model. A process
@@ -73,7 +76,7 @@ class CassetteFile:
 
     def close(self) -> None:
         """Let go of the file."""
-        self._open.close()
+        self._let_go()
         if self.writable and self.file.is_file():
             with self.file.open("rb") as stream:
                 os.fsync(stream.fileno())

@@ -6,6 +6,7 @@ import copy
 import hashlib
 import json
 import math
+import sys
 
 import pytest
 from baseline_records import record, verdict
@@ -36,6 +37,10 @@ def test_a_baseline_is_a_file_or_the_directory_that_holds_it(tmp_path, given):
     assert [one["word"] for one in told["comparisons"]] == ["new", "no evidence of a change"]
     assert json.loads(json.dumps(told)) == told
     assert baseline.to_json()["comparisons"] == []
+
+
+# What json reads and no recursion of ours follows; its own is counted apart from Python 3.12 on.
+DEEP = 900 if sys.version_info < (3, 12) else 1200
 
 
 def nested(depth):
@@ -77,7 +82,7 @@ def damaged(change):
     (lambda told: told.update(component_under_test=None), "TypeError"),
     (lambda told: told.update(base_seed="none"), "TypeError"),
     (lambda told: told["verdicts"][0].update(run=10**400, episodes=10**400), "TypeError"),
-    (lambda told: told["episodes"][0]["spec"].update(scenario=nested(900)), "RecursionError"),
+    (lambda told: told["episodes"][0]["spec"].update(scenario=nested(DEEP)), "RecursionError"),
 ])  # fmt: skip
 def test_a_damaged_baseline_is_refused(tmp_path, change, found):
     file = written(tmp_path, damaged(change))

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import sqlite3
 import subprocess
 import sys
+from contextlib import closing
 
 import pytest
 
@@ -74,8 +76,8 @@ def test_a_text_is_stored_once(tape):
     assert [one.request["messages"][1]["text"] for one in cassette.exchanges()] == [
         f"prompt {number}" for number in range(250)
     ]
-    texts = sqlite3.connect(tape).execute("SELECT COUNT(*) FROM texts").fetchone()
-    assert texts == (252,)
+    with closing(sqlite3.connect(tape)) as opened:
+        assert opened.execute("SELECT COUNT(*) FROM texts").fetchone() == (252,)
 
 
 WORK = """
@@ -218,6 +220,15 @@ def test_a_description_that_somebody_changed_is_one_error(recorded, change):
         Cassette(recorded, writable=False).descriptions()
 
 
+def test_a_cassette_that_is_dropped_lets_go_of_its_file(recorded):
+    cassette = Cassette(recorded, writable=False)
+    connection = cassette._open
+    del cassette
+    gc.collect()
+    with pytest.raises(sqlite3.ProgrammingError, match="closed"):
+        connection.execute("SELECT 1")
+
+
 ENDLESS = (
     "WITH RECURSIVE r(n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM r)"
     " SELECT 'a' AS sha256, COUNT(*) AS text FROM r"
@@ -312,6 +323,7 @@ def test_a_component_is_not_slow_whose_time_ends_while_the_cassette_is_locked(ta
     other.execute("ROLLBACK")
     with listening() as heard:
         assert call_within(5.0, cassette.find, exchange().key) is None
+    other.close()
     assert heard == []
 
 

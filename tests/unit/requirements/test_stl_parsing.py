@@ -230,17 +230,17 @@ def test_a_long_chain_and_deep_nesting_within_the_bounds_are_read() -> None:
     assert parse(str(chain)) == chain
     deep = parse("not (" * 95 + "a > 1" + ")" * 95)
     assert parse(str(deep)) == deep
-    assert parse("(" * 199 + "a > 1" + ")" * 199) == parse("a > 1")
+    assert parse("(" * 1900 + "a > 1" + ")" * 1900) == parse("a > 1")
 
 
-def test_nothing_of_rtamt_is_imported_before_the_first_formula_nor_ever_printed() -> None:
+def test_formulas_are_judged_without_rtamt() -> None:
     code = """
-import sys, warnings
-warnings.simplefilter("error")
+import sys
+sys.modules["rtamt"] = sys.modules["antlr4"] = None  # as if it were not installed
 from pytest_dura.requirements.stl.language.parsing import parse
-assert "rtamt" not in sys.modules and "antlr4" not in sys.modules
-parse("always (gap > 1 -> F[0:2] speed - 5 > 2)")
-assert "rtamt" in sys.modules
+from pytest_dura.requirements.stl.offline.evaluation import evaluate
+formula = parse("always (gap > 1 -> F[0:2] speed - 5 > 2)")
+assert evaluate(formula, [0.0, 1.0], {"gap": [0, 0], "speed": [0, 0]}).status == "satisfied"
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-
 from pytest_dura.requirements.stl.language.nodes import (
     Arithmetic,
     Boolean,
@@ -22,7 +19,13 @@ from pytest_dura.requirements.stl.language.nodes import (
 
 def node_text(node: Node | Expression) -> str:
     """A formula or an expression as text that parses to equal nodes."""
-    return Renderer().text(node)
+    if isinstance(node, (Signal, Constant, Arithmetic, Function)):
+        return _expression(node)
+    if isinstance(node, Comparison):
+        return f"{_expression(node.left)} {node.operator} {_expression(node.right)}"
+    if isinstance(node, (Boolean, TemporalPair)):
+        return _joined(node)
+    return f"{_prefix(node)} ({node_text(node.operand)})"
 
 
 def exact(number: float) -> str:
@@ -35,63 +38,41 @@ def seconds(window: Window) -> str:
     return f"[{exact(window.start)}:{exact(window.end)}]"
 
 
-@dataclass(frozen=True, slots=True)
-class Renderer:
-    """Writes nodes in the syntax that this package shares with rtamt.
+def _expression(node: Expression) -> str:
+    if isinstance(node, Signal):
+        return node.name
+    if isinstance(node, Constant):
+        return exact(node.value)
+    if isinstance(node, Function):
+        return f"{node.name}({_expression(node.operand)})"
+    if node.operator == "pow":
+        return f"pow({_expression(node.left)}, {_expression(node.right)})"
+    right = _term(node.right)
+    if node.operator == "-" and isinstance(node.right, Constant):
+        # rtamt fails on `a - 5`, which it tries to read as a formula `a` and another, `-5`.
+        right = f"({right})"
+    return f"{_term(node.left)} {node.operator} {right}"
 
-    Args:
-        signal: Gives the text of a signal's name.
-        window: Gives the text of a window, with its brackets.
-        not_equal: Stands between two expressions that differ.
-    """
 
-    signal: Callable[[str], str] = str
-    window: Callable[[Window], str] = seconds
-    not_equal: str = "!="
+def _term(node: Expression) -> str:
+    joined = isinstance(node, Arithmetic) and node.operator != "pow"
+    return f"({_expression(node)})" if joined else _expression(node)
 
-    def text(self, node: Node | Expression) -> str:
-        """The text of one node and all below it."""
-        if isinstance(node, (Signal, Constant, Arithmetic, Function)):
-            return self._expression(node)
-        if isinstance(node, Comparison):
-            operator = self.not_equal if node.operator == "!=" else node.operator
-            return f"{self._expression(node.left)} {operator} {self._expression(node.right)}"
-        if isinstance(node, (Boolean, TemporalPair)):
-            return self._joined(node)
-        return f"{self._prefix(node)} ({self.text(node.operand)})"
 
-    def _expression(self, node: Expression) -> str:
-        if isinstance(node, Signal):
-            return self.signal(node.name)
-        if isinstance(node, Constant):
-            return exact(node.value)
-        if isinstance(node, Function):
-            return f"{node.name}({self._expression(node.operand)})"
-        if node.operator == "pow":
-            return f"pow({self._expression(node.left)}, {self._expression(node.right)})"
-        right = self._term(node.right)
-        if node.operator == "-" and isinstance(node.right, Constant):
-            # rtamt fails on `a - 5`, which it tries to read as a formula `a` and another, `-5`.
-            right = f"({right})"
-        return f"{self._term(node.left)} {node.operator} {right}"
+def _joined(node: Boolean | TemporalPair) -> str:
+    left = node_text(node.left)
+    # A chain of one operator associates to the left, whoever reads it.
+    chain = node.operator in ("and", "or")
+    if not (chain and isinstance(node.left, Boolean) and node.left.operator == node.operator):
+        left = f"({left})"
+    return f"{left} {_prefix(node)} ({node_text(node.right)})"
 
-    def _term(self, node: Expression) -> str:
-        joined = isinstance(node, Arithmetic) and node.operator != "pow"
-        return f"({self._expression(node)})" if joined else self._expression(node)
 
-    def _joined(self, node: Boolean | TemporalPair) -> str:
-        left = self.text(node.left)
-        # A chain of one operator associates to the left, whoever reads it.
-        chain = node.operator in ("and", "or")
-        if not (chain and isinstance(node.left, Boolean) and node.left.operator == node.operator):
-            left = f"({left})"
-        return f"{left} {self._prefix(node)} ({self.text(node.right)})"
-
-    def _prefix(self, node: Node) -> str:
-        """The operator's word, and its window where it has one."""
-        if isinstance(node, (Temporal, TemporalPair)):
-            return node.operator + (self.window(node.window) if node.window else "")
-        if isinstance(node, (Boolean, Comparison)):
-            return node.operator
-        name = getattr(node, "operator", "not")
-        return str(name).replace("strong_", "s_")
+def _prefix(node: Node) -> str:
+    """The operator's word, and its window where it has one."""
+    if isinstance(node, (Temporal, TemporalPair)):
+        return node.operator + (seconds(node.window) if node.window else "")
+    if isinstance(node, (Boolean, Comparison)):
+        return node.operator
+    name = getattr(node, "operator", "not")
+    return str(name).replace("strong_", "s_")
