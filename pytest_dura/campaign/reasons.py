@@ -51,8 +51,8 @@ def reasons(
     if paired is not None:
         lines.append(f"pairs:    with {paired.without}, and without")
     lines += _violations(verdict)
-    if spoilt is not None and spoilt.verdict == "invalid":
-        lines.append(f"invalid:  {spoilt.episode}: {spoilt.detail}")
+    if spoilt is not None and spoilt.verdict != "missing":
+        lines.append(f"{spoilt.verdict + ':':<9} {spoilt.episode}: {spoilt.detail}")
     if failures.first:
         lines.append(f"component: {failures}")
     # What a component says must not read as a line of ours.

@@ -165,8 +165,9 @@ def _show_episode(
                 terminal.line(f"  event:  {event_line(event)}")
     else:
         told = str(verdict["spoilt"]["detail"])
-        if verdict["spoilt"]["verdict"] == "invalid" and not told.startswith("invalid: "):
-            told = f"invalid: {told}"
+        word = verdict["spoilt"]["verdict"]
+        if word != "missing" and not told.startswith(f"{word}: "):
+            told = f"{word}: {told}"
         terminal.line(f"  {told}")
     for fault in episode["faults"]:
         chain = one_line(chain_line(fault), LONGEST)

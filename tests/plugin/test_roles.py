@@ -150,8 +150,9 @@ def test_the_option_names_the_component(project):
 RETURNS = """
 import pytest
 import corridor
-from pytest_dura import RoleSpec
+from pytest_dura import RoleSpec, factory
 
+@factory
 def make():
     return corridor.Reckless()
 
@@ -300,9 +301,9 @@ def test_the_list_resolves_the_component(pytester, fast_sessions):
 
 
 def test_what_is_installed_goes_before_the_projects_own_modules(pytester, fast_sessions):
-    (pytester.path / "colorsys.py").write_text("raise SystemExit('the wrong one')")
-    result = pytester.runpytest_inprocess("--dura-list", "--dura-generator=colorsys:Planner")
-    result.stderr.fnmatch_lines(["*module 'colorsys' has no attribute 'Planner'*"])
+    (pytester.path / "yaml.py").write_text("raise SystemExit('the wrong one')")
+    result = pytester.runpytest_inprocess("--dura-list", "--dura-generator=yaml:Planner")
+    result.stderr.fnmatch_lines(["*module 'yaml' has no attribute 'Planner'*"])
 
 
 def test_a_session_of_somebody_else_finds_no_more_than_before(pytester, fast_sessions):

@@ -371,5 +371,5 @@ def _name_everything(told):
              "data": {"key": ["value", {"inner key": "inner value"}]}}
         )  # fmt: skip
     (waived,) = (one for one in told["verdicts"] if one["waiver"])
-    left = ("item", "waiver", "attempts", "assertion")
+    left = ("item", "waiver", "attempts", "assertion", "also_without")
     waived["attempts"] = [{key: one for key, one in waived.items() if key not in left}]

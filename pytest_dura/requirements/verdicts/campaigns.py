@@ -71,10 +71,10 @@ class Counterexample:
 
 @dataclass(frozen=True, slots=True)
 class Spoilt:
-    """An episode that says nothing of a requirement, and why: it is ``missing`` or ``invalid``."""
+    """An episode that does not decide a requirement, and why."""
 
     episode: str
-    verdict: Literal["missing", "invalid"]
+    verdict: Literal["missing", "invalid", "open"]
     detail: str
 
 
@@ -109,7 +109,8 @@ class CampaignVerdict:
         counterexamples: The violating episodes, the valid ones first, of each kind the largest
             violation first.
         pairs: For a requirement on pairs, what the two runs of each pair came to.
-        spoilt: The first missing episode, or else the first invalid one.
+        spoilt: The first missing episode, or else the first invalid one, or else the first open
+            one.
         situation: ``repeated`` if all runs are equal and nothing is declared to vary, ``without
             effect`` if they are though something is; ``None`` if they differ.
     """

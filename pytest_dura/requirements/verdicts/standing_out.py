@@ -17,8 +17,8 @@ def idle(verdicts: Sequence[EpisodeVerdict]) -> list[str]:
 
 
 def first_spoilt(verdicts: Sequence[EpisodeVerdict]) -> Spoilt | None:
-    """The first missing episode, or else the first invalid one."""
-    words: tuple[Literal["missing", "invalid"], ...] = ("missing", "invalid")
+    """The first missing episode, or else the first invalid one, or else the first open one."""
+    words: tuple[Literal["missing", "invalid", "open"], ...] = ("missing", "invalid", "open")
     for word in words:
         for one in verdicts:
             if one.verdict == word:

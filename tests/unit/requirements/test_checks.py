@@ -63,7 +63,7 @@ def test_what_is_neither_is_refused(value: Any) -> None:
 
 
 def test_a_whole_number_is_refused_with_the_remedy() -> None:
-    with pytest.raises(TypeError, match=r"returned the int 0, .* compare it, such as"):
+    with pytest.raises(TypeError, match=r"returned the int 0, .* compare it, as in `count == 0`"):
         check_result(0)
 
 
