@@ -62,11 +62,23 @@ def counted(project):
     return project, digests(project), third
 
 
-def check_whole(project, whole, result, simulated):
-    """The session is whole, and the episodes were simulated so many times in all."""
+def check_whole(project, whole, result, simulated, repeats=1):
+    """The session is whole, and the episodes were simulated so many times in all.
+
+    Args:
+        project: Its directory.
+        whole: The digests of a session that nothing happened to.
+        result: What the session came to.
+        simulated: How often an episode was simulated, beside the repeats.
+        repeats: How often sessions repeated the first episode: once in each whose item ended.
+    """
     assert result.ret == 0, output(result)
     assert digests(project) == whole
-    assert len(simulations(project)) == simulated
+    seeds = simulations(project)
+    assert len(seeds) == simulated + repeats
+    assert seeds.count(seeds[0]) == 1 + repeats
+    (case,) = project.evidence()["cases"]
+    assert (case["repeat"]["episode"], case["repeat"]["result"]) == ("corridor/it#0", "equal")
     assert project.evidence()["gate"]["result"] == "passed"
     assert not (project.path / "dura-evidence/.episodes").exists()
     bundle = project.path / "dura-evidence"
@@ -139,7 +151,7 @@ def test_an_episode_that_is_missing_is_had_by_resuming(counted):
     assert "it ended 2 processes that simulated it" in output(result)
     result = project.run("corridor/it", "--dura-executor=processes:1", "--dura-resume")
     assert "dura: resuming: 5 episodes of the session of 20" in output(result)
-    check_whole(project, whole, result, 7)
+    check_whole(project, whole, result, 7, repeats=2)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="/proc is Linux's")

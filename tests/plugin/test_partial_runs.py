@@ -97,6 +97,10 @@ def test_an_item_that_kills_its_worker_is_tried_once_and_the_others_run(
     assert words.pop("corridor/d") == "undecided"
     assert words == dict.fromkeys([f"corridor/{name}" for name in "abcef"], "supported")
     simulated = [line.split()[0] for line in log.read_text().splitlines()]
-    # Once for each of its two requirements, each of which cost a worker.
-    assert sorted(simulated) == [f"corridor/{name}" for name in "abcddef"]
+    # The one that dies once for each of its two requirements, each of which cost a worker; the
+    # others once and, their case being at its end, once more as the repeat of their first episode.
+    assert sorted(simulated) == [f"corridor/{name}" for name in "aabbccddeeff"]
+    repeats = {case["id"]: case["repeat"] for case in project.evidence()["cases"]}
+    assert repeats.pop("corridor/d") is None
+    assert {repeat["result"] for repeat in repeats.values()} == {"equal"}
     assert result.ret == 1

@@ -51,13 +51,17 @@ def test_the_summary_of_a_campaign(project, mode):
     ]
 
 
-def test_without_a_report_the_last_line_names_the_record(project, monkeypatch):
+def test_without_a_report_the_last_lines_name_the_record_and_go_on(project, monkeypatch):
     def broken(record):
         raise ValueError("no page today")
 
     monkeypatch.setattr("pytest_dura.evidence.formats.report.render", broken)
     lines = [line for line in section(project.scenarios()) if line]
-    assert lines[-2:] == ["gate: failed, 3 supported", "evidence: dura-evidence/evidence.json"]
+    assert lines[-3:] == [
+        "gate: failed, 3 supported",
+        "evidence: dura-evidence/evidence.json",
+        "to go on: pytest --dura-scenarios '--dura-select=corridor/*' --dura-resume",
+    ]
     assert any("report.html could not be made" in line for line in lines)
 
 

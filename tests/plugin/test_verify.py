@@ -18,7 +18,7 @@ import pytest
 from sealing import alter, seal
 
 from pytest_dura.__main__ import main
-from pytest_dura.evidence.bundle.manifest import file_entry
+from pytest_dura.evidence.bundle.manifest import MANIFEST, file_entry, manifest_text
 from pytest_dura.evidence.bundle.writing import write_bundle
 from pytest_dura.evidence.record.counts import Counts
 from pytest_dura.evidence.record.session_record import SessionRecord
@@ -413,6 +413,16 @@ def test_the_digest_of_a_component_is_that_of_its_files(bundle):
 def test_what_a_component_is_made_of_agrees(bundle, change, problem):
     found = changed(bundle, lambda record: change(record["component_under_test"]))
     assert any(problem in one for one in found.problems)
+
+
+def test_a_manifest_that_lists_an_episode_kept_to_resume_is_a_difference(bundle):
+    kept = min(file for file in (bundle / ".episodes").rglob("*.episode"))
+    name = kept.relative_to(bundle).as_posix()
+    files = json.loads((bundle / MANIFEST).read_bytes())["files"]
+    (bundle / MANIFEST).write_text(manifest_text(files | {name: file_entry(kept)}))
+    assert verify_bundle(bundle).problems == [
+        f"{name}: in the manifest, and no file of this bundle"
+    ]
 
 
 def test_a_file_that_no_bundle_has_is_a_difference(bundle):

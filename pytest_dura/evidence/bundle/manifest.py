@@ -47,8 +47,8 @@ def manifest_problems(directory: Path, unlisted: Collection[str] = ()) -> Iterat
         return
     if text != canonical:
         yield f"{MANIFEST}: not as it was written; its own digest or form does not agree"
-    there = set(files_of(directory)) - {MANIFEST, *unlisted}
-    for name in sorted(there - set(listed)):
+    there = set(files_of(directory)) - {MANIFEST}
+    for name in sorted(there.difference(listed, unlisted)):
         yield f"{name}: not in the manifest"
     for name in sorted(set(listed) - there):
         yield f"{name}: in the manifest, but not in the bundle"
