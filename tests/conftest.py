@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
+import signal
 import sys
 from pathlib import Path
 
@@ -22,6 +23,14 @@ def pytest_collection_finish() -> None:
     """What was imported and collected stays to the end: it is not searched for garbage again."""
     gc.collect()
     gc.freeze()
+
+
+@pytest.fixture
+def hears_keys():
+    """Ctrl-C is heard, also where this process was started in the background, which ignores it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
 
 
 @pytest.fixture(scope="session")

@@ -8,7 +8,8 @@ from __future__ import annotations
 import os
 import sys
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -234,6 +235,16 @@ class LanguageModels:
         found = [self._told(session, key) for key in sorted(self._to_tell, key=str)]
         self._to_tell.clear()
         return found
+
+    @contextmanager
+    def uncounted(self) -> Iterator[None]:
+        """Context of a repetition, which is part of no count: nor is what it asks a model."""
+        before = Counter({} if self._in_use is None else self._in_use.counts)
+        try:
+            yield
+        finally:
+            after = Counter({} if self._in_use is None else self._in_use.counts)
+            self._counted += after - before
 
     def _note(self, key: tuple[Any, ...]) -> None:
         if key not in self._used:

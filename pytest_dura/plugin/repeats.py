@@ -80,7 +80,8 @@ class Repeats:
         if not self.session.shared.first_to_repeat(due.task.spec.case, due.task.spec.component):
             return None
         try:
-            again = self.session.bench.store.repeat(due.task)
+            with self.session.models.uncounted():
+                again = self.session.bench.store.repeat(due.task)
         except Exception as error:  # whatever user code raises: the first time it did not
             return {
                 "result": "failed",

@@ -29,6 +29,7 @@ SMALLEST = {
     ],
     "fault_table.py": ["--runs", "1", "--jobs", "1", "--faults", "bias", "brightness"],
     "against_gym.py": ["--episodes", "1"],
+    "hidden_violations.py": ["--campaigns", "3"],
     "injector_cost.py": ["--runs", "1", "--repeats", "1", "--select", "*/nominal"],
     "intersection_search.py": [
         *("--seeds", "1", "--budget", "1", "--jobs", "1"),
@@ -70,6 +71,7 @@ HEADERS = {
     "executors.py": ["time against the pool"],
     "falsification_table.py": ["portfolio", "portfolio"],
     "fault_table.py": ["rule_based", "propagated"],
+    "hidden_violations.py": ["counted as open"],
     "injector_cost.py": ["share of a tick"],
     "intersection_search.py": ["bang-bang"],
     "kills.py": ["simulated twice"],

@@ -190,7 +190,7 @@ def test_attachments_are_what_they_are_said_to_be(allure, project):
     assert "margin of gap > 0" in "".join(plot.itertext())
     assert b"DuraPlayer.mount(" in bodies["animation"]
     rows = bodies["signals"].decode().splitlines()
-    assert rows[0] == "time,cleared,collided,gap,x"
+    assert rows[0] == "time,breeze,cleared,collided,gap,x"
     assert len(rows) == 1 + 21
     assert bodies["trace"].startswith(b"\x89MCAP0\r\n")
     channels = make_reader(io.BytesIO(bodies["trace"])).get_summary().channels

@@ -49,6 +49,7 @@ simulator: driving
 duration: 1.5
 runs: 4
 world: {{ego: {{speed: 5.0, distance: 60.0}}}}
+variation: {{world.ego.distance: {{min: 60.0, max: 61.0}}}}
 roles: {{generator: "chatty:{generator}"}}
 requirements: [{requirements}]
 """

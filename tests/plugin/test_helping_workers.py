@@ -65,7 +65,12 @@ def test_who_has_no_item_left_helps_with_the_pairs_of_the_others(logged, monkeyp
     monkeypatch.setenv("HELP_SLEEP", "0.01")  # such that much is left when the other one is done
     evidence, simulated = logged("-n2", **asked)
     assert told(evidence) == told(alone)
-    assert set(Counter(seed for seed, _, _ in simulated).values()) == {3}
+    counts = Counter(seed for seed, _, _ in simulated)
+    # The first run is repeated, and so are its twins of both kinds, which have cases of their own.
+    assert sorted(counts.values()) == [3] * 9 + [3 + 3]
+    seeds = {one["id"]: one["seed"] for one in evidence["episodes"]}
+    repeated = [seeds[case["repeat"]["episode"]] for case in evidence["cases"]]
+    assert repeated == [evidence["episodes"][0]["seed"]] * 3
     helped = [process for _, process, test in simulated if test == "-"]
     assert len(helped) > 1, "simulated while no test was running"
     assert len(set(helped)) == 1
@@ -95,4 +100,6 @@ def test_helping_ends_where_the_requirement_is_decided(logged):
     assert {one["verdict"] for one in verdicts.values()} == {"supported"}
     needed = verdicts["BASE"]["run"] + verdicts["PAIR"]["run"]
     assert needed < 40
-    assert len(simulated) <= needed + 2, "but for what a worker began while it waited"
+    repeated = sum(case["repeat"] is not None for case in evidence["cases"])
+    assert repeated == 2, "one of the runs and one of their twins"
+    assert len(simulated) - repeated <= needed + 2, "but for what a worker began while it waited"

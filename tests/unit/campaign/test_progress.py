@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import signal
+
 import pytest
 from thermostat import Thermostat
 
@@ -114,9 +116,10 @@ def test_a_search_takes_over_what_it_had_before_and_says_so_of_nothing_else(benc
 
 class Interrupted(Thermostat):
     def reset(self, scenario, seed):
-        raise KeyboardInterrupt
+        signal.raise_signal(signal.SIGINT)
 
 
+@pytest.mark.usefixtures("hears_keys")
 def test_the_end_is_told_also_of_a_campaign_that_is_broken_off(bench, told):
     for _ in bench.campaign("room/warm"):
         break

@@ -295,6 +295,7 @@ def test_an_alarm_of_somebody_else_is_left_alone() -> None:
         signal.signal(signal.SIGALRM, before)
 
 
+@pytest.mark.usefixtures("hears_keys")
 def test_control_c_is_not_a_failure_of_the_component() -> None:
     def interrupt(view: Any) -> Proposal:
         signal.raise_signal(signal.SIGINT)
