@@ -276,7 +276,9 @@ def test_a_test_cannot_change_what_another_one_judges(project, change):
 def test_a_column_may_be_added_to_a_copy(project):
     scenario(project)
     body = "copy.deepcopy(episode.signals)['own'] = dict(episode.signals)['own'] = episode.time"
-    write_test(project, f"import copy; {body}", "dura(verdict=False)", look="episode")
+    write_test(project, f"import copy; {body}", look="episode")
+    file = project.path / "test_it.py"
+    file.write_text(file.read_text().replace("runs=3)", "runs=3, verdict=False)"))
     project.run("test_it.py").assert_outcomes(passed=3)
 
 

@@ -305,7 +305,7 @@ def check_terminal(bundle):
     """Nothing acts on a terminal, or reads as another line of ours."""
     config = SimpleNamespace(
         args_source=None, ArgsSource=SimpleNamespace(ARGS=1),
-        option=SimpleNamespace(inifilename=None, rootdir=None, verbose=0),
+        option=SimpleNamespace(inifilename=None, rootdir=None, verbose=0, dura_trust_code=False),
         invocation_params=SimpleNamespace(dir=bundle.root),
     )  # fmt: skip
     session = SimpleNamespace(
