@@ -310,7 +310,7 @@ def check_terminal(bundle):
     )  # fmt: skip
     session = SimpleNamespace(
         config=config, active=True, models=SimpleNamespace(replay_options=list),
-        simulating=SimpleNamespace(notes=list),
+        simulating=SimpleNamespace(notes=list), shared=SimpleNamespace(is_whole=True),
         options=SimpleNamespace(runs=None, given=()),
         evidence=SimpleNamespace(
             final=bundle.record, objections=bundle.record["gate"]["reasons"],
