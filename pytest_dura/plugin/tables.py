@@ -20,7 +20,9 @@ def case_table(cases: Sequence[Data]) -> list[str]:
     users = sorted({name for case in cases for name in case["metrics"]["user"]})
     names = [f"{case['id']} ({case['component']})" if several else case["id"] for case in cases]
     rows = [_row(case["metrics"], users) for case in cases]
-    return [*aligned("case", (*COLUMNS, *users), names, rows), *LEGEND]
+    starred = any(_beyond(case["metrics"]["collided"]) for case in cases)
+    legend = [*LEGEND, BEYOND] if starred else LEGEND
+    return [*aligned("case", (*COLUMNS, *users), names, rows), *legend]
 
 
 def aligned(
@@ -46,9 +48,9 @@ def aligned(
 COLUMNS = ("n", "flag %", "coll %", "clearance s", "grid", "recov", "alerts", "inv")
 LEGEND = (
     "n: valid runs (of those planned); flag, coll: runs with an unsafe proposal, with a collision;",
-    "clearance: mean +- sd over cleared runs (their number); grid: gridlock, not cleared in time;",
-    "3*: so many collisions in runs that are invalid or missing, which are in no rate",
+    "clearance: mean +- sd over cleared runs (their number); grid: gridlock, not cleared in time",
 )
+BEYOND = "3*: so many collisions in runs that are invalid or missing, which are in no rate"
 
 
 def _row(metrics: Data, users: Sequence[str]) -> list[str]:
