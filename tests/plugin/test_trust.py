@@ -105,17 +105,17 @@ def test_a_scenario_names_roles_and_simulators_only(project, old, new):
 
 
 def test_a_scenario_names_a_function_of_the_project_if_it_is_a_factory(project):
-    source = (project.path / "corridor.py").read_text()
+    # A module of its own: `corridor` may have been imported for another test of this process.
     project.write(
-        "corridor.py",
-        f"{source}\nfrom pytest_dura import factory\n"
+        "named_roles.py",
+        "from corridor import Careful\nfrom pytest_dura import factory\n"
         "def plain(): return Careful()\n"
         "@factory\n"
         "def careful(): return Careful()\n",
     )
-    scenario(project, ("corridor:Careful", "corridor:careful"))
+    scenario(project, ("corridor:Careful", "named_roles:careful"))
     assert project.run("corridor/named").ret == 0
-    scenario(project, ("corridor:Careful", "corridor:plain"))
+    scenario(project, ("corridor:Careful", "named_roles:plain"))
     result = project.run("corridor/named")
     assert result.ret == 4
     assert "a function with the decorator @pytest_dura.factory" in result.stderr.str()

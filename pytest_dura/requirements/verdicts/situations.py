@@ -80,5 +80,5 @@ def varies(paths: Iterable[str], faults: Collection[str]) -> bool:
         paths: What it varies: ``world.x``, ``faults.id.x``.
         faults: Ids of the case's faults.
     """
-    named = (path.split(".", 2) for path in paths)
-    return any(head != "faults" or fault in faults for head, fault, *_ in named)
+    of_faults = {tuple(path.split(".", 2)[:2]) for path in paths}
+    return any(path[0] != "faults" or path[-1] in faults for path in of_faults)
