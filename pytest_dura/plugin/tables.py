@@ -30,18 +30,20 @@ def aligned(
 ) -> list[str]:
     """Lines of a table; a name that is too long stands on a line of its own."""
     # The names of cases, faults and metrics may have any length.
-    names = [name(one, LONGEST) for one in names]
+    shown = (name(text, LONGEST) for text in names)
+    # A name must not begin a line as a heading or a row of ours would.
+    names = [f" {text}" if text.startswith(("|", "#", "gate:")) else text for text in shown]
     table = [[name(one) for one in columns], *rows]
     widths = [max(len(row[i]) for row in table) for i in range(len(columns))]
     room = max(24, WIDTH - sum(widths) - 2 * len(widths))
     left = min(max(map(len, [title, *names])), room)
     lines = []
-    for shown, row in zip([title, *names], table, strict=True):
+    for label, row in zip([title, *names], table, strict=True):
         cells = "".join(f"  {cell:>{width}}" for cell, width in zip(row, widths, strict=True))
-        if len(shown) > left:
-            lines += [shown, " " * left + cells]
+        if len(label) > left:
+            lines += [label, " " * left + cells]
         else:
-            lines.append(f"{shown:<{left}}{cells}")
+            lines.append(f"{label:<{left}}{cells}")
     return lines
 
 
