@@ -74,6 +74,11 @@ def shown_lines(text: str) -> Iterator[str]:
     yield from (f"    {line}" for line in rest)
 
 
+def apart(text: str) -> str:
+    """A text that begins with a name of a user's, which must not read as a line of ours."""
+    return f" {text}" if text.startswith(("|", "#", "gate:")) else text
+
+
 def say(lines: Iterable[str]) -> None:
     """Print these lines."""
     for line in lines:

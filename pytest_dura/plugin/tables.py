@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from pytest_dura.evidence.text import name
+from pytest_dura.plugin.messages import apart
 
 Data = Mapping[str, Any]
 
@@ -30,9 +31,7 @@ def aligned(
 ) -> list[str]:
     """Lines of a table; a name that is too long stands on a line of its own."""
     # The names of cases, faults and metrics may have any length.
-    shown = (name(text, LONGEST) for text in names)
-    # A name must not begin a line as a heading or a row of ours would.
-    names = [f" {text}" if text.startswith(("|", "#", "gate:")) else text for text in shown]
+    names = [apart(name(text, LONGEST)) for text in names]
     table = [[name(one) for one in columns], *rows]
     widths = [max(len(row[i]) for row in table) for i in range(len(columns))]
     room = max(24, WIDTH - sum(widths) - 2 * len(widths))

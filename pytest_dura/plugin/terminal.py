@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from pytest_dura.plugin.baseline_lines import baseline_header, show_baseline
 from pytest_dura.plugin.failure_mode_lines import failure_mode_table
 from pytest_dura.plugin.fault_lines import fault_table
-from pytest_dura.plugin.messages import Shown, shown_lines
+from pytest_dura.plugin.messages import Shown, apart, shown_lines
 from pytest_dura.plugin.overrides import (
     none_in_root_conftest,
     overrides_deeper_down,
@@ -123,7 +123,7 @@ def summary(session: DuraSession, terminal: Any) -> None:
 
 def _show_objections(terminal: Any, objections: list[str]) -> None:
     for objection in objections[:MOST]:
-        terminal.line(objection, red=True)
+        terminal.line(apart(objection), red=True)
     if len(objections) > MOST:
         told = f"and {len(objections) - MOST} more like the last one; evidence.json has them"
         terminal.line(told, red=True)

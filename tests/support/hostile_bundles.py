@@ -179,8 +179,8 @@ class Spoiler:
             hostile = self.pool[index]
             if text in self.long:
                 hostile *= MEGABYTE // len(hostile) + 1
-            if _CASE.fullmatch(text):  # seeds follow from it
-                hostile = hostile.encode(errors="replace").decode()
+            if _CASE.fullmatch(text):  # seeds follow from it, and only a search gives it an @
+                hostile = hostile.encode(errors="replace").decode().replace("@", "(at)")
             self.given[text] = hostile + str(lap or "")
         return self.given[text]
 
