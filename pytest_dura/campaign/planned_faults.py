@@ -15,9 +15,10 @@ from pytest_dura.core.episode import Termination
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.faults.activation import TOLERANCE
 from pytest_dura.faults.catalogue import FAULT_TYPES, load_fault, plain_fault
-from pytest_dura.faults.channels import check_condition_targets, check_target
+from pytest_dura.faults.channels import check_condition_targets, check_target, with_proposal
 from pytest_dura.faults.conditions import parse_condition
 from pytest_dura.faults.duration import Until
+from pytest_dura.faults.targets import PROPOSAL
 
 if TYPE_CHECKING:
     from pytest_dura.faults.channels import Channel
@@ -44,8 +45,8 @@ class FaultReader:
         self._duration, self._end = scenario.duration, last * scenario.time_step
         self._places: dict[tuple[str, str], Channel] = {}
         """The channels of targets that suit a type."""
-        self._conditions: set[tuple[str, str]] = set()
-        """Keys and texts of conditions on what is there."""
+        self._conditions: set[tuple[str, str, bool]] = set()
+        """Keys and texts of conditions on what is there, and whether they may read a proposal."""
         self._parts = RecurringParts()
 
     def read(self, data: Mapping[str, Any], recurring: Collection[str] = ()) -> dict[str, Any]:
@@ -66,7 +67,10 @@ class FaultReader:
         if self._channels is not None:
             self._check_place(fault, self._channels)
             if fault.activation.when is not None:
-                self._check_condition(fault.activation.when, self._channels, "activation.when")
+                known = self._channels
+                if fault.activation.directed:
+                    known = with_proposal(known)
+                self._check_condition(fault.activation.when, known, "activation.when")
             if isinstance(fault.duration, Until):
                 self._check_condition(fault.duration.until, self._channels, "duration.until")
         _check_id(fault.id)
@@ -93,9 +97,10 @@ class FaultReader:
             self._places[place] = check_target(fault, channels)
 
     def _check_condition(self, text: str, channels: Mapping[str, Channel], key: str) -> None:
-        if (key, text) not in self._conditions:
+        checked = key, text, PROPOSAL in channels
+        if checked not in self._conditions:
             check_condition_targets(parse_condition(text).targets, channels, key)
-            self._conditions.add((key, text))
+            self._conditions.add(checked)
 
     def _check_times(self, fault: Fault) -> None:
         """Refuse what could only happen when the last decision of the episode has been made."""

@@ -34,12 +34,17 @@ class Activation(FaultPart):
     decided on the channels as they are without any fault, so that faults do not shift each other.
     What falls due while the fault is active is lost. ``when`` activates it where its condition
     begins to hold within the window, and again only after it has not held.
+
+    Attacks that the SecurityAssessor directs are decided on what that role perceives, and on the
+    component's proposal: a fault on a sensor begins at the next percept.
     """
 
     at: NotNegative | None = Field(None, description="Simulated time of the activation, in s.")
     every: Positive | None = Field(None, description="With `at`: again after this period, in s.")
     when: str | None = Field(
-        None, description="A condition on the channels, such as `odometry.speed > 5`."
+        None,
+        description="A condition on the channels, such as `odometry.speed > 5`; for the"
+        " `security_assessor` also on the proposal: `proposal.acceleration > 1`.",
     )
     probability: Share | None = Field(
         None, description="Of an activation at each tick at which it is inactive."
@@ -87,15 +92,25 @@ class Activation(FaultPart):
                 f"one of {', '.join(TRIGGERS)}",
                 "add one of them, such as `at: 2.0`",
             )
-        if directed and given not in ([], ["at"]):
-            raise RefusedError(
-                f"the security_assessor does not direct by {given[0]!r}",
-                "`at`, or nothing, which leaves it to that role",
-                f"remove {given[0]!r}, or leave the fault to the fault_injector",
-            )
+        if directed:
+            self._check_directed(given)
         self._check_repetition()
         self._check_window(given)
         return self
+
+    def _check_directed(self, given: list[str]) -> None:
+        if given and given[0] in ("probability", "rate"):
+            raise RefusedError(
+                f"the security_assessor does not direct by {given[0]!r}",
+                "`at`, `when`, `after`, or nothing, which leaves it to that role",
+                f"remove {given[0]!r}, or leave the fault to the fault_injector",
+            )
+        if self.after is not None and self.after.event == "manifested":
+            raise RefusedError(
+                "the security_assessor does not see whether a fault manifested",
+                "the event `activated` or `deactivated`",
+                "wait for another event, or leave the fault to the fault_injector",
+            )
 
     def _check_repetition(self) -> None:
         if self.every is not None and self.at is None:
@@ -135,7 +150,14 @@ class Activation(FaultPart):
         if self.times is not None:
             return self.times
         repeated = self.every is not None or self.probability is not None or self.rate is not None
-        return None if repeated or self.by == "security_assessor" else 1
+        triggered = self.when is not None or self.after is not None
+        directed = self.by == "security_assessor" and not triggered
+        return None if repeated or directed else 1
+
+    @property
+    def directed(self) -> bool:
+        """Whether the SecurityAssessor, not the injector, decides when it begins."""
+        return self.by == "security_assessor"
 
     def due(self, time: float, since: float) -> bool:
         """Whether an activation by ``at`` and ``every`` falls into ``(since, time]``."""

@@ -10,7 +10,7 @@ from typing import Literal
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.metrics import COMMAND
 from pytest_dura.faults.model import Fault, Kind
-from pytest_dura.faults.targets import MESSAGES, Target
+from pytest_dura.faults.targets import MESSAGES, PROPOSAL, Target
 
 
 @dataclass(frozen=True)
@@ -115,6 +115,14 @@ def check_condition_targets(
                 expected="one of " + ", ".join([*known, *counts, "time"]),
                 remedy=f"did you mean {near[0]!r}?" if near else "compare a number",
             )
+
+
+def with_proposal(channels: Mapping[str, Channel]) -> Mapping[str, Channel]:
+    """The channels, and the numbers of the component's proposal, which are those of the command."""
+    command = channels.get(COMMAND)
+    if command is None:
+        return channels
+    return {**channels, PROPOSAL: Channel("numbers", command.fields)}
 
 
 def is_number(target: Target, channel: Channel) -> bool:

@@ -48,7 +48,7 @@ class CampaignInjector(FaultInjector):
         for life in self._lives.values():
             self._acting_where(life).append(life)
             after = life.fault.activation.after
-            if after is not None:
+            if after is not None and not life.fault.activation.directed:
                 self._followers.setdefault((after.fault, after.event), []).append(life)
         self._directed: set[str] = set()
         self._started: list[str] = []

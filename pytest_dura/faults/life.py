@@ -44,7 +44,8 @@ class Life:
         self._memory: Any = None
         self._began = 0.0
         activation = fault.activation
-        self._condition = parse_condition(activation.when) if activation.when else None
+        when = None if activation.directed else activation.when
+        self._condition = parse_condition(when) if when else None
         probability = activation.probability
         if activation.rate is not None:
             probability = -math.expm1(-activation.rate * dt)
@@ -172,7 +173,7 @@ class Life:
             self._pending = waiting
             return reached
         activation = self.fault.activation
-        return activation.by == "fault_injector" and activation.due(time, self._last)
+        return not activation.directed and activation.due(time, self._last)
 
     def _in_window(self, time: float) -> bool:
         return self._first <= time <= self._final
@@ -192,7 +193,7 @@ class Life:
                 following = self._chance.next(max(index, 0)) * self._dt
             return following if following <= self._final else NEVER
         activation = self.fault.activation
-        if activation.by != "fault_injector":
+        if activation.directed:
             return NEVER
         return activation.next_planned(self._last)
 

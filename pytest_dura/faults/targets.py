@@ -15,6 +15,8 @@ from pytest_dura.core.metrics import COMMAND
 from pytest_dura.core.state import Lazy
 
 MESSAGES = ("prompt", "model")
+PROPOSAL = "proposal"
+"""What the component proposes, in conditions of attacks that the SecurityAssessor directs."""
 """Channels of the component's own: what it puts before a model, and how the model is reached."""
 
 

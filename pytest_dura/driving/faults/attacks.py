@@ -17,9 +17,15 @@ from pytest_dura.faults.spans import Span
 class GhostParameters(FaultPart):
     """Where the ghost appears, how large it is, and how it moves."""
 
+    place: Literal["ego", "junction"] = Field(
+        "ego",
+        description="Where `ahead` is measured from: the ego's front, or the stop line before it.",
+    )
     # Farther away a car at the speed limit of 10 m/s stops for it without any haste.
     ahead: Annotated[Positive, Span(2.0, 60.0, mildest=60.0)] = Field(
-        14.0, description="Metres ahead of the ego's front on its route, when it appears."
+        14.0,
+        description="Metres on the ego's route, from `place` to the ghost's near end, when it"
+        " appears.",
     )
     # Two lanes to either side. Of where and how it stands, and of its size, none is milder than
     # another: the simplest is a car on the route.
@@ -54,10 +60,12 @@ class GhostObstacle(ObjectFault):
     def begin(self, value: BodyList, moment: Moment) -> Body:
         """The ghost as it appears."""
         given, channels, rng = self.parameters, moment.channels, moment.rng
-        pose, route = channels["localisation"], channels["map"].route
-        s, _ = route.project(pose.x, pose.y)
-        between = CAR_LENGTH / 2 + given.ahead + given.length / 2
-        x, y, heading = (float(value) for value in route.pose(s + between))
+        pose, way = channels["localisation"], channels["map"]
+        start = way.stop_line
+        if given.place == "ego":
+            start = way.route.project(pose.x, pose.y)[0] + CAR_LENGTH / 2
+        s = start + given.ahead + given.length / 2
+        x, y, heading = (float(value) for value in way.route.pose(s))
         # y points south, so that right of the heading (c, s) is (-s, c).
         x, y = x - given.lateral * math.sin(heading), y + given.lateral * math.cos(heading)
         heading += given.heading
@@ -73,8 +81,13 @@ class GhostObstacle(ObjectFault):
 
 
 class SpoofParameters(FaultPart):
-    """How the spoofed vehicle seems to move."""
+    """Which vehicle is spoofed, and how it seems to move."""
 
+    victim: Literal["nearest", "oncoming"] = Field(
+        "nearest",
+        description="The nearest car, or the nearest one that comes towards the ego: that lies"
+        " ahead and heads within 45 degrees of the opposite direction. Without one it waits.",
+    )
     magnitude: Annotated[Share, Span(0.0, 1.0)] = Field(
         1.0, description="0 leaves the vehicle where it is, 1 puts it wholly on the false path."
     )
@@ -107,10 +120,12 @@ class TrajectorySpoof(ObjectFault):
     parameters: SpoofParameters = SpoofParameters()
 
     def begin(self, value: BodyList, moment: Moment) -> Any:
-        """The victim, the nearest car within sight, and its false path; ``None`` without a car."""
+        """The victim and its false path; ``None`` while there is no such car within sight."""
         given, pose = self.parameters, moment.channels["localisation"]
         route = moment.channels["map"].route
         cars = [body for body in value if not body.is_pedestrian]
+        if given.victim == "oncoming":
+            cars = [body for body in cars if _is_oncoming(body, pose)]
         if not cars:
             return None
         victim = min(cars, key=lambda body: distance(body, pose))
@@ -140,3 +155,9 @@ class TrajectorySpoof(ObjectFault):
         false = (*place, vx * moving, vy * moving)
         x, y, heading, vx, vy = (r + share * (f - r) for r, f in zip(real[1:6], false, strict=True))
         return value.with_body(Body(real.id, x, y, heading, vx, vy, real.length, real.width))
+
+
+def _is_oncoming(body: Body, pose: Any) -> bool:
+    """Whether a body lies ahead of a pose and heads within 45 degrees of the opposite direction."""
+    ahead = (body.x - pose.x) * math.cos(pose.heading) + (body.y - pose.y) * math.sin(pose.heading)
+    return ahead > 0.0 and math.cos(body.heading - pose.heading) < -math.sqrt(0.5)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import numpy as np
 
@@ -15,14 +16,19 @@ from pytest_dura.core.roles import (
 )
 from pytest_dura.core.state import RoleView
 from pytest_dura.driving.bodies import VX, VY
-from pytest_dura.driving.maneuvers import MAX_ACCELERATION, MAX_BRAKING, Maneuver
+from pytest_dura.driving.ego import ego_of
+from pytest_dura.driving.maneuvers import (
+    MAX_ACCELERATION,
+    MAX_BRAKING,
+    Maneuver,
+    acceleration_for,
+)
 from pytest_dura.driving.plausible import objects, out_of_range, own_pose
 from pytest_dura.driving.radar import agree, compare
 from pytest_dura.driving.reaction import ReactionWatch
 from pytest_dura.driving.sensors import RANGE
 from pytest_dura.driving.tracking import Tracker
-from pytest_dura.faults.activation import Activation
-from pytest_dura.faults.targets import Target
+from pytest_dura.faults.directing import AttackPlan
 
 _ROAD_END = 85.0
 """m from the centre; farther out, bodies come and go at the ends of the arms."""
@@ -41,29 +47,29 @@ class PlausibilityAssessor(SecurityAssessor):
         displacement_tolerance: m/s between reported velocity and displacement over time.
         confirm: Ticks in a row before lidar and radar contradict each other.
         quiet: Seconds without the pattern after which it is alerted anew.
+        escalate: Whether a suspicion is unsafe, so that recovery acts for as long as it lasts.
+            By default it is a warning, and what it means for the proposal is the SafetyMonitor's
+            to say.
 
-    The score is minus the number of suspicions at this tick. An alert is a warning: what the
-    suspicion means for the proposal is the SafetyMonitor's to say.
+    The score is minus the number of suspicions at this tick.
     """
 
     def __init__(
-        self, displacement_tolerance: float = 3.0, confirm: int = 2, quiet: float = 1.0
+        self,
+        displacement_tolerance: float = 3.0,
+        confirm: int = 2,
+        quiet: float = 1.0,
+        *,
+        escalate: bool = False,
     ) -> None:
         self.displacement_tolerance = displacement_tolerance
         self.confirm, self.quiet = confirm, quiet
+        self._suspicious = Assessed.UNSAFE if escalate else Assessed.WARNING
         self._tracker = Tracker()
 
     def reset(self, context: RoleContext) -> None:
         """Load the plan of attacks; forget what was seen."""
-        self._plan = {
-            fault["id"]: (
-                Activation.model_validate(fault["activation"]),
-                Target.parse(fault["target"]).is_command,
-            )
-            for fault in context.faults
-            if fault["activation"]["by"] == self.name
-        }
-        self._last = -1.0
+        self._plan = AttackPlan(context.faults, self.name)
         self._tracker.reset()
         self._contradicted: dict[str, int] = {}
         self._seen: dict[tuple[str, str], float] = {}
@@ -76,7 +82,7 @@ class PlausibilityAssessor(SecurityAssessor):
         """Directives, alerts, and the component's reaction once an attack is over."""
         if view.index != self._index:  # a refined proposal does not change the percept
             self._index = view.index
-            self._directives = self._direct(view)
+            self._directives = self._plan.due(view, partial(_numbers, view))
             self._suspicions = self._look(view)
         suspicions = self._suspicions + self._check_command(view)
         reaction = self._watch.update(view, bool(self._suspicions))
@@ -89,26 +95,13 @@ class PlausibilityAssessor(SecurityAssessor):
                 alerts.append(alert)
             self._seen[key] = view.time
         return SecurityAssessment(
-            verdict=Assessed.WARNING if suspicions else Assessed.SAFE,
+            verdict=self._suspicious if suspicions else Assessed.SAFE,
             score=-float(len(suspicions)),
             reasons=tuple(f"{alert.pattern} ({alert.subject})" for alert in suspicions),
             alerts=tuple(alerts),
             directives=self._directives,
             reaction=reaction,
         )
-
-    def _direct(self, view: RoleView) -> tuple[str, ...]:
-        """The attacks that begin with the next percept, or with the command of this tick."""
-        now, ahead = view.time, view.time + view.dt
-        if not self._plan:
-            return ()
-        due = tuple(
-            name
-            for name, (when, at_once) in self._plan.items()
-            if when.due(*((now, self._last - view.dt) if at_once else (ahead, self._last)))
-        )
-        self._last = ahead
-        return due
 
     def _look(self, view: RoleView) -> list[Alert]:
         percept = view.percept
@@ -164,6 +157,13 @@ class PlausibilityAssessor(SecurityAssessor):
         else:
             return []
         return [Alert("command_outside_envelope", "generator", detail)]
+
+
+def _numbers(view: RoleView) -> dict[str, float]:
+    """The proposal as conditions of attacks read it: its acceleration in m/s2."""
+    assert view.proposal is not None
+    ego = ego_of(view.percept)
+    return {"acceleration": acceleration_for(view.proposal.action, ego.speed, ego.to_stop_line)}
 
 
 _QUIET = SecurityAssessment()
