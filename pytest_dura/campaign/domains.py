@@ -61,6 +61,7 @@ DOMAINS: dict[str, Domain] = {
             "generator": {
                 "rule_based": f"{_PLANNERS}:RuleBased",
                 "reactive": f"{_PLANNERS}:Reactive",
+                "tactical": "pytest_dura.driving.roles.tactical:Tactical",
                 "aggressive": f"{_PLANNERS}:Aggressive",
                 "random": f"{_PLANNERS}:RandomPlanner",
                 "llm": "pytest_dura.llm.driving.planner:LlmPlanner",

@@ -48,11 +48,7 @@ class AttackPlan:
             # A chain, since a copy would read every channel of the percept.
             channels = ChainMap({PROPOSAL: proposal()}, view.percept)  # type: ignore[arg-type]
         events = view.outputs.get("fault_injector")
-        return tuple(
-            attack.id
-            for attack in self._attacks
-            if attack.due(view, channels, events)
-        )
+        return tuple(attack.id for attack in self._attacks if attack.due(view, channels, events))
 
 
 class _Attack:
