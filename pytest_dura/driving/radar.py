@@ -31,16 +31,33 @@ def compare(percept: Mapping[str, Any]) -> tuple[Mask, Mask]:
     Masks of shape ``(objects,)`` and ``(returns,)``.
     Objects at the edge of the radar's reach count as confirmed.
     """
+    bodies = objects(percept)
+    near = _near(bodies.data, _return_places(percept))
+    rates = _range_rates(bodies.data, own_pose(percept), own_speed(percept))
+    same = near & (np.abs(rates[:, None] - radar_returns(percept)[:, 2]) < RATE_TOLERANCE)
+    far = ~_within_reach(percept, bodies)
+    return same.any(axis=1) | far, np.asarray(near.any(axis=0))
+
+
+def _return_places(percept: Mapping[str, Any]) -> Floats:
+    """Where radar sees something: x and y, shape ``(returns, 2)``."""
     returns, pose = radar_returns(percept), own_pose(percept)
-    data, speed = objects(percept).data, own_speed(percept)
     bearing = pose.heading - returns[:, 1]
     x = pose.x + returns[:, 0] * np.cos(bearing)
     y = pose.y + returns[:, 0] * np.sin(bearing)
-    near = np.hypot(data[:, None, 0] - x, data[:, None, 1] - y) < DISTANCE_TOLERANCE
-    rates = _range_rates(data, pose, speed)
-    same = near & (np.abs(rates[:, None] - returns[:, 2]) < RATE_TOLERANCE)
-    far = np.hypot(data[:, 0] - pose.x, data[:, 1] - pose.y) > RANGE - 2.0
-    return same.any(axis=1) | far, np.asarray(near.any(axis=0))
+    return np.stack([x, y], axis=1)
+
+
+def _near(data: Floats, places: Floats) -> Mask:
+    """Which objects may be which returns, shape ``(objects, returns)``."""
+    apart = np.hypot(data[:, None, 0] - places[:, 0], data[:, None, 1] - places[:, 1])
+    return np.asarray(apart < DISTANCE_TOLERANCE)
+
+
+def _within_reach(percept: Mapping[str, Any], bodies: BodyList) -> Mask:
+    """Which objects radar surely sees, if they are there: not those at the edge of its reach."""
+    pose, data = own_pose(percept), bodies.data
+    return np.asarray(np.hypot(data[:, 0] - pose.x, data[:, 1] - pose.y) <= RANGE - 2.0)
 
 
 def agree(percept: Mapping[str, Any]) -> bool:
@@ -75,24 +92,58 @@ def _range_rates(data: Floats, pose: Any, speed: float) -> Floats:
     return rates
 
 
+class CrossCheck:
+    """The objects to believe in: those of lidar that radar does not contradict, and what it adds.
+
+    An object of lidar that radar does not confirm for some ticks in a row is not believed, as long
+    as radar can be relied on: it confirms at least as many others as it contradicts. A radar that
+    sees nothing, or other things than lidar throughout, contradicts nobody.
+
+    Args:
+        confirm: Ticks in a row from which on a contradicted object is not believed.
+    """
+
+    def __init__(self, confirm: int = 3) -> None:
+        self.confirm = confirm
+        self._contradicted: dict[str, int] = {}
+
+    def reset(self) -> None:
+        """Forget what was contradicted."""
+        self._contradicted = {}
+
+    def update(self, percept: Mapping[str, Any]) -> BodyList:
+        """The objects of the next percept; call it once per tick."""
+        bodies = objects(percept)
+        if agree(percept):
+            self._contradicted = {}
+            return bodies
+        confirmed, _ = compare(percept)
+        contradicted = [bodies.ids[row] for row in np.flatnonzero(~confirmed).tolist()]
+        before = self._contradicted
+        self._contradicted = {name: before.get(name, 0) + 1 for name in contradicted}
+        if _within_reach(percept, bodies)[confirmed].sum() >= len(contradicted):
+            gone = {name for name, ticks in self._contradicted.items() if ticks >= self.confirm}
+            bodies = bodies.rows([row for row, name in enumerate(bodies.ids) if name not in gone])
+        return _with_returns(percept, bodies)
+
+
 def with_unexplained_returns(percept: Mapping[str, Any]) -> BodyList:
     """The lidar objects, and a car for each radar return that none of them explains.
 
     Radar gives no course: a car on the crossing road is taken to drive on its lane at 9 m/s, one
     elsewhere to stand.
     """
-    bodies, returns = objects(percept), radar_returns(percept)
-    if agree(percept):
-        return bodies
-    _, explained = compare(percept)
-    pose = own_pose(percept)
-    for row in np.flatnonzero(~explained).tolist():
-        distance, azimuth, _ = returns[row].tolist()
-        x = pose.x + distance * math.cos(pose.heading - azimuth)
-        y = pose.y + distance * math.sin(pose.heading - azimuth)
+    return objects(percept) if agree(percept) else _with_returns(percept, objects(percept))
+
+
+def _with_returns(percept: Mapping[str, Any], bodies: BodyList) -> BodyList:
+    """These objects, and a car for each radar return that none of them explains."""
+    places = _return_places(percept)
+    near = _near(bodies.data, places)
+    for row in np.flatnonzero(~near.any(axis=0)).tolist():
+        x, y = places[row].tolist()
         on_road = abs(y) < 2 * LANE_OFFSET
         vx = math.copysign(_ASSUMED_SPEED, y) if on_road else 0.0
         heading = 0.0 if vx >= 0 else math.pi
-        ghost = Body(f"R{row}", x, y, heading, vx, 0.0, CAR_LENGTH, CAR_WIDTH)
-        bodies = bodies.with_body(ghost)
+        bodies = bodies.with_body(Body(f"R{row}", x, y, heading, vx, 0.0, CAR_LENGTH, CAR_WIDTH))
     return bodies

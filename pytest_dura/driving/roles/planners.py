@@ -24,7 +24,7 @@ from pytest_dura.driving.maneuvers import (
     braking_distance,
     stop_at,
 )
-from pytest_dura.driving.radar import with_unexplained_returns
+from pytest_dura.driving.radar import CrossCheck
 from pytest_dura.driving.scene import HALF, InLane, Scene, crossing, time_to_cover
 
 SCALLOP = 0.35
@@ -49,7 +49,8 @@ def follow(leader: InLane | None, speed: float) -> float:
 class RuleBased(Generator):
     """Gap acceptance at the stop line, car following, and a look ahead inside the junction.
 
-    It perceives lidar objects, and radar returns that no lidar object explains.
+    It perceives lidar objects that radar does not contradict, and radar returns that no lidar
+    object explains.
 
     Args:
         margin: Seconds that must lie between its leaving the crossing lanes and a car's arrival.
@@ -67,10 +68,12 @@ class RuleBased(Generator):
     def __init__(self, margin: float = 0.8, separation: float = 1.0) -> None:
         self.margin, self.separation = margin, separation
         self._predictor = prediction.Predictor(3.0, 0.3, now=True)
+        self._cross_check = CrossCheck()
 
     def reset(self, context: RoleContext) -> None:
         """Forget the bodies seen."""
         self._predictor.reset()
+        self._cross_check.reset()
         self._waits: dict[str, int] = {}
         self._speeds: dict[str, float] = {}
         self._walked: set[str] = set()
@@ -79,7 +82,7 @@ class RuleBased(Generator):
     def propose(self, view: GeneratorView) -> Proposal:
         """The maneuver of this tick, with its acceleration."""
         scene = Scene.of(view.percept)
-        scene.bodies = with_unexplained_returns(view.percept)
+        scene.bodies = self._cross_check.update(view.percept)
         self._predictor.observe(view.index, scene.bodies)
         self._watch_who_waits(scene)
         command, why = self._on_the_way(scene, view.dt)
