@@ -31,21 +31,6 @@ SCALLOP = 0.35
 """m; by so much three discs overstate a car's width where it is widest."""
 
 
-def follow(leader: InLane | None, speed: float) -> float:
-    """Acceleration in m/s2 that keeps a time gap of a second behind the leader."""
-    if leader is None:
-        return math.inf
-    room = leader.distance - 2.0
-    if room <= 0.0:
-        return -MAX_BRAKING if speed > 0.5 else -COMFORT_BRAKING
-    ahead = max(leader.speed, 0.0)
-    needed = max(speed - ahead, 0.0) ** 2 / (2.0 * room)
-    if ahead < 1.0:
-        return stop_at(room + braking_distance(ahead, COMFORT_BRAKING), speed)
-    gentle = 0.3 * (room - 1.0 * speed) + 0.8 * (ahead - speed)
-    return max(min(gentle, -needed if needed > 1.0 else math.inf), -MAX_BRAKING)
-
-
 class RuleBased(Generator):
     """Gap acceptance at the stop line, car following, and a look ahead inside the junction.
 
@@ -87,10 +72,10 @@ class RuleBased(Generator):
         self._watch_who_waits(scene)
         command, why = self._on_the_way(scene, view.dt)
         acceleration = acceleration_for(command, scene.speed, scene.to_stop_line)
-        behind = follow(scene.leader(), scene.speed)
-        if behind < acceleration:
-            acceleration, why = behind, "follows"
-            gently = behind > -COMFORT_BRAKING
+        follow = self._follow(scene.leader(), scene.speed)
+        if follow < acceleration:
+            acceleration, why = follow, "follows"
+            gently = follow > -COMFORT_BRAKING
             command = Command(Maneuver.YIELD if gently else Maneuver.EMERGENCY_BRAKE)
         walker = self._for_pedestrians(scene)
         if walker < acceleration:
@@ -172,6 +157,21 @@ class RuleBased(Generator):
         here, apart = apart[0, 0], apart[:, 1:].min(axis=1) + 2 * SCALLOP * standing
         apart = np.where((apart > here - SCALLOP) & (here > 0.0), np.maximum(apart, 9.0), apart)
         return apart.min(axis=1), near.ids[int(apart[0].argmin())]
+
+    @staticmethod
+    def _follow(leader: InLane | None, speed: float) -> float:
+        """Acceleration in m/s2 that keeps a time gap of a second behind the leader."""
+        if leader is None:
+            return math.inf
+        room = leader.distance - 2.0
+        if room <= 0.0:
+            return -MAX_BRAKING if speed > 0.5 else -COMFORT_BRAKING
+        ahead = max(leader.speed, 0.0)
+        needed = max(speed - ahead, 0.0) ** 2 / (2.0 * room)
+        if ahead < 1.0:
+            return stop_at(room + braking_distance(ahead, COMFORT_BRAKING), speed)
+        gentle = 0.3 * (room - 1.0 * speed) + 0.8 * (ahead - speed)
+        return max(min(gentle, -needed if needed > 1.0 else math.inf), -MAX_BRAKING)
 
     def _for_pedestrians(self, scene: Scene) -> float:
         """Acceleration in m/s2 that stops before a pedestrian who is on the path or may come.

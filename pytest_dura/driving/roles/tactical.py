@@ -2,8 +2,7 @@
 
 It has that planner's weaknesses, not its mind: it decides seldom, among few maneuvers, on few
 objects, believes lidar, and misjudges gaps. Each parameter has its source or reason beside it.
-They were fixed before any verdict on this planner was looked at, and are not tuned to the paper's
-table or to a verdict.
+They are not tuned to the paper's table or to a verdict: docs/paper.md says when they were fixed.
 """
 
 from __future__ import annotations
@@ -19,12 +18,9 @@ from pytest_dura.driving.maneuvers import (
     MAX_BRAKING,
     Command,
     Maneuver,
-    acceleration_for,
     braking_distance,
-    stop_at,
 )
-from pytest_dura.driving.roles.planners import follow
-from pytest_dura.driving.scene import HALF, InLane, Scene, crossing
+from pytest_dura.driving.scene import HALF, Scene, crossing
 
 PERIOD = 1.0
 """s between decisions; the time in which a language model of 11 billion parameters can answer."""
@@ -39,28 +35,24 @@ GAP_ERROR = 0.3
 a third too long, one in six a quarter too short. A chosen value: how well a language model judges
 gaps was not measured."""
 SAFE_TIME = 2.0
-"""s; the two-second rule: nearer to what is in its lane it waits."""
+"""s; the two-second rule: it slows down behind who drives nearer ahead, and brakes hard before what
+stands nearer or crosses."""
 ALARM_TIME = 1.0
-"""s; nearer still it brakes hard; one second is how long the next decision takes."""
+"""s; nearer than a decision takes it brakes hard before everybody."""
 BESIDE = 2.0
 """m beside its lane, where it expects a pedestrian to step out; half a lane's width."""
-STANDSTILL = 2.0
-"""m that it keeps to what it stops for; what queueing drivers leave."""
 
 
 class _Decision(NamedTuple):
-    """A maneuver, why, and the object it stops for or follows, if any."""
-
     maneuver: Maneuver
     reason: str
-    subject: str | None = None
 
 
 class Tactical(Generator):
-    """Decides once a second, and carries the decision out until the next one.
+    """Decides on a maneuver once a second, and reacts to nothing until the next decision.
 
-    In between it keeps its distance to the object that it decided to stop for or to follow, and
-    reacts to nothing else. It trusts lidar: it checks nothing against radar, camera or time.
+    It trusts lidar: it checks nothing against radar, camera or what it saw before. How a maneuver
+    is carried out is left to the vehicle, which does not know what it was for.
 
     Args:
         period: Seconds between decisions.
@@ -86,18 +78,11 @@ class Tactical(Generator):
         self._decision = _Decision(Maneuver.PROCEED, "")
 
     def propose(self, view: GeneratorView) -> Proposal:
-        """The maneuver of the current decision, with the acceleration that carries it out."""
-        scene = Scene.of(view.percept)
+        """The maneuver of the current decision."""
         if view.time >= self._number * self.period - view.dt / 2:
             self._number += 1
-            self._decision = self._decide(scene)
-        maneuver, reason, subject = self._decision
-        acceleration = acceleration_for(Command(maneuver), scene.speed, scene.to_stop_line)
-        if subject is not None:
-            body = scene.bodies.get(subject)
-            if body is not None:
-                acceleration = min(acceleration, _behind(scene, body))
-        return Proposal(Command(maneuver, acceleration), reason)
+            self._decision = self._decide(Scene.of(view.percept))
+        return Proposal(Command(self._decision.maneuver), self._decision.reason)
 
     def _decide(self, scene: Scene) -> _Decision:
         attended = self._attended(scene)
@@ -122,10 +107,8 @@ class Tactical(Generator):
                         maneuver, f"{name} crosses in about {seconds:.0f} s, so I give way."
                     )
             if scene.to_stop_line < 20.0:
-                subject = obstacle[0].id if obstacle is not None else None
-                return _Decision(Maneuver.ACCELERATE, "The gap is long enough, so I go.", subject)
-        subject = obstacle[0].id if obstacle is not None else None
-        return _Decision(Maneuver.PROCEED, "Nothing is in my way.", subject)
+                return _Decision(Maneuver.ACCELERATE, "The gap is long enough, so I go.")
+        return _Decision(Maneuver.PROCEED, "Nothing is in my way.")
 
     def _attended(self, scene: Scene) -> dict[str, Body]:
         """The nearest objects by id."""
@@ -156,16 +139,13 @@ class Tactical(Generator):
         leads = along > 1.0 and not body.is_pedestrian
         seconds = max(distance, 0.0) / max(scene.speed, 1.0)
         where = f"{body.id} is {max(distance, 0.0):.0f} m ahead in my lane"
-        if seconds < ALARM_TIME and scene.speed > along + 1.0:
+        closing = scene.speed > along
+        if (seconds < ALARM_TIME and closing) or (seconds < SAFE_TIME and not leads):
             return _Decision(Maneuver.EMERGENCY_BRAKE, f"{where}: I brake hard.")
-        if leads:
-            if seconds < SAFE_TIME:
-                reason = f"{where} and drives on, so I follow it."
-                return _Decision(Maneuver.PROCEED_CAUTIOUSLY, reason, body.id)
-            return None
-        # What stands or crosses is stopped for from where comfortable braking suffices.
-        if distance < STANDSTILL + SAFE_TIME * scene.speed + braking_distance(scene.speed, 3.0):
-            return _Decision(Maneuver.WAIT, f"{where}, so I wait.", body.id)
+        if leads and seconds < SAFE_TIME:
+            return _Decision(Maneuver.PROCEED_CAUTIOUSLY, f"{where} and drives on, so I slow down.")
+        if not leads and seconds < 2 * SAFE_TIME:
+            return _Decision(Maneuver.YIELD, f"{where}, so I give way.")
         return None
 
     def _misjudged(self, name: str) -> float:
@@ -180,16 +160,3 @@ def _extent(scene: Scene, body: Body, s: float, *, across: bool) -> float:
     angle = body.heading - float(scene.route.pose(s)[2])
     c, sn = abs(math.cos(angle)), abs(math.sin(angle))
     return (body.length * sn + body.width * c if across else body.length * c + body.width * sn) / 2
-
-
-def _behind(scene: Scene, body: Body) -> float:
-    """The acceleration in m/s2 with which the ego stays behind an object in its lane."""
-    s, lateral = scene.route.project(body.x, body.y)
-    if s <= scene.s or abs(lateral) > CAR_WIDTH / 2 + _extent(scene, body, s, across=True) + BESIDE:
-        return math.inf
-    heading = float(scene.route.pose(s)[2])
-    along = body.vx * math.cos(heading) + body.vy * math.sin(heading)
-    distance = s - scene.s - HALF - _extent(scene, body, s, across=False)
-    if along > 1.0:
-        return follow(InLane(body, distance, along), scene.speed)
-    return stop_at(distance - STANDSTILL, scene.speed)
