@@ -18,6 +18,7 @@ from pytest_dura import Episode, RoleSpec
 from pytest_dura.campaign.episodes.task import run_episode
 from pytest_dura.campaign.loading import load_library
 from pytest_dura.requirements.model import Requirement
+from pytest_dura.requirements.pairs.verdicts import change_verdict, measured, pair_verdict
 from pytest_dura.requirements.verdicts.episodes import judge_episode
 
 RULE_BASED = RoleSpec("pytest_dura.driving.roles.planners:RuleBased")
@@ -42,11 +43,10 @@ class Row:
     duration: float = 62.0
     car: RoleSpec | None = None
 
-    def run(self, *, defective: bool) -> Episode:
+    def run(self, *, defective: bool, attacked: bool = True) -> Episode:
         generator = self.defective if defective else self.sound
-        spec = spec_of_drive(
-            self.world, generator=generator, faults=self.faults, duration=self.duration
-        )
+        faults = self.faults if attacked else ()
+        spec = spec_of_drive(self.world, generator=generator, faults=faults, duration=self.duration)
         if defective and self.car is not None:
             spec = replace(spec, simulator=self.car)
         return run_episode(spec)
@@ -71,17 +71,24 @@ VICTIM = {
 }
 GHOST = {"type": "ghost-obstacle", "target": "lidar", "activation": {"at": 2.0}, "duration": 4.0}
 SPOOF = {"type": "trajectory-spoof", "target": "lidar", "activation": {"at": 2.0}, "duration": 5.0}
-NEVER_CLEARS = frozenset({"PERF-1", "PERF-5", "PERF-6", "SEC-2"})
-COLLIDES = NEVER_CLEARS | {"SAF-1", "SAF-2", "SEC-1"}
+HIDE = {
+    "type": "object-miss", "target": "lidar", "activation": {"at": 0.0}, "duration": 8.0,
+    "parameters": {"probability": 1.0},
+}  # fmt: skip
+NEVER_CLEARS = frozenset({"PERF-1", "PERF-5", "PERF-6"})
+DELAYED = frozenset({"SEC-2", "SEC-4"})
+COLLIDES = NEVER_CLEARS | {"SAF-1", "SAF-2"}
 STOPS_HARD = defect("StopsHard")
 
 ROWS: dict[str, Row] = {
     "SAF-1": Row(PEDESTRIAN, defect("BlindToPedestrians"), also=COLLIDES),
-    "SAF-2": Row(PEDESTRIAN, defect("StopsTooClose"), also=frozenset({"SEC-1"})),
+    "SAF-2": Row(PEDESTRIAN, defect("StopsTooClose")),
     "SAF-3": Row(LEADER, defect("BrakesLate")),
     "SAF-4": Row(PRIORITY, defect("NeverGivesWay")),
-    "SEC-1": Row(VICTIM, defect("TrustsLidar"), also=COLLIDES, faults=[SPOOF]),
-    "SEC-2": Row({}, defect("FreezesAtGhosts"), also=NEVER_CLEARS, faults=[GHOST]),
+    "SEC-1": Row(VICTIM, defect("TrustsLidar"), also=COLLIDES | DELAYED, faults=[SPOOF]),
+    "SEC-2": Row({}, defect("FreezesAtGhosts"), also=NEVER_CLEARS | DELAYED, faults=[GHOST]),
+    "SEC-3": Row(PRIORITY, defect("TrustsLidar"), also=frozenset({"SAF-4"}), faults=[HIDE]),
+    "SEC-4": Row({}, defect("FreezesAtGhosts"), also=NEVER_CLEARS | DELAYED, faults=[GHOST]),
     "PERF-1": Row({}, defect("AtSpeed", speed=8.0, stop_before=5.0), also=NEVER_CLEARS),
     "PERF-2": Row({}, STOPS_HARD, STOPS_HARD, car=defect("BrakesTooHard")),
     "PERF-3": Row({}, STOPS_HARD, STOPS_HARD, car=defect("BrakesAtOnce")),
@@ -104,10 +111,34 @@ def catalogue() -> dict[str, Requirement]:
     return dict(load_library([]).requirements)
 
 
-def judged(episode: Episode, catalogue: Mapping[str, Requirement]) -> dict[str, str]:
-    """What the episode says of the catalogue's requirements with a row."""
-    assert episode.failure is None
-    return {name: judge_episode(catalogue[name], episode).verdict for name in ROWS}
+def judged(
+    row: Row, catalogue: Mapping[str, Requirement], *, defective: bool
+) -> tuple[Episode, dict[str, str]]:
+    """An episode, and what it says of the catalogue's requirements with a row.
+
+    Those on pairs compare it with its twin without the attack, where there is one.
+    """
+    episode = row.run(defective=defective)
+    twin = row.run(defective=defective, attacked=False)
+    assert episode.failure is twin.failure is None
+    verdicts = {}
+    for name in ROWS:
+        requirement = catalogue[name]
+        if requirement.paired is None:
+            verdicts[name] = judge_episode(requirement, episode).verdict
+        elif row.faults:
+            verdicts[name] = judged_pair(requirement, episode, twin)
+    return episode, verdicts
+
+
+def judged_pair(requirement: Requirement, episode: Episode, twin: Episode) -> str:
+    assert requirement.paired is not None
+    measure = requirement.paired.measure
+    if not measure:
+        sides = (judge_episode(requirement, run) for run in (episode, twin))
+        return pair_verdict(*sides).verdict
+    values = measured(measure, episode), measured(measure, twin)
+    return change_verdict(requirement, episode, twin, values).verdict
 
 
 @pytest.mark.parametrize("requirement", sorted(ROWS))
@@ -115,10 +146,9 @@ def test_the_defect_violates_the_requirement_and_the_sound_component_none(
     requirement: str, catalogue: dict[str, Requirement]
 ) -> None:
     row = ROWS[requirement]
-    sound = judged(row.run(defective=False), catalogue)
+    _, sound = judged(row, catalogue, defective=False)
     assert set(sound.values()) == {"satisfied"}, sound
-    defective = row.run(defective=True)
-    words = judged(defective, catalogue)
+    defective, words = judged(row, catalogue, defective=True)
     violated = {name for name, word in words.items() if word == "violated"}
     assert violated == {requirement} | row.also
     # What was to hold always is open after a crash, which is critical; nothing else is undecided.

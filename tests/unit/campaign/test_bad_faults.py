@@ -298,6 +298,22 @@ CASES = {
         "one of imu.acceleration",
         "did you mean 'lidar.count'?",
     ),
+    "a condition on the proposal, of a fault that nobody directs": Bad(
+        one("{when: proposal.acceleration > 1}"),
+        6,
+        "faults.0.activation.when",
+        "a condition cannot read 'proposal.acceleration'",
+        "one of imu.acceleration",
+        "",
+    ),
+    "a directed attack on a part that no proposal has": Bad(
+        one("{when: proposal.speed > 1, by: security_assessor}"),
+        6,
+        "faults.0.activation.when",
+        "a condition cannot read 'proposal.speed'",
+        "proposal.acceleration",
+        "",
+    ),
     "the end of a duration on what is not there": Bad(
         one(AT, rest="duration: {until: odometry.sped < 1}"),
         7,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -168,3 +168,132 @@ def test_a_second_fault_leaves_the_first_one_as_it_was() -> None:
 
     assert ghosts(alone)
     assert set(ghosts(alone)) == set(ghosts(both))
+
+
+def directed(**activation: Any) -> dict[str, Any]:
+    """A short ghost that the SecurityAssessor directs."""
+    return {**GHOST, "activation": {**activation, "by": "security_assessor"}, "duration": 0.5}
+
+
+def activations(attacked: Episode, fault: str = "ghost-obstacle") -> list[int]:
+    events = [event for event in attacked.events if event.kind == "fault_activated"]
+    return [event.tick for event in events if event.subject == fault]
+
+
+def test_the_assessor_attacks_where_what_it_perceives_begins_to_meet_a_condition() -> None:
+    attacked = episode(directed(when="odometry.speed > 9"))
+    fast = int(np.flatnonzero(attacked.signals["speed"] > 9.0)[0])
+    assert activations(attacked) == [fast + 1], "it directs, and the next percept is tampered"
+
+
+def test_the_assessor_attacks_by_what_the_component_proposes() -> None:
+    # At 8 m/s `aggressive` accelerates towards 10 m/s at once, `reactive` towards 9 m/s.
+    attack = directed(when="proposal.acceleration > 1.5")
+    assert activations(episode(attack, generator="aggressive")) == [1]
+    (later,) = activations(episode(attack, generator="reactive"))
+    assert later > 10, "once it has braked"
+
+
+def test_the_assessor_attacks_after_another_fault() -> None:
+    spoof = {**SPOOF, "activation": {"at": 1.0}, "duration": 0.5}
+    begun = directed(after={"fault": "trajectory-spoof"})
+    ended = directed(after={"fault": "trajectory-spoof", "event": "deactivated", "delay": 1.0})
+    assert activations(episode(spoof, begun)) == [12], "seen at tick 11, after the injector told"
+    assert activations(episode(spoof, ended)) == [25], "a second after the end at tick 15"
+
+
+def test_a_directed_attack_on_a_condition_happens_once_unless_told_otherwise() -> None:
+    often = "proposal.acceleration > -9"
+    window = {"not_before": 1.0, "not_after": 1.0}
+    assert activations(episode(directed(when=often, **window))) == [11]
+    assert activations(episode(directed(when=often))) == [1]
+
+
+def test_a_ghost_at_the_junction_stands_beyond_the_stop_line_wherever_the_ego_is() -> None:
+    parameters = {"place": "junction", "ahead": 1.0, "lateral": -4.0, "heading": 1.57, "speed": 1.5}
+    world = {"ego": {"distance": 50.0, "speed": 8.0}}
+    places = []
+    for at in (0.5, 2.5):
+        spec = spec_of_drive(
+            world,
+            generator=RoleSpec("test_attacks:Noting"),
+            faults=[{**GHOST, "activation": {"at": at}, "parameters": parameters}],
+            duration=4.0,
+        )
+        Noting.seen.clear()
+        assert run(spec).failure is None
+        places.append(Noting.seen[:11:10])
+    early, late = places
+    # The ego comes from the south on x = 2; its stop line lies at y = 11, and y points south.
+    x, y, heading, vx, vy = early[0][1:6]
+    assert (x, y) == pytest.approx((-2.0, 11.0 - 1.0 - 2.5))
+    assert heading == pytest.approx(0.0, abs=0.01), "across the lane"
+    assert (vx, vy) == pytest.approx((1.5, 0.0), abs=0.01)
+    assert early[1][1] == pytest.approx(-2.0 + 1.5, abs=0.01), "a second later it has crept on"
+    assert late[0][1:6] == pytest.approx(early[0][1:6])
+
+
+class Noting(Oblivious):
+    """Notes the ghosts that lidar reports."""
+
+    seen: ClassVar[list[Any]] = []
+
+    def propose(self, view: Any) -> Any:
+        """Note, and drive on."""
+        self.seen += [body for body in view.percept["lidar"] if body.id.startswith("V9")]
+        return super().propose(view)
+
+
+def test_the_spoofed_car_is_the_nearest_or_the_nearest_oncoming_one() -> None:
+    world = {
+        "ego": {"distance": 50.0, "speed": 8.0},
+        "vehicles": [
+            {"id": "NEAR", "arm": "east", "distance": 20.0},
+            {"id": "ONCOMING", "arm": "north", "distance": 60.0},
+        ],
+    }
+    for victim, expected in (("nearest", "NEAR"), ("oncoming", "ONCOMING")):
+        fault = {**SPOOF, "parameters": {"victim": victim}}
+        shifted = {
+            body.id
+            for clean, false in zip(percepts(world, []), percepts(world, [fault]), strict=True)
+            for body in clean
+            if body != false.get(body.id)
+        }
+        assert shifted == {expected}
+
+
+def percepts(world: Any, faults: list[Any]) -> list[Any]:
+    """What lidar reports in the first three seconds."""
+    Recording.seen.clear()
+    found = run(
+        spec_of_drive(
+            world, generator=RoleSpec("test_attacks:Recording"), faults=faults, duration=3.0
+        )
+    )
+    assert found.failure is None
+    return list(Recording.seen)
+
+
+class Recording(Oblivious):
+    """Notes all that lidar reports."""
+
+    seen: ClassVar[list[Any]] = []
+
+    def propose(self, view: Any) -> Any:
+        """Note, and drive on."""
+        self.seen.append(view.percept["lidar"])
+        return super().propose(view)
+
+
+def test_without_an_oncoming_car_a_spoof_of_one_waits() -> None:
+    world = {
+        "ego": {"distance": 50.0, "speed": 8.0},
+        "vehicles": [{"id": "E", "arm": "east", "distance": 50.0}],
+    }
+    fault = {**SPOOF, "parameters": {"victim": "oncoming"}}
+    generator = RoleSpec("test_attacks:Oblivious")
+    attacked = run(spec_of_drive(world, generator=generator, faults=[fault]))
+    assert attacked.failure is None
+    assert attacked.faults[0].manifested_at is None
+    assert attacked.validity == "invalid"

@@ -351,3 +351,19 @@ def test_an_alert_alone_does_not_start_recovery() -> None:
     assert not episode.flagged
     assert (episode.decisions["source"] == "proposal").all()
     assert replace(SecurityAssessment(), verdict=Assessed.WARNING).verdict < Assessed.UNSAFE
+
+
+@pytest.mark.parametrize("escalate", [False, True])
+def test_a_suspicion_starts_recovery_only_where_it_escalates(escalate: bool) -> None:
+    assessor = RoleSpec(
+        "pytest_dura.driving.roles.security:PlausibilityAssessor", {"escalate": escalate}
+    )
+    roles = {"security_assessor": assessor, "safety_monitor": None}
+    spec = spec_of_drive(
+        WORLD, generator="aggressive", faults=[GHOST], policy="recover", roles=roles, duration=6.0
+    )
+    episode = run(spec)
+    assert episode.metrics.alerts > 0
+    recoveries = [event.time for event in episode.events if event.kind == "recovery"]
+    assert bool(recoveries) == escalate
+    assert not escalate or recoveries[0] == pytest.approx(2.0), "where the ghost appears"

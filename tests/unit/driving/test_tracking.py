@@ -11,7 +11,7 @@ from roads import car, car_on, channels_of, walker
 from pytest_dura.driving import geometry, prediction
 from pytest_dura.driving.bodies import NO_BODIES, Body, BodyList
 from pytest_dura.driving.junction import route
-from pytest_dura.driving.radar import compare, with_unexplained_returns
+from pytest_dura.driving.radar import CrossCheck, compare, with_unexplained_returns
 from pytest_dura.driving.scene import Scene, crossing, time_to_cover
 from pytest_dura.driving.tracking import Tracker
 
@@ -217,3 +217,29 @@ def test_time_to_cover_is_that_of_small_steps(distance: float, speed: float) -> 
         s += (v + new) / 2 * dt
         v, t = new, t + dt
     assert time_to_cover(distance, speed, 2.0, 10.0) == pytest.approx(t, abs=0.01)
+
+
+def test_an_object_that_radar_denies_is_not_believed_for_long() -> None:
+    ghost, real = car("V9", 2.0, 30.0), car("V1", -2.0, -10.0, math.pi / 2, 8.0)
+    check = CrossCheck(confirm=3)
+    shown = [check.update(channels_of(ghost, real, radar=[real])).ids for _ in range(4)]
+    assert shown == [("V9", "V1")] * 2 + [("V1",)] * 2
+    assert check.update(channels_of(ghost, real)).ids == ("V9", "V1"), "confirmed at last"
+    assert check.update(channels_of(ghost, real, radar=[real])).ids == ("V9", "V1"), "counted anew"
+
+
+def test_a_car_on_a_false_course_is_taken_to_be_where_radar_sees_it() -> None:
+    real, false = car("V1", -2.0, -10.0, math.pi / 2, 8.0), car("V1", 2.0, 20.0)
+    other = car("V2", 40.0, -2.0, math.pi)
+    check = CrossCheck(confirm=1)
+    (kept, seen) = check.update(channels_of(false, other, radar=[real, other]))
+    assert kept.id == "V2"
+    assert (seen.x, seen.y) == pytest.approx((-2.0, -10.0))
+
+
+@pytest.mark.parametrize("radar", [[], [car("R", 30.0, 40.0)]], ids=["silent", "elsewhere"])
+def test_a_radar_that_confirms_nothing_denies_nothing(radar: list[Body]) -> None:
+    first, second = car("V1", 2.0, 30.0), car("V2", -2.0, -10.0)
+    check = CrossCheck(confirm=1)
+    for _ in range(5):
+        assert check.update(channels_of(first, second, radar=radar)).ids[:2] == ("V1", "V2")

@@ -95,6 +95,16 @@ def test_defaults_are_filled_in() -> None:
             "activation",
             ["does not direct by 'rate'", "leave the fault to the fault_injector"],
         ),
+        (
+            {
+                "activation": {
+                    "after": {"fault": "a", "event": "manifested"},
+                    "by": "security_assessor",
+                }
+            },
+            "activation",
+            ["does not see whether a fault manifested", "`activated` or `deactivated`"],
+        ),
         ({"activation": {"at": 1.0, "times": 2}}, "activation", ["once, not 2 times", "`every`"]),
         ({"activation": {"rate": 1.0, "times": 0}}, "activation.times", ["equal to 1"]),
         (
