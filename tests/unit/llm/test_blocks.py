@@ -157,8 +157,9 @@ def test_the_last_command_tells_what_it_asks_for_now() -> None:
 
 
 def test_imu_turns_right_with_growing_headings() -> None:
-    percept = channels_of() | {"imu": Imu(-1.26, 1.0, math.radians(10.4))}
-    assert facts("IMU", percept) == {"acceleration": -1.3, "left": -1.0, "turning": -10}
+    percept = channels_of() | {"imu": Imu(-1.26, 1.0, math.radians(10.4), math.radians(-90.0))}
+    found = {"acceleration": -1.3, "left": -1.0, "turning": -10, "heading": 0}
+    assert facts("IMU", percept) == found
 
 
 @pytest.mark.parametrize(
@@ -239,7 +240,7 @@ BROKEN: dict[str, list[Any]] = {
         BodyList(("V1",), np.zeros((1, 3))), BodyList(("V1",), np.array([["a"] * 7])),
     ],
     "radar": [None, np.zeros(3), np.zeros((2, 4)), np.zeros((1, 3), complex), "no", [[1, 2, 3]]],
-    "imu": [None, Imu(NAN, NAN, NAN), Imu(1e30, "x", None), 7],
+    "imu": [None, Imu(NAN, NAN, NAN, NAN), Imu(1e30, "x", None, []), 7],
     "map": [None, (), SimpleNamespace(route=None), "map"],
     "controls": [None, 5, "give_way", Sign("give_way", 1.0)],
 }  # fmt: skip
