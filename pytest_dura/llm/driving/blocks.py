@@ -200,5 +200,5 @@ def sign_facts(name: str, sign: Sign, front: float | None) -> dict[str, Any]:
         "kind": sign.kind if known else PerceivedText(sign.kind, 40),
         "distance": None if at is None or front is None else shown(at - front),
         "text": "" if said else PerceivedText(sign.text),
-        "state": sign.state if sign.state in LIGHTS else "",
+        "state": sign.state if isinstance(sign.state, str) and sign.state in LIGHTS else "",
     }

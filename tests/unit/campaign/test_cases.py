@@ -7,7 +7,14 @@ from typing import Any
 
 import pytest
 
-from pytest_dura import ConfigurationError, EpisodeSpec, Policy, RoleSpec, derive_seed
+from pytest_dura import (
+    ConfigurationError,
+    EpisodeSpec,
+    Orchestrator,
+    Policy,
+    RoleSpec,
+    derive_seed,
+)
 from pytest_dura.campaign.cases import Case, expand_cases
 from pytest_dura.campaign.domains import DOMAINS, role_spec
 from pytest_dura.campaign.scenario import Scenario
@@ -266,6 +273,8 @@ def test_iterations_of_a_scenario_end_its_episodes() -> None:
     limited = make(iterations=15)
     assert only(limited).spec(0, 1).termination.iterations == 15
     assert limited.lasts == pytest.approx(1.5)
+    episode = Orchestrator.build(only(limited).spec(0, 1)).run(only(limited).spec(0, 1))
+    assert (episode.termination, episode.ticks) == ("iterations", 16)
     assert make(iterations=9999).lasts == make().lasts == 40.0
     late = {"type": "ghost-obstacle", "activation": {"at": 2.0}, "duration": 1.0}
     with pytest.raises(ConfigurationError, match="can only begin at 2 s, when the episode is over"):
