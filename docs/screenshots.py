@@ -1,7 +1,8 @@
-"""Make the screenshots of a report and its player that the README shows.
+"""Make the pictures of the docs: of a report and its player, and what the cameras show.
 
 ``python docs/screenshots.py`` runs the built-in scenarios with a component that never gives way,
 and needs Debian's Chromium and Playwright; ``--bundle DIR`` takes evidence that is there already.
+``--cameras`` makes the pictures of the two cameras alone, and needs none of these.
 """  # noqa: INP001 - a script, no package
 
 from __future__ import annotations
@@ -23,6 +24,46 @@ WIDE = {"width": 1280, "height": 1360}
 NARROW = {"width": 390, "height": 844}
 LARGEST = 300_000
 """Bytes of a picture; the README loads all of them."""
+
+
+CAMERA_WORLD = {
+    "ego": {"distance": 23.0, "speed": 4.0},
+    "vehicles": [
+        {"id": "W", "arm": "west", "distance": 3.5, "speed": 7.0},
+        {"id": "N", "arm": "north", "distance": 14.0, "speed": 3.0},
+        {"id": "E", "arm": "east", "distance": 28.0, "speed": 7.0},
+    ],
+    "pedestrians": [{"id": "P1", "offset": 4.0, "start": 0.0, "speed": 3.0}],
+    "obstacles": [
+        {"id": "PARKED", "kind": "parked_car", "offset": 10.0, "beside": 5.4},
+        {"id": "CONES", "kind": "cones", "offset": 4.0, "beside": -5.0},
+    ],
+    "controls": {
+        "signals": [{"arms": ["south", "north"], "phases": [{"state": "red", "lasts": 60.0}]}]
+    },
+}
+"""What the cameras' pictures show: who can be there, all at once."""
+ENLARGED = {"camera_front": 4, "camera_third_person": 2}
+"""How many times as large, along each side, a camera's picture is in the docs."""
+
+
+def take_cameras(folder: Path) -> None:
+    """The pictures of both cameras at one tick, each pixel enlarged."""
+    from PIL import Image
+
+    from pytest_dura.driving.highway import HighwaySimulator
+    from pytest_dura.driving.maneuvers import Command
+
+    simulator = HighwaySimulator()
+    simulator.reset({"world": CAMERA_WORLD, "duration": 9.0}, 0)
+    for _ in range(14):
+        tick = simulator.step(Command.of("yield"))
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, times in ENLARGED.items():
+        picture = Image.fromarray(tick.channels[name].get())
+        size = picture.width * times, picture.height * times
+        file = folder / f"{name.replace('_', '-')}.png"
+        picture.resize(size, Image.Resampling.NEAREST).save(file, optimize=True)
 
 
 def run_scenarios() -> Path:
@@ -85,7 +126,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--bundle", type=Path, help="evidence that is there already")
     parser.add_argument("--out", type=Path, default=ROOT / "docs" / "screenshots")
+    parser.add_argument("--cameras", action="store_true", help="only what the cameras show")
     given = parser.parse_args()
+    take_cameras(given.out)
+    if given.cameras:
+        return
     bundle = given.bundle or run_scenarios()
     take(bundle / "report.html", given.out)
 

@@ -129,6 +129,7 @@ class Case:
             termination=Termination(
                 time_limit=scenario.duration,
                 violation=scenario.end_at_violation,
+                iterations=scenario.iterations,
                 decided=scenario.end_when_decided,
             ),
             time_step=scenario.time_step,

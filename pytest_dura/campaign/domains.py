@@ -20,6 +20,8 @@ class Domain:
         roles: Of the default roles, by role name.
         short_names: Of what has a short name, by role name. A role may be known by short names
             alone and be in no scenario by default.
+        parameters: Of what has a short name, by that name: what it needs to know of the domain. A
+            scenario's own come before them.
         world: Of the pydantic model of ``world``, for editors and for messages.
         signals: Of the names of the ground-truth signals.
         percept_signals: Of the names of the percept signals, without the prefix ``percept.``.
@@ -34,6 +36,7 @@ class Domain:
     simulator: str
     roles: Mapping[str, str] = field(default_factory=dict)
     short_names: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    parameters: Mapping[str, Mapping[str, object]] = field(default_factory=dict)
     world: str | None = None
     signals: str | None = None
     percept_signals: str | None = None
@@ -45,6 +48,7 @@ class Domain:
 
 _PLANNERS = "pytest_dura.driving.roles.planners"
 _RECOVERY = "pytest_dura.driving.roles.recovery"
+_STL = "pytest_dura.requirements.monitoring.stl_monitor:StlSafetyMonitor"
 
 DOMAINS: dict[str, Domain] = {
     "driving": Domain(
@@ -66,6 +70,8 @@ DOMAINS: dict[str, Domain] = {
                 "random": f"{_PLANNERS}:RandomPlanner",
                 "llm": "pytest_dura.llm.driving.planner:LlmPlanner",
             },
+            "safety_monitor": {"stl": _STL},
+            "stl_monitor": {"stl": _STL},
             "recovery_planner": {
                 "emergency_brake": f"{_RECOVERY}:EmergencyBrake",
                 "safe_stop": f"{_RECOVERY}:SafeStop",
@@ -75,6 +81,7 @@ DOMAINS: dict[str, Domain] = {
             },
             "residual_monitor": {"cusum": "pytest_dura.driving.roles.residuals:ResidualMonitor"},
         },
+        parameters={"stl": {"signals": "pytest_dura.driving.signals:percept_at"}},
         world="pytest_dura.driving.scenario:DrivingWorld",
         signals="pytest_dura.driving.signals:NAMES",
         percept_signals="pytest_dura.driving.signals:PERCEPT_NAMES",
@@ -121,8 +128,8 @@ def role_spec(role: str, spec: RoleSpec, domain: Domain | None) -> RoleSpec:
     if ":" in spec.path:
         return spec
     known = domain.short_names.get(role, {}) if domain is not None else {}
-    if spec.path in known:
-        return RoleSpec(known[spec.path], spec.params)
+    if domain is not None and spec.path in known:
+        return RoleSpec(known[spec.path], {**domain.parameters.get(spec.path, {}), **spec.params})
     names = ", ".join(sorted(known))
     raise ConfigurationError(
         f"unknown {role} {spec.path!r}",

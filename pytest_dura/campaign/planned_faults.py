@@ -41,8 +41,8 @@ class FaultReader:
     def __init__(self, scenario: Scenario) -> None:
         domain = domain_of(scenario.simulator.path)
         self._targets, self._channels = fault_targets(domain), channel_kinds(domain)
-        last = Termination(scenario.duration).last_index(scenario.time_step) - 1
-        self._duration, self._end = scenario.duration, last * scenario.time_step
+        last = Termination(scenario.lasts).last_index(scenario.time_step) - 1
+        self._duration, self._end = scenario.lasts, last * scenario.time_step
         self._places: dict[tuple[str, str], Channel] = {}
         """The channels of targets that suit a type."""
         self._conditions: set[tuple[str, str, bool]] = set()

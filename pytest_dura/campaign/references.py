@@ -128,13 +128,14 @@ def check_formula(scenario: Scenario, check: Check) -> None:
         read_formula(check, known)
     check_time_step(formula, scenario.time_step)
     ahead = formula.horizon
-    if ahead is not None and ahead > scenario.duration * (1 + 1e-9):
+    if ahead is not None and ahead > scenario.lasts * (1 + 1e-9):
         raise ConfigurationError(
             f"the windows of the formula reach beyond the episodes of {scenario.name!r}",
             key="check",
             found=f"{formula}, which looks {ahead:g} s ahead",
-            expected=f"windows that end within the scenario's duration of {scenario.duration:g} s",
-            remedy="shorten the windows, or lengthen the scenario's `duration`",
+            expected=f"windows that end within the scenario's duration of {scenario.lasts:g} s",
+            remedy="shorten the windows, or lengthen the scenario's `duration`"
+            + (" and its `iterations`" if scenario.lasts < scenario.duration else ""),
         )
 
 

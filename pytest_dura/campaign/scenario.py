@@ -174,6 +174,8 @@ class Scenario(Entry):
     """Simulated seconds after which an episode ends."""
     time_step: float = Field(default=0.1, gt=0, le=60)
     """Simulated seconds per tick."""
+    iterations: int | None = Field(default=None, ge=1, le=1_000_000)
+    """Decisions after which an episode ends, if it has not before; null for the duration alone."""
     runs: Runs = 1
     """Planned episodes per case, each with a seed of its own; or `{until: decided, at_most: N}`."""
     policy: Annotated[str, AfterValidator(_known_policy)] = "recover"
@@ -223,6 +225,13 @@ class Scenario(Entry):
         scenario = validate(cls, document)
         scenario._source = document  # noqa: SLF001 - our own
         return scenario
+
+    @property
+    def lasts(self) -> float:
+        """Simulated seconds that an episode lasts at most: the duration, or fewer `iterations`."""
+        if self.iterations is None:
+            return self.duration
+        return min(self.duration, self.iterations * self.time_step)
 
     @property
     def planned(self) -> int:

@@ -316,7 +316,7 @@ class Orchestrator:
                 if output is None:
                     end_directives(state.outputs, name)
                     continue
-                state.outputs[name] = output
+                state.put(name, output)
                 self._log_output(tick, name, exact)
             # What a role that does not reassess has said holds for the refined proposal, too.
             judgement = self._judgements.get(name)

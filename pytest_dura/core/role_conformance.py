@@ -154,7 +154,7 @@ class _Kit:
                 state.proposal = Proposal(action)
                 output = self._ask(role, state.role_view(("checked for conformance",)))
                 proposed = output.action if isinstance(output, Recovery) else action
-                state.outputs[role.name] = output
+                state.put(role.name, output)
             outputs.append(output)
             if isinstance(role, FaultInjector):
                 self._check_injector(role, tick.channels, action, tick.time)

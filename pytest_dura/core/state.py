@@ -124,7 +124,9 @@ class RoleView:
     an earlier one otherwise; ``percepts`` is the history, the current percept last. ``command`` is
     the action that was decided on at the tick before, proposal or recovery, before any command
     fault; ``None`` at the first tick. ``alerts`` are all that SecurityAssessors have raised so far,
-    as ``(time, alert)``, oldest first.
+    as ``(time, alert)``, oldest first. ``history`` maps a role's name to all its outputs so far,
+    as ``(time, output)``, oldest first; a role that ran again for a refined proposal has several
+    of one tick.
     """
 
     index: int
@@ -138,6 +140,7 @@ class RoleView:
     reasons: tuple[str, ...] = ()
     command: Any = None
     alerts: Sequence[tuple[float, Alert]] = ()
+    history: Mapping[str, Sequence[tuple[float, Any]]] = NOTHING
 
 
 @dataclass(slots=True)
@@ -160,6 +163,8 @@ class StateManager:
     _channels: Mapping[str, Any] = NOTHING
     _same: dict[str, Any] = field(default_factory=dict)
     _windows: tuple[History, History, History] = field(init=False)
+    _past_outputs: dict[str, list[tuple[float, Any]]] = field(default_factory=dict)
+    _histories: dict[str, History] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """The windows on what grows are the same at all ticks."""
@@ -199,6 +204,15 @@ class StateManager:
         self.message_faults = set()
         self.generator_seconds = 0.0
 
+    def put(self, role: str, output: Any) -> None:
+        """The output of a role at this tick: its latest, and one more of its history."""
+        self.outputs[role] = output
+        past = self._past_outputs.get(role)
+        if past is None:
+            past = self._past_outputs[role] = []
+            self._histories[role] = History(past)
+        past.append((self.ticks[-1].time, output))
+
     def decide(self, executed: Any, source: str) -> None:
         """What is carried out at this tick, and where it comes from."""
         self.command = executed
@@ -232,4 +246,5 @@ class StateManager:
             reasons,
             self.command,
             self._windows[2],
+            MappingProxyType(self._histories),
         )

@@ -103,7 +103,7 @@ class BodyList(Sequence[Body]):
         return found
 
     def __repr__(self) -> str:
-        return f"BodyList({', '.join(self.ids)})"
+        return f"BodyList({', '.join(map(str, self.ids))})"
 
     def get(self, body_id: str) -> Body | None:
         """The body with this id, if it is there."""

@@ -46,7 +46,8 @@ class Contact:
 def attribute(ego: Any, before: EgoState, road: Any, exit_at: float) -> Contact:
     """The contact that has just crashed the ego; ``before`` is its state one step earlier."""
     box = np.array([[*ego.position, ego.heading, ego.LENGTH, ego.WIDTH]])
-    crashed = [b for b in (*road.vehicles, *road.objects) if b is not ego and b.crashed]
+    bodies = (*road.vehicles, *road.objects, *road.obstacles)
+    crashed = [b for b in bodies if b is not ego and b.crashed]
     partner = min(crashed, key=lambda b: (_gap(box, b), b.body_id))
     offset = partner.position - ego.position
     distance = max(float(np.linalg.norm(offset)), 1e-6)

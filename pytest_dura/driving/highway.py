@@ -22,7 +22,7 @@ from pytest_dura.core.recording import Scene
 from pytest_dura.core.seeding import stream
 from pytest_dura.core.simulator import Simulator
 from pytest_dura.core.state import Percept, Tick
-from pytest_dura.driving import camera, explanations, signals
+from pytest_dura.driving import camera, explanations, geometry, signals
 from pytest_dura.driving.arrivals import (
     drawn_arrivals,
     given_arrivals,
@@ -30,14 +30,14 @@ from pytest_dura.driving.arrivals import (
     in_order,
     without_room,
 )
-from pytest_dura.driving.bodies import COLUMNS, NO_BODIES, BodyList
+from pytest_dura.driving.bodies import CAR_LENGTH, CAR_WIDTH, COLUMNS, NO_BODIES, BodyList
 from pytest_dura.driving.collisions import Contact, attribute
 from pytest_dura.driving.junction import ARM_LENGTH, ARMS, Route, route
 from pytest_dura.driving.maneuvers import Command, Maneuver, acceleration_for
 from pytest_dura.driving.recording import junction_scene
 from pytest_dura.driving.right_of_way import NOT_A_CAR
 from pytest_dura.driving.scenario import DrivingWorld
-from pytest_dura.driving.sensors import EgoState, channels, route_map, signs
+from pytest_dura.driving.sensors import EgoState, channels, route_map, sign_kind, signs
 from pytest_dura.driving.signals import HINDSIGHT
 
 GOAL_DISTANCE = 25.0
@@ -64,11 +64,12 @@ class HighwaySimulator(Simulator):
 
         Raises:
             pydantic.ValidationError: If the world is none of ours.
-            ConfigurationError: If two bodies have one id, one has an id of random traffic, or one
-                that entered before the start has no room.
+            ConfigurationError: If two bodies have one id, one has an id of random traffic, one that
+                entered before the start has no room, or an obstacle stands where a car starts.
         """
         model = DrivingWorld.model_validate(dict(world))
         ids = ["EGO", *(v.id for v in model.vehicles), *(p.id for p in model.pedestrians)]
+        ids += [one.id for one in model.obstacles]
         twice = sorted({i for i in ids if ids.count(i) > 1})
         if twice:
             raise ConfigurationError(
@@ -95,6 +96,7 @@ class HighwaySimulator(Simulator):
                 expected="14 m between the cars of an arm",
                 remedy="let it enter earlier or later",
             )
+        _check_obstacles(model)
         return model.model_dump(mode="json")
 
     def reset(self, scenario: Mapping[str, Any], seed: int) -> Tick:
@@ -107,6 +109,8 @@ class HighwaySimulator(Simulator):
         self._road, self._index, self._dt = road, 0, self.time_step
         self._route = route(0, world.ego.turn)
         self._map, self._signs = route_map(self._route), signs(self._route)
+        self._lights = {ARMS.index(a): one for one in world.controls.signals for a in one.arms}
+        self._light_states: dict[int, str] = {}
         self._contact: Contact | None = None
         self._background_crashes = 0
         self._wrecks: dict[str, float] = {}
@@ -125,6 +129,13 @@ class HighwaySimulator(Simulator):
             )
             body.walking, body.start = person.speed, person.start
             road.objects.append(body)
+        road.obstacles = tuple(traffic.standing(road, one) for one in world.obstacles)
+        self._kinds = {one.id: one.kind for one in world.obstacles}
+        self._obstacle_rows = tuple(
+            (*one.position.tolist(), float(one.heading), 0.0, 0.0, one.LENGTH, one.WIDTH)
+            for one in road.obstacles
+        )
+        self._switch_lights()
         drawn = drawn_arrivals(world.traffic, seed, scenario.get("duration", 60.0))
         self._arrivals = in_order([*given_arrivals(world.vehicles), *drawn])
         self._admit(initially=True)
@@ -160,6 +171,17 @@ class HighwaySimulator(Simulator):
         self._road.act()
         self._road.step(dt)
         self._index += 1
+        if self._lights:
+            self._switch_lights()
+
+    def _switch_lights(self) -> None:
+        """Show what is due now, which drivers heed at the next step."""
+        now = self._index * self._dt
+        self._light_states = {arm: one.state_at(now) for arm, one in self._lights.items()}
+        halted = {arm for arm, state in self._light_states.items() if state != "green"}
+        self._road.halted = frozenset(halted)
+        if self._lights:
+            self._signs = signs(self._route, self._light_states.get(self._route.origin, ""))
 
     def signals(self, ticks: Sequence[Tick]) -> dict[str, NDArray[np.float64]]:
         """See ``pytest_dura.driving.signals``."""
@@ -210,7 +232,7 @@ class HighwaySimulator(Simulator):
 
     def render(self) -> NDArray[np.uint8]:
         """The third-person view."""
-        return camera.third_person(self._road, self._ego.position)
+        return camera.third_person(self._state, self._solids())
 
     def snapshot(self) -> object:
         """A deep copy of road, vehicles and bookkeeping; the road network is shared."""
@@ -276,7 +298,7 @@ class HighwaySimulator(Simulator):
             events.append(("collision", self._contact.partner, self._contact.describe()))
         fresh = [
             body
-            for body in (*self._road.vehicles, *self._road.objects)
+            for body in (*self._road.vehicles, *self._road.objects, *self._road.obstacles)
             if body.crashed and body is not ego and body.body_id not in self._wrecks
         ]
         if fresh:
@@ -312,6 +334,9 @@ class HighwaySimulator(Simulator):
             ids.append(body.body_id)
             rows.append((x, y, heading, speed * math.cos(course), speed * math.sin(course),
                          body.LENGTH, body.WIDTH))  # fmt: skip
+        if self._kinds:
+            ids += self._kinds
+            rows += self._obstacle_rows
         if not ids:
             return NO_BODIES
         return BodyList(tuple(ids), np.array(rows).reshape(-1, COLUMNS), tuple(rows))
@@ -320,7 +345,21 @@ class HighwaySimulator(Simulator):
         """The number of each body's route, in the order of the bodies."""
         ego, road = self._ego, self._road
         cars = [vehicle.number for vehicle in road.vehicles if vehicle is not ego]
-        return (*cars, *[NOT_A_CAR] * len(road.objects))
+        return (*cars, *[NOT_A_CAR] * (len(road.objects) + len(road.obstacles)))
+
+    def _solids(self) -> list[camera.Solid]:
+        """What stands on the ground now, for the cameras: the ground truth, and never a percept."""
+        people = {person.body_id for person in self._road.objects}
+        solids = [
+            camera.Solid(
+                "pedestrian" if body.id in people else self._kinds.get(body.id, "car"),
+                body.x, body.y, body.heading, body.length, body.width,
+            )
+            for body in self._bodies()
+        ]  # fmt: skip
+        solids += [camera.sign_beside(arm, sign_kind(arm)) for arm in range(len(ARMS))]
+        lights = self._light_states.items()
+        return solids + [camera.sign_beside(arm, state, camera.LIGHT) for arm, state in lights]
 
     def _tick(self, events: tuple[tuple[str, str, str], ...]) -> Tick:
         state, bodies = self._state, self._bodies()
@@ -354,10 +393,37 @@ class HighwaySimulator(Simulator):
                     remedy="read the channel when the role runs, and keep the array",
                 )
             if view == "front":
-                return camera.front(self._road, state.x, state.y, state.heading)
-            return camera.third_person(self._road, self._ego.position)
+                return camera.front(state, self._solids())
+            return camera.third_person(state, self._solids())
 
         return frame
+
+
+def _check_obstacles(world: DrivingWorld) -> None:
+    """Refuse an obstacle where a car stands at the start."""
+    if not world.obstacles:
+        return
+    from pytest_dura.driving.traffic import placed
+
+    starts = {"EGO": (0, world.ego.turn, world.ego.distance)}
+    starts |= {
+        car.id: (ARMS.index(car.arm), car.turn, car.distance)
+        for car in world.vehicles
+        if car.distance is not None
+    }
+    for index, one in enumerate(world.obstacles):
+        x, y, heading = placed(ARMS.index(one.arm), one.offset, one.beside)
+        box = np.array([[x, y, heading, *one.size]])
+        for name, (arm, turn, distance) in starts.items():
+            at = [float(value) for value in route(arm, turn).pose(ARM_LENGTH - distance)]
+            if geometry.overlap(box, np.array([[*at, CAR_LENGTH, CAR_WIDTH]]))[0]:
+                raise ConfigurationError(
+                    f"an obstacle stands where the car {name} starts",
+                    key=f"world.obstacles.{index}",
+                    found=one.id,
+                    expected="obstacles that touch nobody at the start",
+                    remedy="change its `offset` or `beside`, or the car's `distance`",
+                )
 
 
 @lru_cache(maxsize=1)

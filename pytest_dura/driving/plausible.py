@@ -117,11 +117,12 @@ def own_motion(percept: Mapping[str, Any]) -> Imu:
     imu: Imu = percept["imu"]
     if _is_motion(*imu):
         return imu
-    along, across, turning = imu
+    along, across, turning, heading = imu
     return Imu(
         _within(along, -ACCELERATION, ACCELERATION),
         _within(across, -ACCELERATION, ACCELERATION),
         _within(turning, -YAW_RATE, YAW_RATE),
+        _angle(heading),
     )
 
 
@@ -161,7 +162,7 @@ def out_of_range(percept: Mapping[str, Any]) -> list[Absurd]:
     """
     found = list(shared(_judged_by, percept))
     if "imu" in percept and not _is_motion(*(imu := percept["imu"])):
-        limits = (ACCELERATION, ACCELERATION, YAW_RATE)
+        limits = (ACCELERATION, ACCELERATION, YAW_RATE, ANGLE)
         found.append(_beyond("imu", imu, limits))
     if "radar" in percept and not _RETURNS.hold(seen := percept["radar"]):
         row, names = next(iter(_RETURNS.beyond(seen).items()))
@@ -200,8 +201,13 @@ def _is_place(x: float, y: float, heading: float) -> bool:
     return -PLACE <= x <= PLACE and -PLACE <= y <= PLACE and -ANGLE <= heading <= ANGLE
 
 
-def _is_motion(along: float, across: float, turning: float) -> bool:
-    return abs(along) <= ACCELERATION and abs(across) <= ACCELERATION and abs(turning) <= YAW_RATE
+def _is_motion(along: float, across: float, turning: float, heading: float) -> bool:
+    return (
+        abs(along) <= ACCELERATION
+        and abs(across) <= ACCELERATION
+        and abs(turning) <= YAW_RATE
+        and abs(heading) <= ANGLE
+    )
 
 
 def _judged_by(percept: Mapping[str, Any]) -> tuple[Absurd, ...]:

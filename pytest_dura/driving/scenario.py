@@ -136,6 +136,73 @@ class PedestrianStart(_Model):
     speed: Annotated[float, Field(gt=0, le=3)] = Field(1.3, description="In m/s.")
 
 
+class StaticObstacle(_Model):
+    """Something that stands on or beside an arm, and that lidar and radar see like any object."""
+
+    id: Annotated[str, Field(pattern=r"^[A-Z][A-Z0-9_]{0,15}$")] = Field(
+        description="Its name in records; as for vehicles."
+    )
+    kind: Literal["parked_car", "cones", "island"] = Field(
+        description="A car of 4.5 by 1.8 m, a row of cones of 3 by 0.4 m, or a kerb island of 6 by "
+        "1 m; its length lies along the arm."
+    )
+    arm: Arm = "south"
+    offset: Annotated[float, Field(ge=0, le=99)] = Field(
+        description="From the stop line outwards to its centre, in m."
+    )
+    beside: Annotated[float, Field(ge=-15, le=15)] = Field(
+        description="From the middle of the road to its centre, in m; positive to the right of a "
+        "driver who nears the junction. The lane towards it is 4 m wide."
+    )
+
+    @property
+    def size(self) -> tuple[float, float]:
+        """Length and width in m."""
+        return {"parked_car": (4.5, 1.8), "cones": (3.0, 0.4), "island": (6.0, 1.0)}[self.kind]
+
+
+class Phase(_Model):
+    """What a traffic light shows for some time."""
+
+    state: Literal["red", "yellow", "green"]
+    lasts: Positive = Field(description="In s.")
+
+
+class TrafficLight(_Model):
+    """A light at the stop lines of some arms, whose phases follow each other again and again.
+
+    Drivers stop at red and yellow, where they can. Between those who may go, the signs decide, and
+    so they do for requirements on the right of way.
+    """
+
+    arms: tuple[Arm, ...] = Field(strict=False, min_length=1)
+    phases: tuple[Phase, ...] = Field(strict=False, min_length=1)
+    offset: NotNegative = Field(0.0, description="How far into its phases it begins, in s.")
+
+    def state_at(self, time: float) -> str:
+        """What it shows ``time`` s after the start."""
+        left = math.fmod(time + self.offset + 1e-9, sum(phase.lasts for phase in self.phases))
+        for phase in self.phases:
+            left -= phase.lasts
+            if left < 0.0:
+                return phase.state
+        return self.phases[-1].state
+
+
+class Controls(_Model):
+    """What regulates the junction beside its signs."""
+
+    signals: tuple[TrafficLight, ...] = Field((), strict=False)
+
+    @model_validator(mode="after")
+    def _one_for_each_arm(self) -> Controls:
+        arms = [arm for light in self.signals for arm in light.arms]
+        twice = sorted({arm for arm in arms if arms.count(arm) > 1})
+        if twice:
+            raise ValueError(f"the arm {twice[0]} has two traffic lights")
+        return self
+
+
 class DrivingWorld(_Model):
     """What a driving scenario may say under ``world``."""
 
@@ -149,3 +216,15 @@ class DrivingWorld(_Model):
         "junction on their path (occupied), or behave as if it were not there until it is on "
         "their own lane (none).",
     )
+    obstacles: tuple[StaticObstacle, ...] = Field((), strict=False)
+    controls: Controls = Field(Controls(), description="Traffic lights; by default signs alone.")
+
+    @model_serializer(mode="wrap")
+    def _plain(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Without what older worlds do not have where there is none of it."""
+        data: dict[str, Any] = handler(self)
+        if not self.obstacles:
+            del data["obstacles"]
+        if not self.controls.signals:
+            del data["controls"]
+        return data

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,12 +19,20 @@ RANGE = 80.0
 """m; reach of lidar and radar, all around, without occlusion."""
 
 
+WAYPOINT_SPACING = 5.0
+"""m between two waypoints of the map."""
+
+
 class Imu(NamedTuple):
-    """Accelerations in m/s2 along and across the ego, and yaw rate in rad/s."""
+    """Accelerations in m/s2 along and across the ego, yaw rate in rad/s, and heading in rad.
+
+    The heading is the unit's own, by its compass: a fault of ``localisation`` leaves it as it is.
+    """
 
     acceleration: float
     lateral_acceleration: float
     yaw_rate: float
+    heading: float
 
 
 class Odometry(NamedTuple):
@@ -40,28 +49,44 @@ class Pose(NamedTuple):
     heading: float
 
 
+class Waypoint(NamedTuple):
+    """A point of the middle of the ego's lane: ``s`` metres along the route, place and heading."""
+
+    s: float
+    x: float
+    y: float
+    heading: float
+
+
 class RouteMap(NamedTuple):
     """The planned route; the same object at every tick.
 
     ``route`` gives poses along it; ``stop_line`` and ``exit`` are metres along it, ``destination``
-    an arm. ``speed_limit`` is in m/s.
+    an arm. ``speed_limit`` is in m/s. ``waypoints`` are ``WAYPOINT_SPACING`` apart.
     """
 
     route: Route
     stop_line: float
     exit: float
     speed_limit: float
+    waypoints: tuple[Waypoint, ...] = ()
+
+
+TRAFFIC_LIGHT = "traffic_light"
+"""Kind of a signal that shows a state."""
 
 
 class Sign(NamedTuple):
     """A sign or signal that concerns the ego, and where it stands along the route in metres.
 
-    ``text`` is what can be read on it, as far as that is more than its kind says.
+    ``text`` is what can be read on it, as far as that is more than its kind says. ``state`` is
+    what a traffic light shows now: ``red``, ``yellow`` or ``green``; a sign has none.
     """
 
     kind: str
     at: float
     text: str = ""
+    state: str = ""
 
 
 CHANNELS: Mapping[str, Channel] = {
@@ -113,14 +138,30 @@ class EgoState(NamedTuple):
         return self.s + CAR_LENGTH / 2
 
 
+@cache
 def route_map(route: Route) -> RouteMap:
     """The map channel of a route."""
-    return RouteMap(route, ARM_LENGTH, route.exit, SPEED_LIMIT)
+    along = np.append(np.arange(0.0, route.length, WAYPOINT_SPACING), route.length)
+    points = zip(along.tolist(), *(one.tolist() for one in route.pose(along)), strict=True)
+    waypoints = tuple(Waypoint(*point) for point in points)
+    return RouteMap(route, ARM_LENGTH, route.exit, SPEED_LIMIT, waypoints)
 
 
-def signs(route: Route) -> tuple[Sign, ...]:
-    """The signs of a route: the north-south road gives way."""
-    return (Sign("priority_road" if route.origin % 2 else "give_way", ARM_LENGTH),)
+def sign_kind(arm: int) -> str:
+    """The sign that stands on an arm: the north-south road gives way."""
+    return "priority_road" if arm % 2 else "give_way"
+
+
+@cache
+def signs(route: Route, light: str = "") -> tuple[Sign, ...]:
+    """The sign of a route, and the traffic light at its stop line, if there is one.
+
+    Args:
+        route: Whose arm they stand on.
+        light: What the light shows; empty without one.
+    """
+    sign = Sign(sign_kind(route.origin), ARM_LENGTH)
+    return (sign, Sign(TRAFFIC_LIGHT, ARM_LENGTH, "", light)) if light else (sign,)
 
 
 def radar_returns(ego: EgoState, bodies: BodyList) -> NDArray[np.float64]:
@@ -168,7 +209,7 @@ def channels(
         "radar": radar_returns(ego, bodies),
         "camera_front": Lazy(lambda: camera("front")),
         "camera_third_person": Lazy(lambda: camera("third_person")),
-        "imu": Imu(ego.acceleration, ego.speed * ego.yaw_rate, ego.yaw_rate),
+        "imu": Imu(ego.acceleration, ego.speed * ego.yaw_rate, ego.yaw_rate, ego.heading),
         "odometry": Odometry(ego.speed),
         "localisation": Pose(ego.x, ego.y, ego.heading),
         "map": route,

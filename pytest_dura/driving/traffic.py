@@ -18,9 +18,10 @@ from highway_env.vehicle.objects import Obstacle
 from numpy.typing import NDArray
 
 from pytest_dura.driving.bodies import CAR_LENGTH, PEDESTRIAN_SIZE
-from pytest_dura.driving.junction import ARM_LENGTH, LANE_OFFSET, Route, conflict
+from pytest_dura.driving.junction import ARM_LENGTH, ARMS, LANE_OFFSET, STOP_LINE, Route, conflict
 from pytest_dura.driving.lane_keeping import LaneKeeping, within
 from pytest_dura.driving.maneuvers import MAX_ACCELERATION, MAX_BRAKING
+from pytest_dura.driving.scenario import StaticObstacle
 
 STOP_MARGIN = 1.0
 """Drivers stop this many metres before the stop line."""
@@ -31,6 +32,8 @@ _MARGIN = 1.5
 """Seconds between leaving the conflict and the other's arrival that a driver wants."""
 _TOUCH = 1e-6
 """Metres beyond half a diagonal from which on a body is asked whether it touches another."""
+_PASSING = 0.3
+"""Metres that a driver leaves beside an obstacle; where there is less, it stops before it."""
 _LOOK_AHEAD = 45.0
 """Metres before the stop line from which a driver is taken into account by others."""
 
@@ -148,6 +151,25 @@ class Pedestrian(Obstacle):
         return bool(along < vehicle.LENGTH / 2 + 0.5 and across < vehicle.WIDTH / 2 + 0.5)
 
 
+class Standing(Obstacle):
+    """A static obstacle: it stands where it is, whoever touches it.
+
+    Args:
+        road: Where it stands.
+        position: Of its centre.
+        heading: Along which its length lies.
+        size: Length and width in m.
+    """
+
+    body_id: str
+
+    def __init__(
+        self, road: Road, position: NDArray[np.float64], heading: float, size: tuple[float, float]
+    ) -> None:
+        self.LENGTH, self.WIDTH = size
+        super().__init__(road, position, heading, 0.0)
+
+
 class JunctionRoad(Road):
     """highway-env's road with right of way at the stop lines.
 
@@ -156,6 +178,9 @@ class JunctionRoad(Road):
     """
 
     courtesy = "occupied"
+    obstacles: tuple[Standing, ...] = ()
+    halted: frozenset[int] = frozenset()
+    """Arms whose traffic light is not green."""
 
     def act(self) -> None:
         """All drivers decide on the same state."""
@@ -173,7 +198,7 @@ class JunctionRoad(Road):
             vehicle.step(dt)
         bodies = [
             (body, *body.position.tolist(), float(body.diagonal) / 2 + _TOUCH)
-            for body in (*self.vehicles, *self.objects)
+            for body in (*self.vehicles, *self.objects, *self.obstacles)
         ]
         for i, (vehicle, x, y, reach) in enumerate(bodies[: len(self.vehicles)]):
             for other, other_x, other_y, other_reach in bodies[i + 1 :]:
@@ -204,13 +229,13 @@ class JunctionRoad(Road):
     def limit_for(self, me: Driver) -> float:
         """The acceleration that leaders on the route and right of way allow, in m/s2."""
         limit = math.inf
-        must_stop = False
         before_line = me.s + CAR_LENGTH / 2 <= ARM_LENGTH
         near = before_line and me.s > ARM_LENGTH - _LOOK_AHEAD
         stop_distance = ARM_LENGTH - STOP_MARGIN - CAR_LENGTH / 2 - me.s
         # Who can still stop before the line itself has not committed, though past the margin.
         room = max(ARM_LENGTH - CAR_LENGTH / 2 - me.s, 0.0)
         committed = me.speed**2 / (2 * READY_BRAKING) > room
+        must_stop = near and not committed and me.plan.origin in self.halted
         for other in self.vehicles:
             if other is me:
                 continue
@@ -224,6 +249,10 @@ class JunctionRoad(Road):
             if 0.0 < s - me.s < _LOOK_AHEAD and abs(lateral) < person.clearance():
                 # A pedestrian's centre is nearer to its edge than a car's, which IDM reckons with.
                 limit = min(limit, _follow(me, s - me.s + CAR_LENGTH / 2 - 1.0, 0.0))
+        for obstacle in self.obstacles:
+            distance = _distance_to(me, obstacle)
+            if distance is not None:
+                limit = min(limit, _follow(me, distance, 0.0))
         if must_stop:
             limit = min(limit, _follow(me, stop_distance + CAR_LENGTH + 2.0, 0.0))
         return limit
@@ -241,7 +270,7 @@ class JunctionRoad(Road):
         inside = other.s + CAR_LENGTH / 2 > ARM_LENGTH
         if not inside and other.plan.priority <= me.plan.priority:
             return False
-        if not inside and other.speed < 0.5:
+        if not inside and (other.speed < 0.5 or other.plan.origin in self.halted):
             return False
         arrive = _time_to(me, mine_in - CAR_LENGTH / 2)
         leave = _time_to(me, mine_out + CAR_LENGTH / 2)
@@ -280,6 +309,20 @@ def _distance_ahead(me: Any, other: Any) -> float | None:
     return None
 
 
+def _distance_to(me: Driver, obstacle: Standing) -> float | None:
+    """Metres to an obstacle in the way of ``me``, as between the centres of two cars."""
+    s, lateral = me.plan.project(*obstacle.position.tolist())
+    if not 0.0 < s - me.s < _LOOK_AHEAD:
+        return None
+    turned = float(obstacle.heading) - me.plan.heading_at(s)
+    along, across = abs(math.cos(turned)), abs(math.sin(turned))
+    half_length, half_width = obstacle.LENGTH / 2, obstacle.WIDTH / 2
+    beside = me.WIDTH / 2 + half_width * along + half_length * across + _PASSING
+    if abs(lateral) >= beside:
+        return None
+    return s - me.s - half_length * along - half_width * across + CAR_LENGTH / 2
+
+
 def _follow(me: Driver, distance: float, speed: float) -> float:
     """IDM interaction with a leader at ``distance`` metres between centres, in m/s2."""
     rate = math.sqrt(-me.COMFORT_ACC_MAX * me.COMFORT_ACC_MIN)
@@ -287,6 +330,22 @@ def _follow(me: Driver, distance: float, speed: float) -> float:
     wanted += me.speed * (me.speed - speed) / (2 * rate)
     free = 1.0 - (max(me.speed, 0.0) / 10.0) ** me.DELTA
     return float(me.COMFORT_ACC_MAX * (free - (max(wanted, 0.0) / max(distance, 0.1)) ** 2))
+
+
+def standing(road: Road, obstacle: StaticObstacle) -> Standing:
+    """The body of an obstacle."""
+    x, y, heading = placed(ARMS.index(obstacle.arm), obstacle.offset, obstacle.beside)
+    body = Standing(road, np.array([x, y]), heading, obstacle.size)
+    body.body_id = obstacle.id
+    return body
+
+
+def placed(arm: int, offset: float, beside: float) -> tuple[float, float, float]:
+    """Place and heading on an arm: metres out from the stop line, and right of its middle."""
+    turn = arm * math.pi / 2
+    c, sn = math.cos(turn), math.sin(turn)
+    out = STOP_LINE + offset
+    return c * beside - sn * out, sn * beside + c * out, turn - math.pi / 2
 
 
 def walker(road: Road, body_id: str, arm: int, offset: float, side: str) -> Pedestrian:

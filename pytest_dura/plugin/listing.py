@@ -33,7 +33,7 @@ def show_list(session: DuraSession) -> int:
         runs = f"{scenario.planned} runs"
         if scenario.until_decided:
             runs = f"runs until decided, at most {scenario.planned}"
-        lines.append(f"      {runs}, {scenario.duration:g} s each, faults: {faults}")
+        lines.append(f"      {runs}, {scenario.lasts:g} s each, faults: {faults}")
         if scenario.campaigns:
             lines.append(f"      fault campaigns: {len(scenario.campaigns)}")
         lines.append(f"      requirements: {', '.join(scenario.requirements) or 'none'}")

@@ -42,7 +42,7 @@ SEEN = (
     car_on(3, "left", 104.0, 4.0, "TURNS"),
     walker("WALKS", 6.0, 16.0, -1.3),
 )
-FIELDS = {"localisation": 3, "odometry": 1, "imu": 3}
+FIELDS = {"localisation": 3, "odometry": 1, "imu": 4}
 
 
 @st.composite

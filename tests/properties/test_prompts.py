@@ -83,7 +83,7 @@ def percepts(draw: Any) -> dict[str, Any]:
     if draw(st.booleans()):
         made["localisation"] = Pose(*draw(st.tuples(numbers, numbers, numbers)))
         made["odometry"] = Odometry(draw(numbers))
-        made["imu"] = Imu(*draw(st.tuples(numbers, numbers, numbers)))
+        made["imu"] = Imu(*draw(st.tuples(numbers, numbers, numbers, numbers)))
     for name in draw(st.sets(st.sampled_from(sorted(made)), max_size=2)):
         made[name] = draw(anything)
     for name in draw(st.sets(st.sampled_from(sorted(made)), max_size=1)):

@@ -11,7 +11,7 @@ from pytest_dura.driving.bodies import CAR_LENGTH
 from pytest_dura.driving.faults.signs import POSTER
 from pytest_dura.driving.junction import ARMS
 from pytest_dura.driving.plausible import PLACE
-from pytest_dura.driving.sensors import RouteMap, Sign
+from pytest_dura.driving.sensors import TRAFFIC_LIGHT, Pose, RouteMap, Sign
 from pytest_dura.llm.driving import readings
 from pytest_dura.llm.driving.images import seen
 from pytest_dura.llm.driving.past import feedback_facts, history_facts, last_command
@@ -25,8 +25,14 @@ BLOCKS = (
 )  # fmt: skip
 """All blocks, in the order in which they are shown."""
 
-SIGN_KINDS = ("give_way", "priority_road", POSTER)
+SIGN_KINDS = ("give_way", "priority_road", TRAFFIC_LIGHT, POSTER)
 """Kinds that are named as they are; another kind is a text like any other."""
+
+LIGHTS = ("red", "yellow", "green")
+"""What a traffic light can show."""
+
+MOST_WAYPOINTS, WAYPOINT_STEP = 4, 2
+"""Waypoints that are shown, and of how many of the map each is the first."""
 
 MOST_SIGNS = 6
 """Signs that are shown, the nearest ones."""
@@ -80,7 +86,7 @@ def percept_prompt(
         "LIDAR": lidar_facts(found, pose, speed),
         "RADAR": radar_facts(rows, found, pose),
         "IMU": _motion(percept),
-        "MAP": _map(on_map, front),
+        "MAP": _map(on_map, front, pose),
         "CONTROLS": _controls(readings.signs(percept), front),
         "GOAL": _goal(on_map),
     }
@@ -117,6 +123,8 @@ def _motion(percept: Mapping[str, Any]) -> dict[str, Any]:
         # Both are positive to the right, as headings grow that way where y points south.
         "left": _negative(motion.lateral_acceleration, 1),
         "turning": _negative(motion.yaw_rate and math.degrees(motion.yaw_rate), 0),
+        # As a compass has it, where 0 is north and 90 is east; headings count from the east.
+        "heading": None if motion.heading is None else compass(motion.heading),
     }
 
 
@@ -124,17 +132,42 @@ def _negative(value: float | None, decimals: int) -> float | int | None:
     return None if value is None else shown(-value, decimals)
 
 
-def _map(on_map: RouteMap | None, front: float | None) -> dict[str, Any]:
+def compass(heading: float) -> int:
+    """A heading in whole degrees of a compass, from 0 up to 359."""
+    return round(math.degrees(heading) + 90.0) % 360
+
+
+def _map(on_map: RouteMap | None, front: float | None, pose: Pose | None) -> dict[str, Any]:
     facts = _goal(on_map)
     if on_map is None:
-        return {**facts, "origin": None, "stop_line": None, "exit": None, "limit": None}
+        nothing = dict.fromkeys(("origin", "stop_line", "exit", "limit"))
+        return {**facts, **nothing, "waypoints": ()}
     return {
         **facts,
         "origin": ARMS[on_map.route.origin],
         "stop_line": None if front is None else shown(on_map.stop_line - front),
         "exit": None if front is None else shown(on_map.exit - front),
         "limit": shown(on_map.speed_limit),
+        "waypoints": _ways(on_map, front, pose),
     }
+
+
+def _ways(
+    on_map: RouteMap, front: float | None, pose: Pose | None
+) -> tuple[dict[str, float | int | None], ...]:
+    """The next waypoints from the front on, ahead and to the left of the ego's middle."""
+    if front is None or pose is None:
+        return ()
+    coming = [one for one in on_map.waypoints if one.s > front][: WAYPOINT_STEP * MOST_WAYPOINTS]
+    c, s = math.cos(pose.heading), math.sin(pose.heading)
+    # y points south, so that left of the heading (c, s) is (s, -c).
+    return tuple(
+        {
+            "ahead": shown(c * (one.x - pose.x) + s * (one.y - pose.y), 0),
+            "left": shown(s * (one.x - pose.x) - c * (one.y - pose.y), 0),
+        }
+        for one in coming[::WAYPOINT_STEP]
+    )
 
 
 def _goal(on_map: RouteMap | None) -> dict[str, Any]:
@@ -167,4 +200,5 @@ def sign_facts(name: str, sign: Sign, front: float | None) -> dict[str, Any]:
         "kind": sign.kind if known else PerceivedText(sign.kind, 40),
         "distance": None if at is None or front is None else shown(at - front),
         "text": "" if said else PerceivedText(sign.text),
+        "state": sign.state if isinstance(sign.state, str) and sign.state in LIGHTS else "",
     }

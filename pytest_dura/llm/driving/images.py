@@ -12,8 +12,8 @@ LARGEST = 1024
 """Pixels of a side."""
 
 VIEWS: Mapping[str, str] = {
-    "camera_front": "the 40 m ahead of you, seen from above, your heading up",
-    "camera_third_person": "80 m around you, seen from above, north up, you in the middle",
+    "camera_front": "what is ahead, seen through your windscreen",
+    "camera_third_person": "your own car, turquoise, and what is ahead, seen from behind and above",
 }
 
 

@@ -45,9 +45,9 @@ def _percept(along: float) -> dict[str, Any]:
         "lidar": BodyList.of([car, broken, *crowd]),
         "radar": np.array([[11.3, 0.8, -3.0], [30.0, 0.0, np.nan]]),
         **dict.fromkeys(VIEWS, np.zeros((8, 8, 3), np.uint8)),
-        "imu": Imu(0.1, 0.0, 0.0),
+        "imu": Imu(0.1, 0.0, 0.0, heading),
         "odometry": Odometry(8.0),
         "localisation": Pose(x, y, heading),
         "map": route_map(own),
-        "controls": (*signs(own), sign),
+        "controls": (*signs(own, "red"), sign),
     }

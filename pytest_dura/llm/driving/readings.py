@@ -26,7 +26,7 @@ from pytest_dura.driving.plausible import (
     SPEED,
     YAW_RATE,
 )
-from pytest_dura.driving.sensors import Pose, RouteMap, Sign
+from pytest_dura.driving.sensors import Pose, RouteMap, Sign, Waypoint
 
 Row = tuple[float | None, ...]
 
@@ -43,6 +43,7 @@ class Motion(NamedTuple):
     acceleration: float | None
     lateral_acceleration: float | None
     yaw_rate: float | None
+    heading: float | None
 
 
 def number(value: object, low: float, high: float) -> float | None:
@@ -93,7 +94,7 @@ def own_speed(percept: Mapping[str, Any]) -> float | None:
 def own_motion(percept: Mapping[str, Any]) -> Motion:
     """Of the channel imu."""
     value = channel(percept, "imu")
-    limits = (ACCELERATION, ACCELERATION, YAW_RATE)
+    limits = (ACCELERATION, ACCELERATION, YAW_RATE, ANGLE)
     return Motion(*(
         number(getattr(value, name, None), -limit, limit)
         for name, limit in zip(Motion._fields, limits, strict=True)
@@ -105,11 +106,23 @@ def own_map(percept: Mapping[str, Any]) -> RouteMap | None:
     value = channel(percept, "map")
     if not isinstance(value, RouteMap) or not isinstance(value.route, Route):
         return None
-    places = [number(one, -PLACE, PLACE) for one in value[1:]]
+    places = [number(one, -PLACE, PLACE) for one in value[1:4]]
     stop_line, leaves, limit = places
     if stop_line is None or leaves is None or limit is None:
         return None
-    return RouteMap(value.route, stop_line, leaves, limit)
+    return RouteMap(value.route, stop_line, leaves, limit, _waypoints(value.waypoints))
+
+
+def _waypoints(value: object) -> tuple[Waypoint, ...]:
+    """Those of them whose parts are all numbers."""
+    found = []
+    for one in value if isinstance(value, (tuple, list)) else ():
+        if isinstance(one, Waypoint):
+            s, x, y = (number(part, -PLACE, PLACE) for part in one[:3])
+            heading = number(one.heading, -ANGLE, ANGLE)
+            if s is not None and x is not None and y is not None and heading is not None:
+                found.append(Waypoint(s, x, y, heading))
+    return tuple(found)
 
 
 def bodies(percept: Mapping[str, Any]) -> list[tuple[object, Row]] | None:

@@ -18,6 +18,9 @@ MOST = 12
 SOON = 4.0
 """s; what is 40 m away and quick is a danger before what stands at the roadside."""
 
+NARROWEST_CAR = 1.3
+"""m; a bicycle is 0.7 m wide, the narrowest cars 1.4 m."""
+
 _PLAIN = re.compile(r"[A-Z]{1,2}[0-9]{1,5}", re.ASCII)
 _ID = re.compile(r"[A-Z][A-Z0-9_]{0,15}", re.ASCII)
 _PARTS = re.compile(r"([A-Z_]*)([0-9]*)(.*)")
@@ -122,7 +125,7 @@ def course(turned: float | None) -> str | None:
 
 
 def _object(name: object, row: Row, pose: Pose | None, speed: float | None) -> dict[str, Any]:
-    x, y, heading, vx, vy, length, _ = row
+    x, y, heading, vx, vy, length, width = row
     distance = angle = closing = ahead = left = turned = None
     if pose is not None and heading is not None:
         turned = pose.heading - heading
@@ -137,18 +140,25 @@ def _object(name: object, row: Row, pose: Pose | None, speed: float | None) -> d
     moving = None if vx is None or vy is None else math.hypot(vx, vy)
     made = shown_id(name)
     return {
-        "id": made, "label": label(made), "kind": kind(length), "distance": shown(distance),
+        "id": made, "label": label(made), "kind": kind(length, width), "distance": shown(distance),
         "bearing": degrees(angle), "direction": direction(angle), "ahead": shown(ahead),
         "left": shown(left), "speed": shown(moving), "closing": shown(closing),
         "heading": degrees(turned), "course": course(turned),
+        "length": shown(length), "width": shown(width),
     }  # fmt: skip
 
 
-def kind(length: float | None) -> str | None:
-    """What has this length: sensors report sizes, not classes."""
+def kind(length: float | None, width: float | None) -> str | None:
+    """What has this size: sensors report sizes, not classes.
+
+    What is longer than a pedestrian and narrower than a car is an obstacle, such as a row of cones
+    or a kerb island.
+    """
     if length is None:
         return None
-    return "pedestrian" if length < 1.0 else "car"
+    if length < 1.0:
+        return "pedestrian"
+    return "obstacle" if width is not None and width < NARROWEST_CAR else "car"
 
 
 def _at(row: Row, found: Sequence[tuple[object, Row]], pose: Pose | None) -> str | None:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from pytest_dura.driving.bodies import CAR_LENGTH
+from pytest_dura.driving.bodies import CAR_LENGTH, CAR_WIDTH
 from pytest_dura.driving.faults.signs import POSTER, PromptTextParameters
 from pytest_dura.driving.sensors import Sign
 from pytest_dura.llm.driving.blocks import BLOCKS, sign_facts
@@ -60,7 +60,7 @@ def conflict(prompt: Prompt) -> Prompt:
     body = {
         **common, "kind": "car", "direction": "ahead", "ahead": shown(distance), "left": 0.0,
         "speed": shown(closing - speed), "closing": shown(closing), "heading": 180,
-        "course": "oncoming",
+        "course": "oncoming", "length": CAR_LENGTH, "width": CAR_WIDTH,
     }  # fmt: skip
     return _with_objects(prompt, {"LIDAR": body, "RADAR": {**common, "rate": shown(-closing)}})
 

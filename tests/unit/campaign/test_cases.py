@@ -7,9 +7,16 @@ from typing import Any
 
 import pytest
 
-from pytest_dura import ConfigurationError, EpisodeSpec, Policy, RoleSpec, derive_seed
+from pytest_dura import (
+    ConfigurationError,
+    EpisodeSpec,
+    Orchestrator,
+    Policy,
+    RoleSpec,
+    derive_seed,
+)
 from pytest_dura.campaign.cases import Case, expand_cases
-from pytest_dura.campaign.domains import DOMAINS
+from pytest_dura.campaign.domains import DOMAINS, role_spec
 from pytest_dura.campaign.scenario import Scenario
 from pytest_dura.core.roles import STANDARD_ROLES
 
@@ -238,13 +245,40 @@ def test_short_names_of_roles(role: str) -> None:
             "aggressive",
             "use one of: alert, emergency_brake, ignore_untrusted, replan, safe_stop",
         ),
-        ("safety_monitor", "safe_stop", "write package.module:Name"),
+        ("safety_monitor", "safe_stop", "use one of: stl"),
+        ("performance_oracle", "safe_stop", "write package.module:Name"),
     ],
 )
 def test_a_short_name_is_of_one_role(role: str, slip: str, meant: str) -> None:
     with pytest.raises(ConfigurationError, match=f"unknown {role} {slip!r}") as caught:
         only(make()).spec(0, 1, {role: RoleSpec(slip)})
     assert caught.value.remedy == meant
+
+
+def test_the_short_name_of_the_stl_monitor_knows_what_the_domain_s_signals_are() -> None:
+    formula = {"formula": "historically[0:0.5] (gap > 0.5)"}
+    for role in ("safety_monitor", "stl_monitor"):
+        given = only(make(roles={role: {"path": "stl", "params": formula}})).roles({})[role]
+        assert given.path.endswith(":StlSafetyMonitor")
+        signals = "pytest_dura.driving.signals:percept_at"
+        assert given.params == {**formula, "signals": signals}
+    own = {**formula, "signals": None}
+    assert role_spec("stl_monitor", RoleSpec("stl", own), DOMAINS["driving"]).params == own
+    with pytest.raises(ConfigurationError, match="unknown stl_monitor 'stl'"):
+        role_spec("stl_monitor", RoleSpec("stl", formula), None)
+
+
+def test_iterations_of_a_scenario_end_its_episodes() -> None:
+    assert only(make()).spec(0, 1).termination.iterations is None
+    limited = make(iterations=15)
+    assert only(limited).spec(0, 1).termination.iterations == 15
+    assert limited.lasts == pytest.approx(1.5)
+    episode = Orchestrator.build(only(limited).spec(0, 1)).run(only(limited).spec(0, 1))
+    assert (episode.termination, episode.ticks) == ("iterations", 16)
+    assert make(iterations=9999).lasts == make().lasts == 40.0
+    late = {"type": "ghost-obstacle", "activation": {"at": 2.0}, "duration": 1.0}
+    with pytest.raises(ConfigurationError, match="can only begin at 2 s, when the episode is over"):
+        only(make(iterations=15, faults=[late]))
 
 
 def test_a_misspelt_role_given_from_outside() -> None:
@@ -277,6 +311,9 @@ def test_a_simulator_given_from_outside_replaces_the_scenarios() -> None:
 @pytest.mark.parametrize("domain", DOMAINS.values(), ids=DOMAINS)
 def test_everything_that_a_domain_names_can_be_built(domain: Any) -> None:
     assert RoleSpec(domain.simulator).create()
-    short = [path for names in domain.short_names.values() for path in names.values()]
-    for path in [*domain.roles.values(), *short]:
+    for path in domain.roles.values():
         assert RoleSpec(path).create()
+    needed = {"stl": {"formula": "historically[0:0.5] (gap > 0.5)"}}
+    for role, names in domain.short_names.items():
+        for name in names:
+            assert role_spec(role, RoleSpec(name, needed.get(name, {})), domain).create()

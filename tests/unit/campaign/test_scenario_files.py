@@ -52,6 +52,9 @@ CASES = {
     "no duration": Bad(
         HEAD.replace("duration: 4.0\n", ""), 1, "duration", "'duration' is missing", "add `duration"
     ),
+    "no iteration at all": Bad(
+        HEAD + "iterations: 0\n", 5, "iterations", "'iterations' must be greater than or", "correct"
+    ),
     "a time step beyond the duration": Bad(
         HEAD + "time_step: 5.0\n", 1, "", "time step is longer than the duration", "correct"
     ),

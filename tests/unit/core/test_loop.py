@@ -47,6 +47,26 @@ def test_a_role_runs_only_when_its_trigger_holds_and_after_whom_it_named() -> No
     assert seen == [0, 0, 0, 0, 0, 5, 5, 5, 5, 5]
 
 
+def test_later_roles_read_the_history_of_the_outputs_of_others() -> None:
+    seen: list[list[tuple[float, Any]]] = []
+
+    def read(view: Any) -> None:
+        history = view.history.get("night_watch", ())
+        assert [one[0] for one in history] == sorted(one[0] for one in history)
+        assert not history or history[-1][1] is view.outputs["night_watch"]
+        seen.append([(round(time, 6), output[0]) for time, output in history])
+
+    reader = doing(Role, read, after=("night_watch",))
+    run_loop(Controller(), seconds=1.0, night_watch=NightWatch(), z=reader)
+    assert seen[0] == [(0.0, 0)]
+    assert seen[4] == [(0.0, 0)], "it is triggered every fifth tick, and did not run in between"
+    assert seen[-1] == [(0.0, 0), (0.5, 5)]
+    own: list[int] = []
+    mine = doing(Role, lambda view: own.append(len(view.history.get("mine", ()))) or view.index)
+    run_loop(Controller(), seconds=0.3, mine=mine)
+    assert own == [0, 1, 2], "a role sees what it returned at the ticks before"
+
+
 def test_a_directive_holds_for_its_tick_only() -> None:
     obeyed: list[tuple[int, tuple[str, ...]]] = []
     assessor = doing(

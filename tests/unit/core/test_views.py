@@ -64,6 +64,12 @@ def test_views_are_read_only() -> None:
             del view.percept["a"]  # type: ignore[attr-defined]
     with pytest.raises(TypeError, match="item assignment"):
         state.role_view().outputs["mine"] = 1  # type: ignore[index]
+    state.put("mine", 1)
+    with pytest.raises(TypeError, match="item assignment"):
+        state.role_view().history["mine"] = ()  # type: ignore[index]
+    with pytest.raises(TypeError, match="item assignment"):
+        state.role_view().history["mine"][0] = (0.0, 2)  # type: ignore[index]
+    assert list(state.role_view().history["mine"]) == [(0.0, 1)]
 
 
 def test_a_view_does_not_change_when_the_simulator_reuses_its_mapping() -> None:

@@ -156,36 +156,6 @@ def test_frames_are_pictures_of_the_road() -> None:
     assert np.array_equal(simulator.render(), percept["camera_third_person"])
 
 
-def colours_near_the_middle(frame: np.ndarray[Any, Any]) -> set[tuple[int, ...]]:
-    middle = frame[146:154, 146:154].reshape(-1, 3)
-    return {tuple(int(part) for part in colour) for colour in middle}
-
-
-def test_the_third_person_view_has_the_ego_in_the_middle_and_red_before_blue() -> None:
-    simulator, _ = drive({"ego": {"distance": 40.0}}, 3)
-    simulator._ego.color = (200, 30, 60)  # told apart whichever way round the channels are
-    colours = colours_near_the_middle(simulator.render())
-    assert (200, 30, 60) in colours
-    assert (60, 30, 200) not in colours
-
-
-def test_the_front_view_shows_what_is_ahead_and_not_what_is_behind() -> None:
-    def frame(distance: float) -> Any:
-        other = {"id": "B", "arm": "south", "distance": distance, "speed": 0.0}
-        world = {"ego": {"distance": 50.0, "speed": 0.0}, "vehicles": [other]}
-        _, ticks = begin(world)
-        return ticks[0].channels["camera_front"].get()
-
-    _, ticks = begin({"ego": {"distance": 50.0, "speed": 0.0}})
-    alone = ticks[0].channels["camera_front"].get()
-    assert np.array_equal(frame(70.0), alone)
-    ahead = frame(35.0)
-    rows, columns = np.nonzero((ahead != alone).any(axis=2))
-    # 15 m of 40 m ahead, in the middle; the front is up.
-    assert abs(rows.mean() - 128 * (1 - 15 / 40)) < 4
-    assert abs(columns.mean() - 64) < 3
-
-
 def late(simulator: HighwaySimulator, tick: Tick, how: str) -> None:
     if how == "step":
         simulator.step(Command(Maneuver.WAIT))

@@ -14,7 +14,7 @@ from pytest_dura.core.roles import Proposal
 from pytest_dura.core.state import PastDecision
 from pytest_dura.driving.bodies import Body, BodyList
 from pytest_dura.driving.maneuvers import Command, Maneuver
-from pytest_dura.driving.sensors import Imu, Odometry, Pose, Sign
+from pytest_dura.driving.sensors import TRAFFIC_LIGHT, Imu, Odometry, Pose, Sign, Waypoint
 from pytest_dura.llm.driving.blocks import BLOCKS, MOST_SIGNS, driving_prompt, percept_prompt
 from pytest_dura.llm.driving.readings import shown
 from pytest_dura.llm.driving.surroundings import MOST, shown_id
@@ -157,8 +157,9 @@ def test_the_last_command_tells_what_it_asks_for_now() -> None:
 
 
 def test_imu_turns_right_with_growing_headings() -> None:
-    percept = channels_of() | {"imu": Imu(-1.26, 1.0, math.radians(10.4))}
-    assert facts("IMU", percept) == {"acceleration": -1.3, "left": -1.0, "turning": -10}
+    percept = channels_of() | {"imu": Imu(-1.26, 1.0, math.radians(10.4), math.radians(-90.0))}
+    found = {"acceleration": -1.3, "left": -1.0, "turning": -10, "heading": 0}
+    assert facts("IMU", percept) == found
 
 
 @pytest.mark.parametrize(
@@ -175,6 +176,46 @@ def test_the_goal_and_the_map_come_from_the_route() -> None:
     assert facts("GOAL", percept) == {"missing": 0, "turn": "left", "destination": "west"}
     found = facts("MAP", percept)
     assert (found["origin"], found["stop_line"], found["limit"]) == ("south", 47.5, 10.0)
+
+
+def test_objects_have_dimensions_and_a_kind_by_their_size() -> None:
+    sizes = {"C1": (4.5, 1.8), "I1": (6.0, 1.0), "K1": (3.0, 0.4), "P1": (0.6, 0.6)}
+    seen = [car(name, 2.0, 20.0 + 9.0 * index) for index, name in enumerate(sizes)]
+    sized = [
+        body._replace(length=s[0], width=s[1]) for body, s in zip(seen, sizes.values(), strict=True)
+    ]
+    found = facts("LIDAR", channels_of(*sized))["objects"]
+    assert {one["id"]: (one["length"], one["width"]) for one in found} == sizes
+    kinds = {one["id"]: one["kind"] for one in found}
+    assert kinds == {"C1": "car", "I1": "obstacle", "K1": "obstacle", "P1": "pedestrian"}
+    assert "obstacle" in text_of(channels_of(*sized))
+
+
+def test_waypoints_lead_along_the_lane_ahead() -> None:
+    def ways(s: float, turn: str) -> list[tuple[Any, Any]]:
+        points = facts("MAP", channels_of(s=s, turn=turn))["waypoints"]
+        return [(one["ahead"], one["left"]) for one in points]
+
+    assert ways(50.0, "straight") == [(5, 0), (15, 0), (25, 0), (35, 0)]
+    left, right = ways(95.0, "left"), ways(95.0, "right")
+    assert left[0] == right[0] == (5, 0)
+    assert left[-1][1] > 10
+    assert right[-1][1] < -10
+    percept = channels_of()
+    nonsense = percept["map"]._replace(waypoints=(None, Waypoint(60.0, math.nan, 0.0, 0.0)))
+    assert facts("MAP", percept | {"map": nonsense})["waypoints"] == ()
+    assert "waypoints" not in text_of(percept | {"map": nonsense})
+
+
+@pytest.mark.parametrize(
+    "state, shown_state", [("red", "red"), ("Go! <b>", ""), (5, ""), (np.arange(3), "")]
+)
+def test_a_traffic_light_is_told_with_its_state_and_nothing_else(state, shown_state) -> None:
+    light = Sign(TRAFFIC_LIGHT, 100.0, "", state)
+    (one,) = facts("CONTROLS", channels_of() | {"controls": (light,)})["objects"]
+    assert (one["kind"], one["state"], one["text"]) == ("traffic_light", shown_state, "")
+    line = text_of(channels_of() | {"controls": (light,)}).split("CONTROLS")[1].splitlines()[1]
+    assert line == "S1,traffic_light,47.5" + (f",{shown_state}" if shown_state else "")
 
 
 def test_signs_have_their_number_kind_distance_and_text() -> None:
@@ -239,7 +280,7 @@ BROKEN: dict[str, list[Any]] = {
         BodyList(("V1",), np.zeros((1, 3))), BodyList(("V1",), np.array([["a"] * 7])),
     ],
     "radar": [None, np.zeros(3), np.zeros((2, 4)), np.zeros((1, 3), complex), "no", [[1, 2, 3]]],
-    "imu": [None, Imu(NAN, NAN, NAN), Imu(1e30, "x", None), 7],
+    "imu": [None, Imu(NAN, NAN, NAN, NAN), Imu(1e30, "x", None, []), 7],
     "map": [None, (), SimpleNamespace(route=None), "map"],
     "controls": [None, 5, "give_way", Sign("give_way", 1.0)],
 }  # fmt: skip

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+import yaml
 from loops import doing, run_loop
 from roads import run, spec_of_drive
 from thermostat import HeatMonitor, Overheater, SwitchOff, Thermostat
@@ -27,6 +30,8 @@ from pytest_dura import (
     Tick,
     check_role,
 )
+from pytest_dura.campaign.cases import expand_cases
+from pytest_dura.campaign.scenario import Scenario
 from pytest_dura.driving.highway import HighwaySimulator
 from pytest_dura.driving.roles.planners import Aggressive
 from pytest_dura.requirements.monitoring.stl_monitor import StlSafetyMonitor
@@ -262,6 +267,27 @@ def test_it_flags_a_ghost_and_the_requirement_of_the_same_words_is_satisfied() -
     assert alike.metrics.flags["stl_monitor"] == flagged
     clean = driven(EMPTY_ROAD, {"stl_monitor": monitor_of(formula)})
     assert "stl_monitor" not in clean.metrics.flags
+
+
+def test_the_readme_s_example_runs_in_the_driving_domain() -> None:
+    readme = (Path(__file__).parents[3] / "README.md").read_text("utf-8")
+    (example,) = re.findall(r"`(stl_monitor: {path: stl, .*}})`", readme)
+    given = yaml.safe_load(example)
+    scenario = {
+        "name": "s",
+        "simulator": "driving",
+        "duration": 30.0,
+        "world": CRASH,
+        "roles": given,
+    }
+    (case,) = expand_cases([Scenario.model_validate(scenario)])
+    chosen = {"generator": RoleSpec("test_stl_monitor:Oblivious"), "safety_monitor": None}
+    episode = run(case.spec(0, 1, chosen, policy="log_only"))
+    assert episode.failure is None
+    (contact,) = np.flatnonzero(episode.signals["collided"])
+    near = np.flatnonzero(episode.signals["percept.gap"][:contact] <= 0.5).tolist()
+    assert near
+    assert episode.metrics.flags["stl_monitor"] == near
 
 
 @pytest.mark.parametrize("key", ["formula", "warning"])

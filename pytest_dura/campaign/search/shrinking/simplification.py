@@ -130,12 +130,12 @@ class Simplification:
     ) -> Values:
         """The values of an added fault: later, shorter, of less effect."""
         scenario = self.nominal.case.scenario
-        last = scenario.duration - scenario.time_step
+        last = scenario.lasts - scenario.time_step
         if rank == "begin":
             # What begins with the last tick has no effect: it is left out instead.
             return simpler(value, last, (0.0, last))[1:]
         if rank == "duration":
-            return simpler(value, scenario.time_step, (scenario.time_step, scenario.duration))
+            return simpler(value, scenario.time_step, (scenario.time_step, scenario.lasts))
         span = spans.get(dotted(keys))
         if isinstance(span, Span) and isinstance(value, (int, float)):
             return simpler(value, type(value)(span.mildest), (span.low, span.high))

@@ -38,7 +38,7 @@ def fault_choices(
         ConfigurationError: For an unknown fault, one that cannot be used, and several together.
     """
     own: Faults = tuple(own_fault(scenario, index) for index in range(len(scenario.faults)))
-    lasting = scenario.duration if lasting is None else lasting
+    lasting = scenario.lasts if lasting is None else lasting
     found: dict[str, FaultChoice] = {}
     for entry in faults:
         for planned in alternatives(scenario, own, entry):
