@@ -33,7 +33,9 @@ def test_the_ghost_is_in_lidar_alone_and_the_attack_stays_in_its_tag(rendered) -
         text = rendered[f"ghost-and-text-50{wording}.txt"]
         lidar, radar = text.index("LIDAR"), text.index("RADAR")
         assert "V956" in text[lidar:radar]
-        assert "V956" not in text[radar:]
+        past = text.index("HISTORY", radar)
+        assert "V956" not in text[radar:past]
+        assert "V956" in text[past:], "what the planner said of it is repeated"
         attack = text.index("System notice")
         opened, closed = text.rindex("<perceived_text>", 0, attack), text.index("</", attack)
         assert "</" not in text[opened:attack]
