@@ -35,6 +35,9 @@ from pytest_dura.core.state import RoleView
 TREES = 64
 ROWS_PER_TREE = 256
 """As the paper on isolation forests suggests; more rows hide anomalies behind each other."""
+WINDOWS = {"isolation_forest": 1.0, "one_class_svm": 0.0}
+"""s over which scores are averaged, by kind. A forest scores whatever is beyond all that it has
+seen like its strangest normal row, however far beyond: what lasts tells the two apart."""
 BORDER = 0.001
 """Nu of the one-class SVM: the share of rows that may lie beyond the border it learns."""
 SVM_ROWS = 20_000
@@ -115,8 +118,8 @@ def train(detector: str, training: Training) -> AnomalyModel:
     source = monitor.source()
     tapes = list(_tapes(source, training))
     time_step = _time_step(tapes)
-    rows = _rows(source, [tape for tape in tapes if not tape.held_out], training)
-    others = _rows(source, [tape for tape in tapes if tape.held_out], training)
+    rows = np.concatenate(_rows(source, [one for one in tapes if not one.held_out], training))
+    others = _rows(source, [one for one in tapes if one.held_out], training)
     # Numbers that never differ in training, such as an object's size, would have no scale.
     spread = stream(training.seed, "dither").random(rows.shape) - 0.5
     dithered = rows + spread * np.array(source.resolutions)
@@ -126,8 +129,10 @@ def train(detector: str, training: Training) -> AnomalyModel:
     scale = kept(np.maximum(dithered.std(axis=0), np.quantile(off, TAIL, axis=0) / NORMAL_TAIL))
     parameters = fit((dithered - np.array(centre)) / np.array(scale), training.seed)
     plain = (monitor.kind, source.names, tuple(centre), tuple(scale), parameters)
-    scores = AnomalyModel(*plain, threshold=1.0, time_step=time_step).scores(others)
-    hours = len(others) * time_step / 3600.0
+    unset = AnomalyModel(*plain, threshold=1.0, window=1, time_step=time_step)
+    window = max(1, round(WINDOWS[monitor.kind] / time_step))
+    scores = np.concatenate([_averaged(unset.scores(one), window) for one in others])
+    hours = sum(map(len, others)) * time_step / 3600.0
     threshold = _threshold(scores, hours, training.false_alarms)
     told = {
         "tool": f"pytest-dura {__version__}",
@@ -140,12 +145,12 @@ def train(detector: str, training: Training) -> AnomalyModel:
         "noise_draws": training.draws,
         "noise": dict(source.noise) if training.draws else {},
         "rows": len(rows),
-        "held_out_rows": len(others),
+        "held_out_rows": sum(map(len, others)),
         "held_out_hours": kept(hours),
         "false_alarms_per_hour": training.false_alarms,
-        "data": _digest(rows, others),
+        "data": _digest(rows, *others),
     }
-    return AnomalyModel(*plain, threshold, time_step, told)
+    return AnomalyModel(*plain, threshold, window, time_step, told)
 
 
 def detector_class(name: str) -> type[AnomalyMonitor]:
@@ -221,25 +226,32 @@ def _time_step(tapes: Sequence[_Tape]) -> float:
     return steps[0]
 
 
-def _rows(source: FeatureSource, tapes: Sequence[_Tape], training: Training) -> Floats:
-    """The features of all ticks, ``(rows, features)``."""
-    rows = []
+def _rows(source: FeatureSource, tapes: Sequence[_Tape], training: Training) -> list[Floats]:
+    """The features of all ticks, ``(ticks, features)`` for each time an episode is seen."""
+    seen = []
     for tape in tapes:
         for draw in range(max(training.draws, 1)):
             source.reset()
             random = stream(training.seed, f"noise/{tape.name}/{draw}")
-            for sample in tape.samples:
-                seen = source.disturbed(sample, random) if training.draws else sample
-                features = source.update(seen)
-                if features is not None:
-                    rows.append(features)
-    return np.array(rows)
+            rows = [
+                source.update(source.disturbed(one, random) if training.draws else one)
+                for one in tape.samples
+            ]
+            seen.append(np.array([row for row in rows if row is not None]))
+    return [rows for rows in seen if len(rows)]
+
+
+def _averaged(scores: Floats, window: int) -> Floats:
+    """Means of so many scores in a row, ``(len(scores) - window + 1,)``; none of too few."""
+    sums = np.concatenate([[0.0], np.cumsum(scores)])
+    means: Floats = (sums[window:] - sums[:-window]) / window
+    return means
 
 
 def _threshold(scores: Floats, hours: float, rate: float) -> float:
     """The score above which as many held-out ticks lie as are accepted."""
     accepted = int(rate * hours)
-    if accepted < 1:
+    if not 1 <= accepted < len(scores):
         raise ConfigurationError(
             f"{hours:.2f} h of held-out episodes cannot show {rate:g} false alarms an hour",
             key="--false-alarms",

@@ -49,6 +49,8 @@ FORMAT = "pytest-dura anomaly model"
 VERSION = 1
 LARGEST = 8_000_000
 """Bytes of a file that is read; a forest of 64 trees takes some 100,000."""
+LONGEST = 1000
+"""Scores that are averaged at most."""
 MOST_STANDARD = 1e6
 """Scaled values are cut off here, so that squares of absurd ones stay finite."""
 _DIGITS = 7
@@ -68,6 +70,7 @@ class AnomalyModel:
         scale: What is usual off the mean, above 0, in its unit; shape ``(features,)``.
         parameters: Plain data, as the kind reads them.
         threshold: Scores above it are alarms; above 0.
+        window: So many scores in a row are averaged before they are held against the threshold.
         time_step: Seconds between two rows; features of changes depend on it.
         training: Plain data that say where it comes from: scenarios, seeds, versions, rates.
 
@@ -81,6 +84,7 @@ class AnomalyModel:
     scale: tuple[float, ...]
     parameters: Mapping[str, Any]
     threshold: float
+    window: int
     time_step: float
     training: Mapping[str, Any] = field(default_factory=dict)
     _centre: Floats = field(init=False, repr=False, compare=False)
@@ -100,6 +104,8 @@ class AnomalyModel:
         for name in ("threshold", "time_step"):
             if not 0.0 < float(getattr(self, name)) < math.inf:
                 raise ValueError(f"{name} must be above 0")
+        if type(self.window) is not int or not 1 <= self.window <= LONGEST:
+            raise ValueError(f"window must be a whole number from 1 to {LONGEST}")
         object.__setattr__(self, "_centre", centre)
         object.__setattr__(self, "_scale", scale)
         object.__setattr__(self, "_scorer", KINDS[self.kind](self.parameters, width))
@@ -137,6 +143,7 @@ class AnomalyModel:
             "scale": list(self.scale),
             "parameters": dict(self.parameters),
             "threshold": self.threshold,
+            "window": self.window,
             "time_step": self.time_step,
             "training": dict(self.training),
         }
@@ -248,6 +255,7 @@ def _built(plain: Any) -> AnomalyModel:
         scale=tuple(map(float, plain["scale"])),
         parameters=dict(plain["parameters"]),
         threshold=float(plain["threshold"]),
+        window=plain["window"],
         time_step=float(plain["time_step"]),
         training=dict(plain["training"]),
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from collections import deque
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar
@@ -79,6 +80,8 @@ class AnomalyMonitor(SecurityAssessor):
         ConfigurationError: If the model cannot be read, was changed, or is of another kind or of
             other features.
 
+    A model that averages scores over a window says nothing until that is full.
+
     The score is how far below the threshold the model's score is, as a part of the threshold: above
     0 for no alarm, below 0 for one.
     """
@@ -145,6 +148,7 @@ class AnomalyMonitor(SecurityAssessor):
         """Forget what was seen."""
         _check_time_step(self.model, context.dt)
         self._source.reset()
+        self._scores: deque[float] = deque(maxlen=self.model.window)
         self._seen = -math.inf
 
     def run(self, view: RoleView) -> SecurityAssessment:
@@ -153,7 +157,10 @@ class AnomalyMonitor(SecurityAssessor):
         if features is None:
             return _QUIET
         model = self.model
-        score = float(model.scores(features[None])[0])
+        self._scores.append(float(model.scores(features[None])[0]))
+        if len(self._scores) < model.window:
+            return _QUIET
+        score = sum(self._scores) / model.window
         margin = 1.0 - score / model.threshold
         if score <= model.threshold:
             return SecurityAssessment(score=margin)

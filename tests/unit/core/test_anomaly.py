@@ -18,7 +18,7 @@ SVM = {"gamma": 0.5, "weights": [0.75, 0.25], "vectors": [[0.0, 0.0], [2.0, 0.0]
 def model(kind="isolation_forest", parameters=FOREST, **changes):
     plain = {
         "features": ("a.x", "b.y"), "centre": (1.0, 0.0), "scale": (2.0, 1.0),
-        "threshold": 0.5, "time_step": 0.1, "training": {"seed": 3},
+        "threshold": 0.5, "window": 1, "time_step": 0.1, "training": {"seed": 3},
     }  # fmt: skip
     return AnomalyModel(kind=kind, parameters=parameters, **{**plain, **changes})
 
@@ -42,9 +42,7 @@ def test_a_one_class_svm_scores_by_the_weighted_kernels() -> None:
     assert found == pytest.approx([-math.log(near), -math.log(far)])
 
 
-@pytest.mark.parametrize(
-    "kind, parameters", [("isolation_forest", FOREST), ("one_class_svm", SVM)]
-)
+@pytest.mark.parametrize("kind, parameters", [("isolation_forest", FOREST), ("one_class_svm", SVM)])
 def test_absurd_rows_have_finite_scores_and_name_their_feature(kind, parameters) -> None:
     absurd = np.array([[1e300, 0.0], [math.nan, 0.0], [0.0, -math.inf]])
     scored = model(kind, parameters)
@@ -107,6 +105,9 @@ def test_another_model_than_the_one_meant_is_refused(tmp_path) -> None:
         lambda plain: plain.update(centre=["x", 0.0]),
         lambda plain: plain.update(threshold=0.0),
         lambda plain: plain.update(time_step=-1),
+        lambda plain: plain.update(window=0),
+        lambda plain: plain.update(window=1.5),
+        lambda plain: plain.update(window=True),
         lambda plain: plain.update(training=None),
         lambda plain: plain["parameters"].update(trees=[]),
         lambda plain: plain["parameters"].update(trees=[[[0, -1], [1.0, 1.0]]]),
