@@ -155,8 +155,7 @@ def test_a_lasting_fault_is_alerted_once_with_feature_and_channel(kind) -> None:
     monitor.reset(RoleContext(1, 0.1))
     seen = []
     for tick, percept in enumerate(cruise(40)):
-        off = (-1.0) ** tick * 5.0 if tick >= 15 else 0.0
-        seen.append(monitor.run(views.role(faster(percept, off))))
+        seen.append(monitor.run(views.role(faster(percept, 20.0 if tick >= 15 else 0.0))))
     assert all(one.verdict is Assessed.SAFE and one.score > 0.0 for one in seen[:15])
     alerts = [alert for one in seen for alert in one.alerts]
     assert len(alerts) == 1
@@ -220,6 +219,17 @@ def test_the_same_training_gives_the_same_digest(forest) -> None:
     assert train(KINDS[0], small).digest == AnomalyModel.read(forest).digest
     other = Training(["intersection/nominal"], ["rule_based"], 1, 1, 6, 2, 2000.0)
     assert train(KINDS[0], other).digest != AnomalyModel.read(forest).digest
+
+
+def test_as_many_held_out_ticks_are_above_the_threshold_as_are_accepted() -> None:
+    from pytest_dura.campaign.detector_training import _averaged, _threshold
+
+    scores = np.random.default_rng(2).permutation(np.arange(100.0))
+    for accepted in (1, 5):
+        assert (scores > _threshold(scores, 2.0, accepted / 2.0)).sum() == accepted
+    assert _averaged(np.arange(5.0), 1).tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]
+    assert _averaged(np.arange(5.0), 4).tolist() == [1.5, 2.5]
+    assert _averaged(np.arange(3.0), 4).tolist() == []
 
 
 @pytest.mark.parametrize("kind", KINDS)
