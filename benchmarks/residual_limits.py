@@ -30,18 +30,10 @@ from pytest_dura.core.orchestrator import Orchestrator
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.roles import Role
 from pytest_dura.core.state import RoleView
+from pytest_dura.driving.features import NOISE, noisy
 from pytest_dura.driving.residuals import Snapshot, residuals
 from pytest_dura.driving.roles.residuals import LIMITS
 
-NOISE = {
-    "odometry": 0.05,  # m/s
-    "imu acceleration": 0.1,  # m/s2
-    "imu yaw rate": 0.005,  # rad/s
-    "localisation position": 0.05,  # m, each of x and y
-    "localisation heading": 0.002,  # rad
-    "lidar position": 0.03,  # m, each of x and y
-    "lidar velocity": 0.1,  # m/s, each of x and y
-}
 PLANNERS = ("rule_based", "random")
 Tape = list[tuple[Snapshot, Any]]
 """What the sensors said at each tick, and what had been commanded before it."""
@@ -74,32 +66,6 @@ def tapes(runs: int, seed: int, select: list[str]) -> Iterator[tuple[Tape, float
                 if episode.failure is not None:
                     raise RuntimeError(episode.failure)
                 yield recorder.tape, spec.time_step
-
-
-def noisy(snapshot: Snapshot, random: np.random.Generator) -> Snapshot:
-    """The same snapshot from sensors with noise."""
-    speed, acceleration, yaw_rate, x, y, heading = random.standard_normal(6).tolist()
-    imu, pose = snapshot.imu, snapshot.pose
-    errors = random.standard_normal((len(snapshot.objects), 4))
-    errors *= [NOISE["lidar position"]] * 2 + [NOISE["lidar velocity"]] * 2
-    objects = {}
-    for (name, row), (ex, ey, evx, evy) in zip(
-        snapshot.objects.items(), errors.tolist(), strict=True
-    ):
-        objects[name] = [row[0] + ex, row[1] + ey, row[2], row[3] + evx, row[4] + evy, *row[5:]]
-    return snapshot._replace(
-        speed=snapshot.speed + NOISE["odometry"] * speed,
-        imu=imu._replace(
-            acceleration=imu.acceleration + NOISE["imu acceleration"] * acceleration,
-            yaw_rate=imu.yaw_rate + NOISE["imu yaw rate"] * yaw_rate,
-        ),
-        pose=pose._replace(
-            x=pose.x + NOISE["localisation position"] * x,
-            y=pose.y + NOISE["localisation position"] * y,
-            heading=pose.heading + NOISE["localisation heading"] * heading,
-        ),
-        objects=objects,
-    )
 
 
 class Peaks:

@@ -1,11 +1,11 @@
-"""``python -m pytest_dura``: what is done with evidence, cassettes and episodes after a session."""
+"""``python -m pytest_dura``: what is done with evidence, cassettes, episodes and detectors."""
 
 from __future__ import annotations
 
 import argparse
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from io import TextIOWrapper
 from pathlib import Path
 
@@ -70,16 +70,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     prune.add_argument(
         "--at-most", metavar="SIZE", help="the longest unused ones beyond this size: 500M, 2G"
     )
+    _add_training(
+        commands.add_parser(
+            "train-detector", help="train a learned detector of faults on episodes without any"
+        )
+    )
     given = parser.parse_args(arguments)
     try:
-        if given.command == "merge":
-            fail_worse = given.baseline_worse == "fail"
-            return _merge(given.bundles, given.output, given.baseline, fail_worse=fail_worse)
-        if given.command == "cassette":
-            return _list_cassette(given.file)
-        if given.command == "prune":
-            return _prune(given.directory, given.older_than, given.at_most)
-        return _verify(given.directory, given.junit_xml)
+        return _COMMANDS[given.command](given)
     except BrokenPipeError:  # whoever reads, such as `head`, has enough
         # Or what is still to be written would raise it again at the end.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -89,15 +87,81 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return USAGE_ERROR
 
 
-def _list_cassette(file: Path) -> int:
+def _add_training(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--detector",
+        metavar="NAME",
+        required=True,
+        help="isolation_forest, one_class_svm, or package.module:Class",
+    )
+    parser.add_argument(
+        "--output", metavar="FILE", type=Path, required=True, help="where the model goes"
+    )
+    parser.add_argument(
+        "--scenario", metavar="GLOB", nargs="+", required=True, help="scenarios; without faults"
+    )
+    parser.add_argument(
+        "--path", metavar="DIR", action="append", default=[], help="a directory with more of them"
+    )
+    parser.add_argument(
+        "--generator",
+        metavar="NAME",
+        nargs="+",
+        default=["rule_based", "random"],
+        help="components that drive (default: rule_based random)",
+    )
+    numbers: tuple[tuple[str, type, float, str], ...] = (
+        ("--runs", int, 10, "episodes of each scenario and component to learn from"),
+        ("--held-out", int, 10, "further ones, from which the threshold comes"),
+        ("--seed", int, 1, "base seed of the episodes and of all draws"),
+        ("--draws", int, 20, "times each episode is seen, with sensor noise drawn anew; 0: as is"),
+        ("--false-alarms", float, 1.0, "held-out ticks above the threshold, per simulated hour"),
+    )
+    for name, kind, default, text in numbers:
+        parser.add_argument(
+            name, metavar="N", type=kind, default=default, help=f"{text} (default: {default})"
+        )
+
+
+def _train(given: argparse.Namespace) -> int:
+    from pytest_dura.campaign.detector_training import Training, describe, train
+
+    training = Training(
+        scenarios=given.scenario,
+        generators=given.generator,
+        runs=given.runs,
+        held_out=given.held_out,
+        seed=given.seed,
+        draws=given.draws,
+        false_alarms=given.false_alarms,
+        paths=given.path,
+    )
+    model = train(given.detector, training)
+    try:
+        digest = model.write(given.output)
+    except OSError as error:
+        raise ConfigurationError(
+            f"the model cannot be written: {error.strerror}",
+            file=str(given.output),
+            key="--output",
+            remedy="name a file that can be written",
+        ) from None
+    for line in describe(model, given.output, digest):
+        print(one_line(line, LONGEST))
+    return 0
+
+
+def _list_cassette(given: argparse.Namespace) -> int:
     from pytest_dura.llm.cassette.listing import listing
 
-    for line in listing(file):
+    for line in listing(given.file):
         print(line)
     return 0
 
 
-def _merge(bundles: Sequence[Path], output: Path, baseline: str | None, *, fail_worse: bool) -> int:
+def _merge(given: argparse.Namespace) -> int:
+    fail_worse, baseline = given.baseline_worse == "fail", given.baseline
+    bundles, output = given.bundles, given.output
     from pytest_dura.evidence.baseline.file import Baseline
     from pytest_dura.evidence.merging import Held, merge_bundles
 
@@ -123,9 +187,10 @@ def _merge(bundles: Sequence[Path], output: Path, baseline: str | None, *, fail_
     return 0 if merged.passed else 1
 
 
-def _prune(directory: Path, older_than: str | None, at_most: str | None) -> int:
+def _prune(given: argparse.Namespace) -> int:
     from pytest_dura.campaign.episodes.pruning import prune, read_age, read_size
 
+    directory, older_than, at_most = given.directory, given.older_than, given.at_most
     if older_than is None and at_most is None:
         raise ConfigurationError(
             "it is not said what is to be removed",
@@ -149,10 +214,10 @@ def _let_names_be_any_bytes() -> None:
         sys.stdout.reconfigure(errors="backslashreplace")
 
 
-def _verify(directory: Path, junit: Path | None) -> int:
+def _verify(given: argparse.Namespace) -> int:
     from pytest_dura.evidence.verifying import verify_bundle
 
-    found = verify_bundle(directory, junit)
+    found = verify_bundle(given.directory, given.junit_xml)
     _let_names_be_any_bytes()
     for problem in found.problems:
         print(one_line(problem, LONGEST))
@@ -173,6 +238,15 @@ def _verify(directory: Path, junit: Path | None) -> int:
     several = "" if len(found.problems) == 1 else "s"
     print("intact" if found.intact else f"NOT INTACT: {len(found.problems)} difference{several}")
     return 0 if found.intact else 1
+
+
+_COMMANDS: Mapping[str, Callable[[argparse.Namespace], int]] = {
+    "verify": _verify,
+    "cassette": _list_cassette,
+    "merge": _merge,
+    "prune": _prune,
+    "train-detector": _train,
+}
 
 
 if __name__ == "__main__":

@@ -79,7 +79,11 @@ DOMAINS: dict[str, Domain] = {
                 "ignore_untrusted": f"{_RECOVERY}:IgnoreUntrusted",
                 "alert": f"{_RECOVERY}:AlertOnly",
             },
-            "residual_monitor": {"cusum": "pytest_dura.driving.roles.residuals:ResidualMonitor"},
+            "residual_monitor": {
+                "cusum": "pytest_dura.driving.roles.residuals:ResidualMonitor",
+                "isolation_forest": "pytest_dura.driving.roles.learned:IsolationForestMonitor",
+                "one_class_svm": "pytest_dura.driving.roles.learned:OneClassSvmMonitor",
+            },
         },
         parameters={"stl": {"signals": "pytest_dura.driving.signals:percept_at"}},
         world="pytest_dura.driving.scenario:DrivingWorld",

@@ -18,6 +18,7 @@ SMALLEST = {
         *("--runs", "1", "--free-runs", "1", "--jobs", "1", "--faults", "bias"),
         *("--free-scenarios", "intersection/nominal"),
     ],
+    "detector_cost.py": ["--scenario", "intersection/nominal", "--repeats", "1"],
     "early_decision.py": ["--budget", "3"],
     "early_end.py": ["--runs", "1", "--repeats", "1"],
     "evidence_cost.py": ["--select", "*/nominal", "--runs", "1", "--levels", "all"],
@@ -59,11 +60,12 @@ SMALLEST = {
     "stl_speed.py": ["--repeats", "1", "--traces", "3"],
     "sequential_cost.py": ["--campaigns", "20", "--budget", "100"],
 }
-NOT_A_SCRIPT = {"machine.py", "reads.py"}
+NOT_A_SCRIPT = {"machine.py", "reads.py", "stl_alarms.py"}
 HEADERS = {
     "against_gym.py": ["times faster"],
     "collection_cost.py": ["kB more per test"],
     "detection_table.py": ["manifested", "false alarms"],
+    "detector_cost.py": ["us/tick"],
     "early_decision.py": ["saved"],
     "early_end.py": ["looking"],
     "evidence_cost.py": ["share of session"],
