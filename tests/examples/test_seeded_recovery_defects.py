@@ -9,9 +9,12 @@ import pytest
 from pytest_dura import Bench, CampaignVerdict, RoleSpec
 from pytest_dura.campaign.cases import expand_cases
 from pytest_dura.campaign.loading import load_library
-from pytest_dura.campaign.scenario import Scenario
+from pytest_dura.campaign.scenario import Range, Scenario
 
-PLANNERS = {"REC-1": RoleSpec("reactive"), "REC-2": RoleSpec("rule_based")}
+PLANNERS = {
+    "REC-1": RoleSpec("reactive"),
+    **dict.fromkeys(["REC-2", "REC-3", "REC-4"], RoleSpec("rule_based")),
+}
 """`reactive` gives recovery much to do; it would keep it in control for long as it is."""
 SCENARIO = Scenario(
     name="nobody-brakes",
@@ -23,16 +26,27 @@ SCENARIO = Scenario(
         "traffic": {"headway": 9.0, "arms": ["west", "east"]},
         "courtesy": "none",
     },
-    requirements=("REC-1", "REC-2"),
+    requirements=("REC-1", "REC-2", "REC-3"),
 )
 """Nobody brakes for a car that stands in the junction."""
+ALONE = Scenario(
+    name="alone",
+    simulator="driving",
+    duration=30.0,
+    runs=5,
+    world={"ego": {"distance": 50.0, "speed": 8.0}},
+    variation={"world.ego.distance": Range(min=45.0, max=60.0)},
+    requirements=("REC-4",),
+)
+"""Nobody is there. Fewer runs could not decide a rate of one half."""
 NEVER_FORGIVES = RoleSpec("defects:NeverForgives")
 DEFECTS = {
     "REC-1": {
         "recovery_planner": RoleSpec("defects:StandsInTheJunction"),
         "safety_monitor": NEVER_FORGIVES,
     },
-    "REC-2": {"safety_monitor": NEVER_FORGIVES},
+    **dict.fromkeys(["REC-2", "REC-3"], {"safety_monitor": NEVER_FORGIVES}),
+    "REC-4": {"generator": RoleSpec("unreliable:HalfInvalid")},
 }
 
 
@@ -41,7 +55,8 @@ def judged(requirement: str, *, defective: bool = False) -> CampaignVerdict:
     library = load_library([])
     roles = {"generator": PLANNERS[requirement]} | (DEFECTS[requirement] if defective else {})
     bench = Bench(lambda: library, roles=roles)
-    return bench.campaign(expand_cases([SCENARIO])[0]).judge(library.requirements[requirement])
+    scenario = SCENARIO if requirement in SCENARIO.requirements else ALONE
+    return bench.campaign(expand_cases([scenario])[0]).judge(library.requirements[requirement])
 
 
 @pytest.mark.parametrize("requirement", DEFECTS)
