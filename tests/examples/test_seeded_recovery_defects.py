@@ -45,7 +45,8 @@ DEFECTS = {
         "recovery_planner": RoleSpec("defects:StandsInTheJunction"),
         "safety_monitor": NEVER_FORGIVES,
     },
-    **dict.fromkeys(["REC-2", "REC-3"], {"safety_monitor": NEVER_FORGIVES}),
+    "REC-2": {"safety_monitor": NEVER_FORGIVES},
+    "REC-3": {"safety_monitor": NEVER_FORGIVES},
     "REC-4": {"generator": RoleSpec("unreliable:HalfInvalid")},
 }
 

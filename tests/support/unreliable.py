@@ -1,4 +1,4 @@
-"""Planners that only their recovery keeps safe: proposals that are stale, or half of them invalid."""
+"""Planners that only their recovery keeps safe: their proposals are stale, or half invalid."""
 
 from __future__ import annotations
 

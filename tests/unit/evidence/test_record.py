@@ -14,6 +14,7 @@ def case(component="C", planned=2):
     return {
         "id": "a/b", "scenario": "a/b", "faults": [], "component": component,
         "requirements": ["R"], "planned": planned, "runs_override": None, "variation": {},
+        "order": None, "without": [],
     }  # fmt: skip
 
 
@@ -27,7 +28,10 @@ def episode(run=0, digest="d", validity="valid", termination="goal", **outcome):
         "validity": validity, "digest": digest, "outcome": told | outcome,
         "trajectory": f"{run}", "drawn": False,
         "termination": termination,
-        "metrics": {"user": {}, "tallies": {}, "answer_seconds": [], "answer_ages": []},
+        "metrics": {
+            "user": {}, "tallies": {}, "answer_seconds": [], "answer_ages": [],
+            "performance": {}, "reactions": {},
+        },
         "faults": [],
         "spec": {"run": run, "timeouts": []},
     }  # fmt: skip
@@ -338,7 +342,7 @@ def test_runs_that_a_campaign_was_decided_without_are_not_missing():
 def test_twins_are_missing_as_their_pairs_are():
     made = record()
     pairs = campaign("satisfied") | {"planned": 3, "saved": 1, "case": "a/b+f"}
-    pairs["pairs"] = {"case": "a/b"}
+    pairs["pairs"] = {"case": "a/b", "without": "faults"}
     made.add(report(cases=[case(planned=3)], episodes=[episode(0)], verdicts=[pairs]))
     assert missing(made) == ([1], 1)
 
