@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pytest_dura.evidence.record.effectiveness import RECOVERY
 from pytest_dura.plugin.baseline_lines import baseline_header, show_baseline
 from pytest_dura.plugin.failure_mode_lines import failure_mode_table
 from pytest_dura.plugin.fault_lines import fault_table
@@ -21,7 +22,6 @@ from pytest_dura.plugin.search_lines import counts as search_counts
 from pytest_dura.plugin.search_lines import show_searches
 from pytest_dura.plugin.shortening import ELSEWHERE, MOST, worst_cases
 from pytest_dura.plugin.tables import (
-    RECOVERY,
     case_table,
     counted,
     effectiveness_lines,

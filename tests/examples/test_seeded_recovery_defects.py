@@ -10,6 +10,7 @@ from pytest_dura import Bench, CampaignVerdict, RoleSpec
 from pytest_dura.campaign.cases import expand_cases
 from pytest_dura.campaign.loading import load_library
 from pytest_dura.campaign.scenario import Range, Scenario
+from pytest_dura.evidence.record.effectiveness import Courses, effectiveness
 
 PLANNERS = {
     "REC-1": RoleSpec("reactive"),
@@ -71,6 +72,13 @@ def test_the_pairs_tell_what_the_recovery_introduced():
     assert sound["only_with"] == sound["only_without"] == 0
     assert sound["acted_neither"] > 0, "recovery must act for the comparison to say anything"
     assert defective["only_with"] > 0 == defective["only_without"]
+
+
+def test_a_recovery_that_only_does_harm_is_seen_as_such_in_the_record():
+    verdicts = [judged("REC-1", defective=True).to_json()]
+    (found,) = effectiveness(verdicts, [], Courses(verdicts))
+    assert found["finding"] == "introduced"
+    assert "and prevented none of 0 violations of REC-1 without it in 4 pairs" in found["detail"]
 
 
 def test_every_requirement_on_recovery_has_a_seeded_defect():

@@ -102,9 +102,9 @@ class DrivingOracle(PerformanceOracle):
             # Before the first tick nothing is known to have changed.
             ticks = max(round(JERK_WINDOW / view.dt), 1)
             self._accelerations = deque([imu.acceleration] * ticks, maxlen=ticks)
-        sustained = (imu.acceleration - self._accelerations[0]) / (
-            self._accelerations.maxlen * view.dt
-        )
+        # Over the window: there are as many samples as it has ticks.
+        over = len(self._accelerations) * view.dt
+        sustained = (imu.acceleration - self._accelerations[0]) / over
         self._accelerations.append(imu.acceleration)
         end = way.exit + HALF
         values = {

@@ -40,9 +40,9 @@ class Courses:
             return
         run = episode["spec"]["run"]
         if key in self._own and episode["outcome"]["switching"]["takeovers"]:
-            self._acted[(*key, run)] = _course(episode)
-        elif key in self._twins:
-            self._without[(*self._twins[key], run)] = _course(episode)
+            self._acted[key[0], key[1], run] = _course(episode)
+        elif (own := self._twins.get(key)) is not None:
+            self._without[own[0], own[1], run] = _course(episode)
 
     def compared(self, component: str, cases: set[str]) -> tuple[int, int]:
         """Runs in which recovery acted and that have a twin, and those that went as their twin."""
@@ -97,10 +97,8 @@ def _of_recovery(
     what = f"of {violated} violations of {requirement} without it in {pairs} pairs"
     if acted_runs and unchanged == acted_runs:
         also = "" if violated else f"; nothing violated {requirement} without it either"
-        return (
-            "changed nothing",
-            f"all {acted_runs} runs in which it acted went as without it{also}",
-        )
+        told = f"changed nothing: the runs in which it acted ({acted_runs}) went as their twins"
+        return "changed nothing", told + also
     if introduced and not prevented:
         return "introduced", f"introduced {introduced} violations and prevented none {what}"
     if not violated:
