@@ -1,28 +1,37 @@
-"""The paper's table for one planner, and its two questions as exact paired tests.
+"""The paper's table beside ours, with and without attacks, with and without recovery.
 
-Run: python benchmarks/paper_table.py [--generator reactive] [--runs 200] [--jobs 2]
+Run: python benchmarks/paper_table.py [--generator rule_based] [--runs 200] [--jobs 2] [--seed 0]
+    [--figure docs/screenshots/clearance.svg]
 
-Pairs share their seed, and so traffic, timing and variation. Do attacks raise flags and clearance
-time: each attack scenario with and without its fault, recovery on. Does switching recovery off
-raise collisions: each scenario with the policies recover and log_only. Binary outcomes are
-compared by the exact McNemar test, clearance times of pairs that cleared both times by the exact
-sign test; all p-values are two-sided and uncorrected.
+Pairs share their seed, and so traffic, timing and variation. The paper's questions are asked of
+them by exact tests: do attacks raise flags, collisions and clearance time, each attack scenario
+with and without its faults, recovery on; does switching recovery off raise collisions, each
+scenario with the policies recover and log_only. Binary outcomes are compared by the exact McNemar
+test, clearance times of pairs that cleared both times by the exact sign test. The paper gives rates
+of 15 runs a scenario with another planner, simulator and traffic: Fisher's exact test says where
+the two differ by more than chance, and no more than that. All p-values are two-sided and
+uncorrected.
 """
 
 from __future__ import annotations
 
 import argparse
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from pathlib import Path
 from statistics import mean, stdev
+from xml.sax.saxutils import escape
 
 import numpy as np
 from machine import machine, table
-from scipy.stats import binomtest
+from scipy.stats import binomtest, fisher_exact
 
 from pytest_dura.campaign.cases import Case, expand_cases
 from pytest_dura.campaign.domains import DOMAINS
 from pytest_dura.campaign.loading import load_library
+from pytest_dura.core.metrics import DISCOMFORT, REACTIONS
 from pytest_dura.core.orchestrator import Orchestrator
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.requirements.statistics import mcnemar
@@ -30,19 +39,60 @@ from pytest_dura.requirements.statistics import mcnemar
 Key = tuple[str, bool, str, int]
 """Scenario, with its own faults, policy, run."""
 POLICIES = ("recover", "log_only")
+PLANNERS = DOMAINS["driving"].short_names["generator"]
+DEFAULTS = [name for name in ("rule_based", "reactive", "tactical") if name in PLANNERS]
+
+
+@dataclass(frozen=True)
+class Published:
+    """A row of the paper's table II: counts of runs, and the mean and sd of its figure 4.
+
+    Args:
+        flagged: Runs with a safety flag.
+        collided: Runs with a collision.
+        clearance: Mean and standard deviation of the clearance time in s, if given.
+        gridlock: Runs in gridlock, where the text tells them.
+        runs: All runs.
+    """
+
+    flagged: int
+    collided: int
+    clearance: tuple[float, float] | None
+    gridlock: int | None = None
+    runs: int = 15
+
+
+PAPER = {
+    "intersection/nominal": Published(1, 0, (5.4, 0.5)),
+    "intersection/congested": Published(3, 1, (9.9, 1.0)),
+    "intersection/conflicting-traffic": Published(5, 2, (12.8, 1.2)),
+    "intersection/ghost-obstacle": Published(13, 1, (16.0, 4.8)),
+    "intersection/trajectory-spoofing": Published(9, 3, (18.4, 5.3), gridlock=3),
+    "intersection/pedestrian-crossing": Published(4, 1, (11.7, 0.9)),
+}
+"""Its percentages of 15 runs, as counts: 6.7 % is one run."""
+PAPER_OVERALL = Published(
+    flagged=sum(one.flagged for one in PAPER.values()),
+    collided=sum(one.collided for one in PAPER.values()),
+    clearance=None,
+    runs=sum(one.runs for one in PAPER.values()),
+)
+"""35 and 8 of 90 runs: its 38.9 % and 8.9 %."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What the table needs of an episode."""
+    """What the tables need of an episode."""
 
     flagged: bool
     collided: bool
     struck: bool
     clearance: float | None
-    recoveries: int
+    rescued: bool
+    uncomfortable: bool
     alerts: int
     valid: bool
+    reactions: dict[str, int] = field(default_factory=dict)
 
 
 def case_of(scenario: str, attacked: bool) -> Case:
@@ -56,7 +106,7 @@ def run(job: tuple[Key, str, int]) -> tuple[Key, Outcome]:
     """One episode."""
     key, generator, base_seed = job
     scenario, attacked, policy, number = key
-    roles = {"generator": RoleSpec(DOMAINS["driving"].short_names["generator"][generator])}
+    roles = {"generator": RoleSpec(PLANNERS[generator])}
     case = case_of(scenario, attacked)
     spec = case.spec(number, base_seed, roles, policy=policy)
     episode = Orchestrator.build(spec).run(spec)
@@ -68,9 +118,11 @@ def run(job: tuple[Key, str, int]) -> tuple[Key, Outcome]:
         collided=episode.collided,
         struck=episode.ever("struck"),
         clearance=float(episode.time[np.argmax(cleared)]) if cleared.any() else None,
-        recoveries=len(episode.metrics.recoveries),
+        rescued=bool(episode.metrics.recoveries),
+        uncomfortable=bool((episode.metrics.column(DISCOMFORT) > 1.0).any()),
         alerts=episode.metrics.alerts,
         valid=episode.validity == "valid",
+        reactions=dict(episode.metrics.reactions),
     )
 
 
@@ -82,41 +134,92 @@ def discordant(first: list[bool], second: list[bool]) -> tuple[int, int, float]:
 
 
 class Arms:
-    """The outcomes of all runs, by arm of the comparison."""
+    """The outcomes of all runs of a planner, by arm of the comparison."""
 
-    def __init__(self, found: dict[Key, Outcome], runs: int) -> None:
-        self._found, self._runs = found, range(runs)
+    def __init__(self, outcomes: dict[Key, Outcome], runs: int) -> None:
+        self._outcomes, self._runs = outcomes, range(runs)
 
     def of(self, scenario: str, *, attacked: bool = True, policy: str = "recover") -> list[Outcome]:
         """One outcome per run, in the order of the runs."""
-        return [self._found[scenario, attacked, policy, number] for number in self._runs]
+        return [self._outcomes[scenario, attacked, policy, number] for number in self._runs]
 
 
-def paper_table(arms: Arms, scenarios: list[str]) -> str:
-    """The paper's table, with recovery on and off."""
+def paper_table(arms: Arms, scenarios: list[str], attacks: list[str]) -> str:
+    """Ours and, in the rows that can be compared with it, the paper's."""
     rows = []
     for scenario in scenarios:
-        for policy in POLICIES:
-            outcomes = arms.of(scenario, policy=policy)
-            times = [o.clearance for o in outcomes if o.clearance is not None]
-            spread = f"{mean(times):.1f} +- {stdev(times):.1f}" if len(times) > 1 else "-"
-            rows.append(
-                [
-                    scenario,
-                    policy,
-                    percentage([o.flagged for o in outcomes]),
-                    percentage([o.collided for o in outcomes]),
-                    percentage([o.struck for o in outcomes]),
-                    f"{spread} ({len(times)})",
-                    str(sum(o.clearance is None and not o.collided for o in outcomes)),
-                    str(sum(o.recoveries for o in outcomes)),
-                    str(sum(o.alerts for o in outcomes)),
-                    str(sum(not o.valid for o in outcomes)),
-                ]
-            )
-    headers = ["scenario", "policy", "flagged %", "collided %", "struck by others %"]
-    headers += ["clearance s (n)", "gridlock", "recoveries", "alerts", "invalid"]
-    return table(headers, rows)
+        for attacked in (True, False) if scenario in attacks else (False,):
+            for policy in POLICIES:
+                # Without faults, a scenario's own case is the one without an attack.
+                own = attacked or scenario not in attacks
+                outcomes = arms.of(scenario, attacked=own, policy=policy)
+                shown = PAPER.get(scenario) if own and policy == "recover" else None
+                rows.append(
+                    [scenario, _yes(attacked), _yes(policy == "recover"), *_cells(outcomes, shown)]
+                )
+    together = [one for scenario in scenarios for one in arms.of(scenario)]
+    rows.append(["overall", "as listed", "yes", *_cells(together, PAPER_OVERALL)])
+    together = [one for scenario in scenarios for one in arms.of(scenario, policy="log_only")]
+    rows.append(["overall", "as listed", "no", *_cells(together, None)])
+    headers = ["scenario", "attack", "recovery", "flagged %", "paper", "collided %", "paper"]
+    headers += ["clearance s (n)", "paper", "gridlock", "paper", "struck %", "rescued %"]
+    return table([*headers, "comfort failed %", "reactions u/e/f/F", "alerts", "invalid"], rows)
+
+
+def _cells(outcomes: Sequence[Outcome], paper: Published | None) -> list[str]:
+    """The cells of one arm; the paper's are empty where it has no such arm."""
+    times = _times(outcomes)
+    spread = f"{mean(times):.1f} +- {stdev(times):.1f}" if len(times) > 1 else "-"
+    stuck = sum(o.clearance is None and not o.collided for o in outcomes)
+    reactions: Counter[str] = Counter()
+    for one in outcomes:
+        reactions.update(one.reactions)
+    theirs = ["", "", "", ""]
+    if paper is not None:
+        clearance = "" if paper.clearance is None else "{:.1f} +- {:.1f}".format(*paper.clearance)
+        rates = [f"{100 * count / paper.runs:.1f}" for count in (paper.flagged, paper.collided)]
+        stuck_there = "" if paper.gridlock is None else f"{paper.gridlock} of {paper.runs}"
+        theirs = [*rates, clearance, stuck_there]
+    return [
+        percentage([o.flagged for o in outcomes]), theirs[0],
+        percentage([o.collided for o in outcomes]), theirs[1],
+        f"{spread} ({len(times)})", theirs[2],
+        str(stuck), theirs[3],
+        percentage([o.struck for o in outcomes]),
+        percentage([o.rescued for o in outcomes]),
+        percentage([o.uncomfortable for o in outcomes]),
+        "/".join(str(reactions[kind]) for kind in REACTIONS),
+        str(sum(o.alerts for o in outcomes)),
+        str(sum(not o.valid for o in outcomes)),
+    ]  # fmt: skip
+
+
+def _times(outcomes: Sequence[Outcome]) -> list[float]:
+    return [one.clearance for one in outcomes if one.clearance is not None]
+
+
+def _yes(given: bool) -> str:
+    return "yes" if given else "no"
+
+
+def against_paper(arms: Arms, scenarios: list[str]) -> str:
+    """How far ours lies from the paper's, attacks and recovery on."""
+    rows = []
+    groups = [(one, PAPER[one], arms.of(one)) for one in scenarios if one in PAPER]
+    together = [outcome for _, _, outcomes in groups for outcome in outcomes]
+    for name, paper, outcomes in [*groups, ("overall", PAPER_OVERALL, together)]:
+        cells = []
+        for counted in ("flagged", "collided"):
+            theirs, ours = getattr(paper, counted), sum(getattr(o, counted) for o in outcomes)
+            counts = [[ours, len(outcomes) - ours], [theirs, paper.runs - theirs]]
+            difference = 100 * (ours / len(outcomes) - theirs / paper.runs)
+            cells += [f"{difference:+.1f}", f"{fisher_exact(counts).pvalue:.2g}"]
+        times = _times(outcomes)
+        known = bool(times) and paper.clearance is not None
+        change = f"{mean(times) - paper.clearance[0]:+.1f}" if known else "-"
+        rows.append([name, *cells, change])
+    headers = ["scenario", "flagged, points", "p (Fisher)", "collided, points", "p (Fisher)"]
+    return table([*headers, "clearance, s"], rows)
 
 
 def effect_of_attacks(arms: Arms, attacks: list[str]) -> str:
@@ -124,7 +227,12 @@ def effect_of_attacks(arms: Arms, attacks: list[str]) -> str:
     rows = []
     for scenario in attacks:
         attacked, free = arms.of(scenario), arms.of(scenario, attacked=False)
-        up, down, p = discordant([o.flagged for o in attacked], [o.flagged for o in free])
+        cells = []
+        for counted in ("flagged", "collided"):
+            up, down, p = discordant(
+                [getattr(o, counted) for o in attacked], [getattr(o, counted) for o in free]
+            )
+            cells += [f"{up} / {down}", f"{p:.2g}"]
         deltas = [
             a.clearance - b.clearance
             for a, b in zip(attacked, free, strict=True)
@@ -133,17 +241,18 @@ def effect_of_attacks(arms: Arms, attacks: list[str]) -> str:
         longer, shorter = sum(d > 0 for d in deltas), sum(d < 0 for d in deltas)
         sign = binomtest(longer, longer + shorter).pvalue if longer + shorter else 1.0
         change = f"{mean(deltas):+.1f}" if deltas else "-"
-        rows.append([
-            scenario, f"{up} / {down}", f"{p:.2g}", change, f"{longer} / {shorter}", f"{sign:.2g}",
-        ])  # fmt: skip
+        rows.append([scenario, *cells, change, f"{longer} / {shorter}", f"{sign:.2g}"])
     headers = ["scenario", "flagged only attacked / only free", "p"]
+    headers += ["collided only attacked / only free", "p"]
     headers += ["mean change of clearance s", "longer / shorter", "p"]
     return table(headers, rows)
 
 
 def effect_of_recovery(arms: Arms, scenarios: list[str]) -> str:
     """Each scenario with recovery against the same runs without it, and all together."""
-    rows, all_off, all_on = [], [], []
+    rows = []
+    all_off: list[bool] = []
+    all_on: list[bool] = []
     for scenario in scenarios:
         off = [o.collided for o in arms.of(scenario, policy="log_only")]
         on = [o.collided for o in arms.of(scenario)]
@@ -167,30 +276,135 @@ def percentage(hits: list[bool]) -> str:
     return f"{100 * sum(hits) / len(hits):.1f}"
 
 
+COLOURS = ("#555555", "#1f77b4", "#d9730d", "#2a8a3e", "#9b3fb5")
+"""Of the paper, then of the planners; each also has a marker of its own place in the row."""
+_LEFT, _WIDTH, _ROW, _LINE, _TOP = 190, 720, 14, 16, 64
+
+
+def clearance_figure(planners: dict[str, Arms], scenarios: list[str], runs: int) -> str:
+    """The paper's figure 4 as SVG: mean and standard deviation of the clearance time.
+
+    Args:
+        planners: Their arms, by name; those with attacks and recovery are drawn.
+        scenarios: In the paper's order.
+        runs: A planner's runs of each scenario.
+    """
+    names = ["paper (n = 15)", *(f"{name} (n = {runs})" for name in planners)]
+    groups = []
+    for scenario in scenarios:
+        published = PAPER.get(scenario)
+        bars = [published.clearance if published is not None else None]
+        for arms in planners.values():
+            times = _times(arms.of(scenario))
+            sd = stdev(times) if len(times) > 1 else 0.0
+            bars.append((mean(times), sd) if times else None)
+        groups.append((scenario.rpartition("/")[2], bars))
+    ends = [middle + sd for _, bars in groups for middle, sd in filter(None, bars)]
+    longest = 5.0 * (int(max(ends, default=5.0) / 5.0) + 1)
+    height = _TOP + len(groups) * (len(names) * _ROW + _LINE) + 40
+    namespace, size = "http://www.w3.org/2000/svg", f"0 0 {_WIDTH} {height}"
+    title = "Clearance time in s, mean and standard deviation over cleared runs"
+    parts = [
+        f'<svg xmlns="{namespace}" viewBox="{size}" font-family="sans-serif" font-size="12">',
+        f"<title>{title}, by scenario</title>",
+        f'<rect width="{_WIDTH}" height="{height}" fill="white"/>',
+        f'<text x="10" y="20" font-size="14">{title}</text>',
+        *_key(names),
+        *_axis(longest, height),
+    ]
+    top = float(_TOP)
+    for label, bars in groups:
+        parts.append(
+            f'<text x="{_LEFT - 10}" y="{top + len(names) * _ROW / 2 + 4:.0f}" '
+            f'text-anchor="end">{escape(label)}</text>'
+        )
+        for number, bar in enumerate(bars):
+            parts += _bar(bar, COLOURS[number % len(COLOURS)], top + number * _ROW, longest)
+        top += len(names) * _ROW + _LINE
+    return "\n".join([*parts, "</svg>"]) + "\n"
+
+
+def _x(seconds: float, longest: float) -> float:
+    return _LEFT + (_WIDTH - _LEFT - 60) * seconds / longest
+
+
+def _key(names: Sequence[str]) -> Iterator[str]:
+    for number, label in enumerate(names):
+        x, colour = 10 + number * 165, COLOURS[number % len(COLOURS)]
+        yield f'<rect x="{x}" y="32" width="12" height="12" fill="{colour}"/>'
+        yield f'<text x="{x + 18}" y="42">{escape(label)}</text>'
+
+
+def _axis(longest: float, height: int) -> Iterator[str]:
+    for seconds in np.arange(0.0, longest + 0.1, 5.0):
+        x = _x(float(seconds), longest)
+        yield (
+            f'<line x1="{x:.1f}" y1="{_TOP - 6}" x2="{x:.1f}" y2="{height - 34}" stroke="#dddddd"/>'
+        )
+        yield f'<text x="{x:.1f}" y="{height - 18}" text-anchor="middle">{seconds:.0f}</text>'
+
+
+def _bar(bar: tuple[float, float] | None, colour: str, top: float, longest: float) -> Iterator[str]:
+    y = top + _ROW / 2
+    if bar is None:
+        yield f'<text x="{_LEFT + 4}" y="{y + 4:.1f}" fill="{colour}">nobody cleared</text>'
+        return
+    middle, sd = bar
+    left, right = _x(max(middle - sd, 0.0), longest), _x(middle + sd, longest)
+    width = _x(middle, longest) - _LEFT
+    yield (
+        f'<rect x="{_LEFT}" y="{top + 2:.1f}" width="{width:.1f}" height="{_ROW - 4}" '
+        f'fill="{colour}"/>'
+    )
+    yield (
+        f'<path d="M{left:.1f} {y:.1f}H{right:.1f}M{left:.1f} {y - 3:.1f}v6'
+        f'M{right:.1f} {y - 3:.1f}v6" '
+        'stroke="black" fill="none"/>'
+    )
+    yield f'<text x="{right + 5:.1f}" y="{y + 4:.1f}" font-size="10">{middle:.1f}</text>'
+
+
 def main() -> None:
-    """Run, compare, print."""
+    """Run, compare, print, draw."""
     arguments = argparse.ArgumentParser(description=__doc__)
-    arguments.add_argument("--generator", default="reactive")
+    arguments.add_argument(
+        "--generator", action="append", choices=sorted(PLANNERS), metavar="NAME",
+        help="short name of a planner; may be repeated",
+    )  # fmt: skip
     arguments.add_argument("--runs", type=int, default=200)
     arguments.add_argument("--jobs", type=int, default=2)
     arguments.add_argument("--seed", type=int, default=0)
+    arguments.add_argument("--figure", type=Path, help="write the clearance times there, as SVG")
     options = arguments.parse_args()
-    cases = expand_cases(load_library([]).scenarios)
-    scenarios = [case.id for case in cases]
-    attacks = [case.id for case in cases if case.faults]
+    by_place = sorted(
+        expand_cases(load_library([]).scenarios),
+        key=lambda case: (case.scenario.order or len(PAPER) + 1, case.id),
+    )
+    scenarios = [case.id for case in by_place]
+    attacks = [case.id for case in by_place if case.faults]
     runs = range(options.runs)
     keys: list[Key] = [(s, True, p, n) for s in scenarios for p in POLICIES for n in runs]
-    keys += [(s, False, "recover", n) for s in attacks for n in runs]
+    keys += [(s, False, p, n) for s in attacks for p in POLICIES for n in runs]
+    print(f"{machine()}\n")
+    planners = {}
     with ProcessPoolExecutor(options.jobs) as pool:
-        jobs = [(key, options.generator, options.seed) for key in keys]
-        arms = Arms(dict(pool.map(run, jobs, chunksize=20)), options.runs)
-    seeds = f"{options.runs} paired seeds a scenario, base seed {options.seed}"
-    print(f"{machine()}\n\n{options.generator}, {seeds}\n")
-    print(paper_table(arms, scenarios))
-    print("\nDo attacks raise flags and clearance time? (attack against none, recovery on)\n")
-    print(effect_of_attacks(arms, attacks))
-    print("\nDoes switching recovery off raise collisions? (log_only against recover)\n")
-    print(effect_of_recovery(arms, scenarios))
+        for generator in dict.fromkeys(options.generator or DEFAULTS):
+            jobs = [(key, generator, options.seed) for key in keys]
+            arms = Arms(dict(pool.map(run, jobs, chunksize=20)), options.runs)
+            planners[generator] = arms
+            seeds = f"{options.runs} paired seeds a scenario, base seed {options.seed}"
+            print(f"### {generator}, {seeds}\n")
+            print(paper_table(arms, scenarios, attacks))
+            print("\nHow far does it lie from the paper's, attacks and recovery on?\n")
+            print(against_paper(arms, scenarios))
+            print("\nDo attacks raise flags, collisions and clearance time? (recovery on)\n")
+            print(effect_of_attacks(arms, attacks))
+            print("\nDoes switching recovery off raise collisions? (log_only against recover)\n")
+            print(effect_of_recovery(arms, scenarios), end="\n\n", flush=True)
+    if options.figure is not None:
+        drawn = clearance_figure(planners, scenarios, options.runs)
+        options.figure.write_text(drawn, encoding="utf-8")
+        print(f"clearance times: {options.figure}")
 
 
 if __name__ == "__main__":

@@ -165,6 +165,8 @@ class Scenario(Entry):
     """Unique name, such as `intersection/nominal`; cases and episodes are named after it."""
     description: str = ""
     """What happens here, in one sentence."""
+    order: int | None = Field(default=None, ge=1)
+    """Place in tables, from 1; scenarios without one come last, by name."""
     simulator: RoleField
     """The alias `driving`, an import path `package.module:Class`, or path and params."""
     seed: int | None = Field(default=None, ge=0, lt=2**53)

@@ -75,6 +75,7 @@ class EpisodeLog:
         self._recovery: str | None = None
         self._recovery_told = ""
         self._reached: set[str] = set()
+        self._reacted: dict[tuple[str, str], int] = {}
 
     def event(
         self, tick: Tick, kind: str, subject: str, detail: str = "", *, wall_clock: bool = False
@@ -118,6 +119,11 @@ class EpisodeLog:
                 self.event(tick, "alert", alert.subject, f"{alert.pattern}: {alert.detail}")
         if output.reaction is not None:
             self._lasting(tick, "reaction", name, output.reaction, every_change=True)
+            # A class that is repeated tick by tick, or for each refined proposal, is one reaction.
+            before = self._reacted.get((name, output.reaction), -2)
+            if tick.index > before + 1:
+                self.metrics.reactions[output.reaction] += 1
+            self._reacted[name, output.reaction] = tick.index
 
     def performed(self, tick: Tick, output: PerformanceAssessment) -> None:
         """The PerformanceOracle has measured."""

@@ -14,9 +14,12 @@ from numpy.typing import NDArray
 from pytest_dura.core.episode import Episode
 
 PREFIX = "loop."
-LOOP_SIGNALS = ("loop.recovering", "loop.recovering_for", "loop.fallback", "loop.unsafe")
+LOOP_SIGNALS = (
+    "loop.recovering", "loop.recovering_for", "loop.recovered_time", "loop.fallback", "loop.unsafe"
+)  # fmt: skip
 """0 or 1 for: recovery's action, or the simulator's fallback, was carried out; the proposal was
-unsafe. ``recovering_for`` is the time since recovery took over, in s, 0 while it does not act."""
+unsafe. ``recovering_for`` is the time since recovery took over, in s, 0 while it does not act;
+``recovered_time`` that for which it has been in control so far, in s, which never falls."""
 
 _DECIMALS = 9
 """Of seconds, to which a difference of two ticks' times is given."""
@@ -44,10 +47,13 @@ def loop_columns(
         started[0] = time[0]
     with np.errstate(invalid="ignore"):
         lasting = time - np.maximum.accumulate(started)
+    # A decision holds from its tick until the next one.
+    spent = np.where(recovering[:-1], np.diff(time), 0.0)
     return {
         "loop.recovering": recovering.astype(float),
         # 12.3 s after 2.3 s is 10 s, whatever the float rounds to: a bound of 10 s holds there.
         "loop.recovering_for": np.where(recovering, np.round(lasting, _DECIMALS), 0.0),
+        "loop.recovered_time": np.round(np.cumsum(np.append(0.0, spent))[: len(time)], _DECIMALS),
         "loop.fallback": (source == "fallback").astype(float),
         "loop.unsafe": (verdict == 2).astype(float),
     }

@@ -10,6 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+REACTIONS = ("unaffected", "erratic", "frozen", "follows the fake")
+"""How a component can react to what looks like an attack; an assessor may have other classes."""
+DISCOMFORT = "discomfort"
+"""The performance value that is above 1 where passengers are uncomfortable: the greatest of what
+they feel, each as a share of its limit. An oracle that does not measure it says nothing of them."""
 COMMAND = "command"
 """The command channel: what is on its way to the actuators."""
 
@@ -154,6 +159,7 @@ class DependabilityMetrics:
         processing_ns: Wall-clock nanoseconds by role: ``(ticks, nanoseconds)``.
         alerts: Alerts raised; the same one at the same tick counts once.
         alert_ticks: Ticks at which each assessor that was asked raised alerts, by role name.
+        reactions: How often the component reacted in which way to what looked like an attack.
         proposals: How often the Generator was asked.
         valid_proposals: How often it answered with an action of this simulator.
         tallies: How often each failure mode showed in what the component told of its proposals.
@@ -173,6 +179,7 @@ class DependabilityMetrics:
     processing_ns: dict[str, tuple[list[int], list[int]]] = field(default_factory=dict)
     alerts: int = 0
     alert_ticks: dict[str, list[int]] = field(default_factory=dict)
+    reactions: Counter[str] = field(default_factory=Counter)
     proposals: int = 0
     valid_proposals: int = 0
     tallies: dict[str, Tally] = field(default_factory=dict)
@@ -253,6 +260,7 @@ class DependabilityMetrics:
             "recoveries": self.recoveries,
             "alerts": self.alerts,
             "alert_ticks": self.alert_ticks,
+            **({"reactions": dict(sorted(self.reactions.items()))} if self.reactions else {}),
             "proposals": [self.proposals, self.valid_proposals],
             **({"tallies": {name: asdict(one) for name, one in tallies}} if tallies else {}),
             **({"answer_ages": self.answer_ages} if self.answer_ages else {}),
@@ -277,6 +285,7 @@ class DependabilityMetrics:
             "recoveries": len(self.recoveries),
             "recoveries_succeeded": len(succeeded),
             "alerts": self.alerts,
+            "reactions": dict(sorted(self.reactions.items())),
             "proposals": self.proposals,
             "valid_proposals": self.valid_proposals,
             "processing_us": {

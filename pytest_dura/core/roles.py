@@ -67,7 +67,11 @@ class Alert:
 
 @dataclass(frozen=True, slots=True)
 class SecurityAssessment(Assessment):
-    """A monitor's output with alerts, the faults to activate, and the component's reaction."""
+    """A monitor's output with alerts, the faults to activate, and the component's reaction.
+
+    The reaction is its class, once the suspicion is over: one of
+    :data:`pytest_dura.core.metrics.REACTIONS`, or of the assessor's own.
+    """
 
     alerts: tuple[Alert, ...] = ()
     directives: tuple[str, ...] = ()

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from pytest_dura.core.metrics import REACTIONS
 from pytest_dura.core.state import RoleView
 from pytest_dura.driving.ego import ego_of
 from pytest_dura.driving.maneuvers import acceleration_for
 from pytest_dura.driving.plausible import own_speed
 
-UNAFFECTED, ERRATIC, FROZEN, FOLLOWS = "unaffected", "erratic", "frozen", "follows the fake"
+UNAFFECTED, ERRATIC, FROZEN, FOLLOWS = REACTIONS
 
 BRAKING = -1.0
 """m/s2; a command below it brakes."""

@@ -21,6 +21,7 @@ def case_record(
         off: Roles that are switched off.
     """
     return {
+        "order": case.scenario.order,
         "id": case.id,
         "scenario": case.scenario.name,
         "faults": [dict(fault) for fault in case.faults],

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import textwrap
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from pytest_dura.core.metrics import REACTIONS
+from pytest_dura.evidence.record.effectiveness import RECOVERY
 from pytest_dura.evidence.text import name
 from pytest_dura.plugin.messages import apart
 
@@ -15,15 +19,65 @@ LONGEST = 500
 """Characters of a row's name."""
 
 
-def case_table(cases: Sequence[Data]) -> list[str]:
-    """The paper's table: one line per case and component."""
-    several = len({case["component"] for case in cases}) > 1
+def case_table(cases: Sequence[Data], overall: Sequence[Data] = ()) -> list[str]:
+    """The paper's table: one line per case and component, and one for all of a component's cases.
+
+    Args:
+        cases: Those that are shown.
+        overall: The record's, over all of them.
+    """
     users = sorted({name for case in cases for name in case["metrics"]["user"]})
-    names = [f"{case['id']} ({case['component']})" if several else case["id"] for case in cases]
-    rows = [_row(case["metrics"], users) for case in cases]
-    starred = any(_beyond(case["metrics"]["collided"]) for case in cases)
+    names, metrics = _lines(cases, overall)
+    rows = [_row(one, users) for one in metrics]
+    starred = any(_beyond(one["collided"]) for one in metrics)
     legend = [*LEGEND, BEYOND] if starred else LEGEND
     return [*aligned("case", (*COLUMNS, *users), names, rows), *legend]
+
+
+def reliance_table(cases: Sequence[Data], overall: Sequence[Data] = ()) -> list[str]:
+    """What the component leaves to its recovery, to passengers, and how it reacts to attacks.
+
+    Args:
+        cases: Those that are shown.
+        overall: The record's, over all of them.
+    """
+    names, metrics = _lines(cases, overall)
+    known = {name for one in metrics for name in one["reactions"]}
+    classes = [*REACTIONS, *sorted(known.difference(REACTIONS))] if known else []
+    felt = any(one["comfort_failed"] for one in metrics)
+    if not (felt or known or any(one["rescued"] and one["rescued"]["run"] for one in metrics)):
+        return []
+    rows = [
+        [
+            _percent(one["rescued"]),
+            "-" if one["switching"] is None else f"{100 * one['switching']['share']:.1f}",
+            *([_percent(one["comfort_failed"])] if felt else ()),
+            *(str(one["reactions"].get(kind, 0)) for kind in classes),
+        ]
+        for one in metrics
+    ]
+    columns = ["rescued %", "time %", *(["comfort %"] if felt else ())]
+    columns += [SHORT.get(kind, kind) for kind in classes]
+    legend = [RESCUED, *([COMFORT] if felt else ()), *([REACTED] if known else ())]
+    return [*aligned("reliance", columns, names, rows), *legend]
+
+
+def _lines(cases: Sequence[Data], overall: Sequence[Data]) -> tuple[list[str], list[Data]]:
+    """Names and metrics of the rows: the cases, then all together where there are several."""
+    several = len({case["component"] for case in cases}) > 1
+    names = [f"{case['id']} ({case['component']})" if several else case["id"] for case in cases]
+    metrics = [case["metrics"] for case in cases]
+    for one in overall:
+        if one["cases"] > 1:
+            names.append(f"overall ({one['component']})" if several else "overall")
+            metrics.append(one["metrics"])
+    return names, metrics
+
+
+SHORT = {"follows the fake": "follows"}
+RESCUED = "rescued: runs in which recovery took over; time: share of it for which it was in control"
+COMFORT = "comfort: runs that at some time were beyond what passengers take"
+REACTED = "unaffected ... follows (the fake): reactions to what looked like an attack, each counted"
 
 
 def aligned(
@@ -95,26 +149,36 @@ def _user(value: Data | None) -> str:
 
 
 PAIR_COLUMNS = (
-    "pairs", "prev", "intro", "futile", "unnec", "p", "share %", "takeovers", "to safe s",
+    "pairs", "prev", "intro", "futile", "unnec", "success", "p", "takeovers", "to safe s",
 )  # fmt: skip
 PAIR_LEGEND = (
     "pairs: runs with recovery and without, equal seeds; violations that recovery prevented and",
-    "introduced, that it met in vain (futile); runs in which it acted unnecessarily; p: exact",
-    "McNemar; share of time in control; to safe: median until the proposal was acceptable again",
+    "introduced, that it met in vain (futile); runs in which it acted unnecessarily; success:",
+    "prevented of prevented and futile, in % (their number); p: exact McNemar; to safe: median",
+    "until the proposal was acceptable again",
 )
 
 
 def pair_table(verdicts: Sequence[Data], cases: Sequence[Data]) -> list[str]:
     """What recovery did: one line per case, component and requirement on pairs without it."""
     metrics = {(case["id"], case["component"]): case["metrics"] for case in cases}
-    names, rows = [], []
-    for verdict in verdicts:
+    names: list[str] = []
+    rows: list[list[str]] = []
+    sums: dict[tuple[str, str], list[Data]] = {}
+    order = {case["id"]: place for place, case in enumerate(cases)}
+    for verdict in sorted(verdicts, key=lambda one: order.get(one["case"], len(order))):
         pairs = verdict["pairs"]
         if not pairs or pairs["without"] != "recovery_planner" or "only_with" not in pairs:
             continue
         names.append(f"{verdict['requirement']} on {verdict['case']}")
         key = verdict["case"], verdict["component"]
         rows.append(_pair_row(verdict, metrics[key]["switching"]))
+        sums.setdefault((verdict["requirement"], verdict["component"]), []).append(pairs)
+    for (requirement, component), found in sums.items():
+        if len(found) > 1:
+            whose = f" ({component})" if len({who for _, who in sums}) > 1 else ""
+            names.append(f"{requirement} overall{whose}")
+            rows.append(_all_pairs_row(found))
     return [*aligned("recovery", PAIR_COLUMNS, names, rows), *PAIR_LEGEND] if rows else []
 
 
@@ -129,14 +193,51 @@ def _pair_row(verdict: Data, switching: Data | None) -> list[str]:
         str(pairs["only_with"]),
         str(pairs["acted_both"]),
         str(pairs["acted_neither"]),
+        _success(pairs["acted_only_without"], pairs["acted_both"]),
         f"{pairs['p_value']:.2g}" if fixed else "-",
     ]
     if switching is None:
-        return [*row, "-", "-", "-"]
+        return [*row, "-", "-"]
     safe = switching["time_to_safe"]
     median = "-" if safe["median"] is None else f"{safe['median']:.1f}"
     never = f" ({safe['censored']} never)" if safe["censored"] else ""
-    return [*row, f"{100 * switching['share']:.1f}", str(switching["takeovers"]), median + never]
+    return [*row, str(switching["takeovers"]), median + never]
+
+
+def _all_pairs_row(found: Sequence[Data]) -> list[str]:
+    """The sums over cases; a test of all pairs together would take them to be of one kind."""
+    total: Counter[str] = Counter()
+    for pairs in found:
+        total.update({key: value for key, value in pairs.items() if isinstance(value, int)})
+    incomplete = f" (+{total['incomplete']} inc)" if total["incomplete"] else ""
+    return [
+        f"{total['pairs'] - total['incomplete']}{incomplete}",
+        *(str(total[key]) for key in ("only_without", "only_with", "acted_both", "acted_neither")),
+        _success(total["acted_only_without"], total["acted_both"]),
+        *"---",
+    ]
+
+
+def _success(prevented: int, futile: int) -> str:
+    tried = prevented + futile
+    return f"{100 * prevented / tried:.0f} ({tried})" if tried else "-"
+
+
+def effectiveness_lines(found: Sequence[Data], role: str | None = None) -> list[str]:
+    """What the runs show of recovery or of monitors, a sentence each.
+
+    Args:
+        found: The record's ``effectiveness``.
+        role: Of this role alone; ``None`` for all but recovery.
+    """
+    several = len({one["component"] for one in found}) > 1
+    lines = []
+    for one in found:
+        if (one["role"] == role) if role else (one["role"] != RECOVERY):
+            whose = f" with {name(one['component'])}" if several else ""
+            told = apart(name(f"{one['role']}{whose}: {one['detail']}", LONGEST))
+            lines += textwrap.wrap(told, WIDTH, subsequent_indent="  ", break_long_words=False)
+    return lines
 
 
 MONITOR_COLUMNS = ("TP", "FN", "FP", "TN", "precision", "recall", "lead s", "false/h")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pytest_dura.evidence.record.effectiveness import RECOVERY
 from pytest_dura.plugin.baseline_lines import baseline_header, show_baseline
 from pytest_dura.plugin.failure_mode_lines import failure_mode_table
 from pytest_dura.plugin.fault_lines import fault_table
@@ -20,7 +21,14 @@ from pytest_dura.plugin.reuse_lines import resume_lines, reuse_lines, searched_l
 from pytest_dura.plugin.search_lines import counts as search_counts
 from pytest_dura.plugin.search_lines import show_searches
 from pytest_dura.plugin.shortening import ELSEWHERE, MOST, worst_cases
-from pytest_dura.plugin.tables import case_table, counted, monitor_table, pair_table
+from pytest_dura.plugin.tables import (
+    case_table,
+    counted,
+    effectiveness_lines,
+    monitor_table,
+    pair_table,
+    reliance_table,
+)
 from pytest_dura.plugin.verdict_lines import show_verdicts
 
 if TYPE_CHECKING:
@@ -163,7 +171,8 @@ def _show_cases(session: DuraSession, terminal: Any, record: SessionRecord) -> N
     shown = [case for case in record["cases"] if not case["without"] or case["id"] not in twins]
     most = None if session.config.option.verbose > 0 else MOST
     listed = worst_cases(shown, record["verdicts"], most=most)
-    for line in case_table(listed):
+    overall = record["overall"]
+    for line in case_table(listed, overall):
         terminal.line(line)
     if len(listed) < len(shown):
         told = "those with the worst verdicts are shown"
@@ -180,11 +189,20 @@ def _show_cases(session: DuraSession, terminal: Any, record: SessionRecord) -> N
         terminal.line(f"and {counted(by_hand, 'episode')} with a seed chosen by hand")
     for lines in (
         failure_mode_table(shown, by_case=session.config.option.verbose > 0),
+        reliance_table(listed, overall),
         fault_table(listed),
-        pair_table([one for one in record["verdicts"] if one["case"] not in left], record["cases"]),
-        monitor_table(
-            [one for one in record["monitors"] if one["case"].partition("~")[0] not in left]
-        ),
+        [
+            *pair_table(
+                [one for one in record["verdicts"] if one["case"] not in left], record["cases"]
+            ),
+            *effectiveness_lines(record["effectiveness"], RECOVERY),
+        ],
+        [
+            *monitor_table(
+                [one for one in record["monitors"] if one["case"].partition("~")[0] not in left]
+            ),
+            *effectiveness_lines(record["effectiveness"]),
+        ],
     ):
         for line in lines and ["", *lines]:
             terminal.line(line)

@@ -194,6 +194,7 @@ def test_every_pattern_of_the_security_assessor_has_a_row() -> None:
 
 def test_every_threshold_of_the_performance_oracle_has_a_row() -> None:
     failures = set(re.findall(r'failures\.append\("(\w+)"\)', inspect.getsource(performance)))
+    failures |= set(performance.COMFORT_FAILURES.values())
     assert failures == rows_of(PERFORMANCE)
     limits = set(inspect.signature(performance.DrivingOracle).parameters)
     assert limits == {

@@ -9,9 +9,13 @@ import pytest
 from pytest_dura import Bench, CampaignVerdict, RoleSpec
 from pytest_dura.campaign.cases import expand_cases
 from pytest_dura.campaign.loading import load_library
-from pytest_dura.campaign.scenario import Scenario
+from pytest_dura.campaign.scenario import Range, Scenario
+from pytest_dura.evidence.record.effectiveness import Courses, effectiveness
 
-PLANNERS = {"REC-1": RoleSpec("reactive"), "REC-2": RoleSpec("rule_based")}
+PLANNERS = {
+    "REC-1": RoleSpec("reactive"),
+    **dict.fromkeys(["REC-2", "REC-3", "REC-4"], RoleSpec("rule_based")),
+}
 """`reactive` gives recovery much to do; it would keep it in control for long as it is."""
 SCENARIO = Scenario(
     name="nobody-brakes",
@@ -23,9 +27,19 @@ SCENARIO = Scenario(
         "traffic": {"headway": 9.0, "arms": ["west", "east"]},
         "courtesy": "none",
     },
-    requirements=("REC-1", "REC-2"),
+    requirements=("REC-1", "REC-2", "REC-3"),
 )
 """Nobody brakes for a car that stands in the junction."""
+ALONE = Scenario(
+    name="alone",
+    simulator="driving",
+    duration=30.0,
+    runs=5,
+    world={"ego": {"distance": 50.0, "speed": 8.0}},
+    variation={"world.ego.distance": Range(min=45.0, max=60.0)},
+    requirements=("REC-4",),
+)
+"""Nobody is there. Fewer runs could not decide a rate of one half."""
 NEVER_FORGIVES = RoleSpec("defects:NeverForgives")
 DEFECTS = {
     "REC-1": {
@@ -33,6 +47,8 @@ DEFECTS = {
         "safety_monitor": NEVER_FORGIVES,
     },
     "REC-2": {"safety_monitor": NEVER_FORGIVES},
+    "REC-3": {"safety_monitor": NEVER_FORGIVES},
+    "REC-4": {"generator": RoleSpec("unreliable:HalfInvalid")},
 }
 
 
@@ -41,7 +57,8 @@ def judged(requirement: str, *, defective: bool = False) -> CampaignVerdict:
     library = load_library([])
     roles = {"generator": PLANNERS[requirement]} | (DEFECTS[requirement] if defective else {})
     bench = Bench(lambda: library, roles=roles)
-    return bench.campaign(expand_cases([SCENARIO])[0]).judge(library.requirements[requirement])
+    scenario = SCENARIO if requirement in SCENARIO.requirements else ALONE
+    return bench.campaign(expand_cases([scenario])[0]).judge(library.requirements[requirement])
 
 
 @pytest.mark.parametrize("requirement", DEFECTS)
@@ -55,6 +72,13 @@ def test_the_pairs_tell_what_the_recovery_introduced():
     assert sound["only_with"] == sound["only_without"] == 0
     assert sound["acted_neither"] > 0, "recovery must act for the comparison to say anything"
     assert defective["only_with"] > 0 == defective["only_without"]
+
+
+def test_a_recovery_that_only_does_harm_is_seen_as_such_in_the_record():
+    verdicts = [judged("REC-1", defective=True).to_json()]
+    (found,) = effectiveness(verdicts, [], Courses(verdicts))
+    assert found["finding"] == "introduced"
+    assert "and prevented none of 0 violations of REC-1 without it in 4 pairs" in found["detail"]
 
 
 def test_every_requirement_on_recovery_has_a_seeded_defect():

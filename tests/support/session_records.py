@@ -64,6 +64,7 @@ def episode(case="a/clear", run=0, *, validity="valid", trace=None, **changes):
                        "recovered": 0, "impact_ticks": 0},
             "recoveries": 0, "recoveries_succeeded": 0, "alerts": 1, "proposals": 20,
             "valid_proposals": 20, "processing_us": {"generator": 100.0}, "tallies": {},
+            "reactions": {},
             "answer_seconds": [], "answer_ages": [], "user": {},
         },
         "faults": faults,
@@ -155,6 +156,7 @@ def session_record(directory=Path("nowhere"), **changes):
             violated, verdict("SEC-1", "a/clear+ghost", ("satisfied",) * 2, planned=4),
         ],
         "searches": [],
+        "overall": [], "effectiveness": [],
         "monitors": [
             {"case": "a/clear+ghost", "monitor": "security_assessor", "target": "SAF-1",
              "component": "C", "horizon": 5.0, "true_positives": 1, "false_negatives": 0,
@@ -214,6 +216,7 @@ def _case(name):
         "id": name, "scenario": scenario, "faults": faults, "component": "C", "without": [],
         "off": [], "requirements": sorted(REQUIREMENTS), "planned": 4 if plus else 2,
         "runs_override": None,
+        "order": None,
         "missing_runs": [], "missing_runs_total": 0, "repeat": None,
         "variation": {"world.wall": {"min": 2.0, "max": 6.0}},
         "metrics": {
@@ -221,7 +224,8 @@ def _case(name):
             "flagged": {"valid": 1, "run": 1, "share_of_valid": 0.5, "share_of_planned": 0.5},
             "collided": {"valid": 1, "run": 1, "share_of_valid": 0.5, "share_of_planned": 0.5},
             "gridlock": None, "clearance_time": {"runs": 2, "mean": 1.55, "sd": 0.07},
-            "recoveries": 0, "alerts": 2, "switching": None, "user": {}, "faults": [],
+            "recoveries": 0, "alerts": 2, "comfort_failed": None, "rescued": None, "reactions": {},
+            "switching": None, "user": {}, "faults": [],
             "failure_modes": [], "answer_times": None, "answer_ages": None,
         },
     }  # fmt: skip

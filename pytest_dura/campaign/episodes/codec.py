@@ -221,6 +221,7 @@ def _metrics_of(told: Data, columns: list[NDArray[Any]]) -> DependabilityMetrics
     }
     made = {
         "violations": Counter(told["violations"]),
+        "reactions": Counter(told["reactions"]),
         "recoveries": [tuple(one) for one in told["recoveries"]],
         "tallies": {name: Tally(**one) for name, one in told["tallies"].items()},
     }

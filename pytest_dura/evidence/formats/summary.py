@@ -56,6 +56,7 @@ def render(record: SessionRecord) -> str:
         *_section("Verdicts", _VERDICTS, map(_verdict, verdicts), "verdicts"),
         *_section("Requirements", _REQUIREMENTS, _requirements(record), "requirements"),
         *_section("Cases", _CASES, map(_case, record["cases"]), "cases"),
+        *_overall(record),
         *_failure_modes(record),
         *_coverage(record),
         *provenance_lines(record, _CELLS),
@@ -208,7 +209,8 @@ _VERDICTS = ["verdict", "waiver", "requirement", "case", "component", "valid n",
              "open", "without effect", "invalid", "missing", "upper bound"]  # fmt: skip
 _REQUIREMENTS = ["requirement", "kind", "text", "supported", "violated", "undecided", "untested"]
 _CASES = ["case", "component", "planned", "run", "valid", "invalid", "missing", "flagged",
-          "collided", "gridlock", "clearance time"]  # fmt: skip
+          "collided", "gridlock", "clearance time", "rescued", "comfort failed",
+          "reactions"]  # fmt: skip
 _MODES = ["failure mode", "kind", "component", "decisions", "share %", "null %", "episodes"]
 
 
@@ -246,17 +248,44 @@ def _requirements(record: SessionRecord) -> Iterator[str]:
 def _case(one: Data) -> str:
     metrics = one["metrics"]
     rates = []
-    for key in ("flagged", "collided", "gridlock"):
+    for key in ("flagged", "collided", "gridlock", "rescued", "comfort_failed"):
         rate = metrics[key]
         shown = "-" if rate is None else f"{rate['valid']} of {metrics['valid']}"
         beyond = 0 if rate is None else rate["run"] - rate["valid"]
         rates.append(f"{shown}, {beyond}*" if beyond else shown)
+    reactions = ", ".join(f"{_name(kind)} {n}" for kind, n in metrics["reactions"].items())
     time = metrics["clearance_time"]
     shown = "-"
     if time is not None and time["mean"] is not None:
         shown = f"{time['mean']:.2f} s (n = {time['runs']})"
     counts = (metrics[key] for key in ("planned", "run", "valid", "invalid", "missing"))
-    return _row([_name(one["id"]), _name(one["component"]), *counts, *rates, shown])
+    names = (_name(one["id"]), _name(one["component"]))
+    return _row([*names, *counts, *rates[:3], shown, *rates[3:], reactions or "-"])
+
+
+def _overall(record: SessionRecord) -> Iterator[str]:
+    """All cases of each component together, and what the runs show of recovery and monitors.
+
+    No rows of a table: the rows of cases are counted.
+    """
+    for one in record["overall"]:
+        metrics = one["metrics"]
+        counts = [
+            f"{metrics[key]['valid']} {key.replace('_', ' ')}"
+            for key in ("flagged", "collided", "gridlock", "rescued", "comfort_failed")
+            if metrics[key] is not None
+        ]
+        runs = f"{metrics['valid']} valid of {metrics['planned']} planned runs"
+        whose = f"all {one['cases']} cases of {_name(one['component'])}"
+        yield from ["", f"- {whose}: {', '.join([runs, *counts])}"]
+    found = record["effectiveness"]
+    if found:
+        yield ""
+    for one in found[:_CELLS]:
+        whose = f"{_name(one['role'])} with {_name(one['component'])}"
+        yield f"- {whose}: {markdown(one['detail'], 400)}"
+    if len(found) > _CELLS:
+        yield f"- and {len(found) - _CELLS} more in the report"
 
 
 def _failure_modes(record: SessionRecord) -> Iterator[str]:

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import math
 import statistics
 from array import array
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
+from pytest_dura.core.metrics import DISCOMFORT
 from pytest_dura.evidence.record.failure_modes import FailureModes
 from pytest_dura.evidence.record.faults import FaultMetrics
 
 COUNTED = ("flagged", "collided", "gridlock")
+DERIVED = ("comfort_failed", "rescued")
 SUMMED = ("decisions", "recovered", "takeovers", "switches", "censored")
 
 Data = Mapping[str, Any]
@@ -34,6 +37,7 @@ class CaseMetrics:
         self._times = array("d")
         self._switching: Counter[str] = Counter()
         self._times_to_safe = array("d")
+        self._reactions: Counter[str] = Counter()
         self._user: dict[str, array[float]] = {}
         self._faults = FaultMetrics()
         self._failure_modes = FailureModes()
@@ -45,16 +49,18 @@ class CaseMetrics:
             episode: Of :func:`episode_record`.
         """
         told = episode["outcome"]
-        raised = [key for key in COUNTED if told[key]]
+        known = {**{key: told[key] for key in COUNTED}, **_derived(episode)}
+        raised = [key for key, value in known.items() if value]
         self._words[episode["validity"]] += 1
         self._early += episode["termination"] == "decided"
-        self._known.update(key for key in COUNTED if told[key] is not None)
+        self._known.update(key for key, value in known.items() if value is not None)
         self._in_run.update(raised)
         self._faults.add(episode)
         if episode["validity"] != "valid":
             return
         self._in_valid.update(raised)
         self._sums.update({key: told[key] for key in ("recoveries", "alerts")})
+        self._reactions.update(episode["metrics"]["reactions"])
         self._clears |= told["gridlock"] is not None
         if told["clearance_time"] is not None:
             self._times.append(told["clearance_time"])
@@ -74,9 +80,10 @@ class CaseMetrics:
     def to_json(self, planned: int) -> dict[str, Any]:
         """Plain data.
 
-        Counts of ``flagged``, ``collided`` and ``gridlock`` are given over valid episodes and over
-        all that were run, each with its share: of the valid ones, and of the planned ones. Of
-        those that ended once all was decided (``ended_early``), they are what was seen by then.
+        Counts of ``flagged``, ``collided``, ``gridlock``, ``comfort_failed`` and ``rescued`` are
+        given over valid episodes and over all that were run, each with its share: of the valid
+        ones, and of the planned ones. Of those that ended once all was decided (``ended_early``),
+        they are what was seen by then.
 
         Args:
             planned: Episodes that were planned.
@@ -95,6 +102,8 @@ class CaseMetrics:
             **{key: self._share(key, planned) for key in COUNTED},
             "clearance_time": clearance if self._clears else None,
             **{key: self._sums[key] for key in ("recoveries", "alerts")},
+            **{key: self._share(key, planned) for key in DERIVED},
+            "reactions": dict(sorted(self._reactions.items())),
             "switching": self._shared_control(),
             "user": {
                 name: {"mean": statistics.fmean(column) if column else None, "runs": len(column)}
@@ -133,3 +142,53 @@ class CaseMetrics:
                 "censored": sums["censored"],
             },
         }
+
+
+def in_order(case: Data) -> tuple[float, str, str]:
+    """What cases are sorted by: the place that the scenario gives, then their names."""
+    place = math.inf if case["order"] is None else case["order"]
+    return place, case["id"], case["component"]
+
+
+class Pooled:
+    """What the planned episodes of all cases of a component come to, twins of pairs left out.
+
+    Args:
+        cases: Of the record, with or without their metrics.
+    """
+
+    def __init__(self, cases: Iterable[Data]) -> None:
+        self._planned: Counter[str] = Counter()
+        self._cases: dict[str, set[str]] = {}
+        for case in cases:
+            if not case["without"]:
+                self._planned[case["component"]] += case["planned"]
+                self._cases.setdefault(case["component"], set()).add(case["id"])
+        self._metrics = {component: CaseMetrics() for component in self._cases}
+
+    def add(self, episode: Data) -> None:
+        """Take in a planned episode of any of the record's cases."""
+        component = episode["component"]
+        if episode["case"] in self._cases.get(component, ()):
+            self._metrics[component].add(episode)
+
+    def to_json(self) -> list[dict[str, Any]]:
+        """Plain data: an entry for each component, by name."""
+        return [
+            {
+                "component": component,
+                "cases": len(self._cases[component]),
+                "metrics": self._metrics[component].to_json(self._planned[component]),
+            }
+            for component in sorted(self._cases)
+        ]
+
+
+def _derived(episode: Data) -> dict[str, bool | None]:
+    """What follows from an episode's measures; ``None`` where nothing measures it."""
+    discomfort = episode["metrics"]["performance"].get(DISCOMFORT)
+    switching = episode["outcome"]["switching"]
+    return {
+        "comfort_failed": None if discomfort is None else discomfort["max"] > 1.0,
+        "rescued": switching["takeovers"] > 0 if switching["decisions"] else None,
+    }

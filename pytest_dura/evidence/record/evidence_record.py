@@ -15,8 +15,9 @@ from pytest_dura.evidence.record.attempts import (
     question,
     test_of,
 )
-from pytest_dura.evidence.record.case_metrics import CaseMetrics
+from pytest_dura.evidence.record.case_metrics import CaseMetrics, Pooled, in_order
 from pytest_dura.evidence.record.components import Components
+from pytest_dura.evidence.record.effectiveness import Courses, effectiveness
 from pytest_dura.evidence.record.episodes import add_run, situations_of
 from pytest_dura.evidence.record.faults import SharedViolations
 from pytest_dura.evidence.record.item_report import unpacked
@@ -167,7 +168,9 @@ class EvidenceRecord:
         self._add_unheard_cases()
         verdicts = self.verdicts()
         shared = SharedViolations(verdicts)
-        cases = self._measured_cases(verdicts, shared)
+        courses = Courses(verdicts)
+        cases, overall = self._measured_cases(verdicts, shared, courses)
+        monitors = [self._monitors[key] for key in sorted(self._monitors)]
         counts = zip(verdicts, shared.to_json(), strict=True)
         head = {
             "schema_version": SCHEMA_VERSION,
@@ -180,7 +183,9 @@ class EvidenceRecord:
             "cases": cases,
             "verdicts": [{**verdict, "also_without": count} for verdict, count in counts],
             "searches": self.searches.to_json(self._waivers),
-            "monitors": [self._monitors[key] for key in sorted(self._monitors)],
+            "monitors": monitors,
+            "overall": overall,
+            "effectiveness": effectiveness(verdicts, monitors, courses),
         }
         return SessionRecord(head, self.directory or Path(), self._spool.__iter__)
 
@@ -312,23 +317,32 @@ class EvidenceRecord:
         if clash is not None and verdict["verdict"] == "supported":
             verdict["verdict"], verdict["reason"] = "undecided", clash
 
-    def _measured_cases(self, verdicts: list[Data], shared: SharedViolations) -> list[Data]:
-        """The cases, with what their planned episodes come to and which of them are missing."""
+    def _measured_cases(
+        self, verdicts: list[Data], shared: SharedViolations, courses: Courses
+    ) -> tuple[list[Data], list[Data]]:
+        """The cases with what their planned episodes come to, and all of a component together.
+
+        Cases come in the order that their scenarios give, then by name.
+        """
         metrics = {key: CaseMetrics() for key in self._cases}
+        pooled = Pooled(self._cases.values())
         heard: dict[tuple[str, str], set[int]] = {key: set() for key in self._cases}
         for episode in self._spool:
             key = episode["case"], episode["component"]
             if episode["planned"] and key in metrics:
                 metrics[key].add(episode)
+                pooled.add(episode)
                 shared.add(episode)
+                courses.add(episode)
                 heard[key].add(episode["spec"]["run"])
         judged = verdicts_on_cases(verdicts)
-        return [
+        cases = [
             {
                 **self._cases[key],
                 "metrics": metrics[key].to_json(self._cases[key]["planned"]),
                 "repeat": self._repeats.get(key),
                 **missing_runs(self._cases[key], judged.get(key, []), heard[key]),
             }
-            for key in sorted(self._cases)
+            for key in sorted(self._cases, key=lambda key: in_order(self._cases[key]))
         ]
+        return cases, pooled.to_json()

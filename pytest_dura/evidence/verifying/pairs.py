@@ -33,6 +33,10 @@ def pair_problems(verdict: Data, recovered: int | None) -> Iterator[str]:
     p_value = mcnemar(pairs["only_with"], pairs["only_without"])
     if pairs["p_value"] != p_value:
         yield f"p is {pairs['p_value']}, and its table gives {p_value}"
+    tried = pairs["acted_only_without"] + pairs["acted_both"]
+    rate = pairs["acted_only_without"] / tried if tried else None
+    if pairs["success_rate"] != rate:
+        yield f"the rate of success is {pairs['success_rate']}, and its table gives {rate}"
     for name in ("with", "without"):
         least, told = pairs["both"] + pairs[f"only_{name}"], pairs[f"violated_{name}"]
         if not least <= told <= least + open_pairs:

@@ -7,8 +7,9 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from pytest_dura.evidence.plain import plain
-from pytest_dura.evidence.record.case_metrics import CaseMetrics
+from pytest_dura.evidence.record.case_metrics import CaseMetrics, Pooled
 from pytest_dura.evidence.record.coverage import coverage
+from pytest_dura.evidence.record.effectiveness import Courses, effectiveness
 from pytest_dura.evidence.record.faults import SharedViolations
 from pytest_dura.evidence.record.missing_runs import missing_runs, verdicts_on_cases
 from pytest_dura.evidence.record.session_record import SessionRecord
@@ -45,19 +46,26 @@ def _cases(record: SessionRecord) -> Iterator[str]:
     metrics: dict[Key, CaseMetrics] = defaultdict(CaseMetrics)
     heard: dict[Key, set[int]] = defaultdict(set)
     shared = SharedViolations(record["verdicts"])
+    pooled, courses = Pooled(record["cases"]), Courses(record["verdicts"])
     for episode in record.episodes():
         if episode["planned"]:
             shared.add(episode)
+            pooled.add(episode)
+            courses.add(episode)
             key = episode["case"], episode["component"]
             metrics[key].add(episode)
             heard[key].add(episode["spec"]["run"])
     told = [one["also_without"] for one in record["verdicts"]]
     yield from _differences("verdicts: also_without", told, shared.to_json())
+    yield from _differences("overall", record["overall"], pooled.to_json())
+    again = effectiveness(record["verdicts"], record["monitors"], courses)
+    yield from _differences("effectiveness", record["effectiveness"], again)
     judged = verdicts_on_cases(record["verdicts"])
     for one in record["cases"]:
         key, name = (one["id"], one["component"]), f"case {one['id']}"
-        again = metrics[key].to_json(one["planned"])
-        yield from _differences(f"{name}: metrics", one["metrics"], again)
+        yield from _differences(
+            f"{name}: metrics", one["metrics"], metrics[key].to_json(one["planned"])
+        )
         missing = missing_runs(one, judged.get(key, []), heard[key])
         yield from _differences(name, {key: one[key] for key in missing}, missing)
         override = one["runs_override"]

@@ -134,6 +134,16 @@ class PairCounts:
         return self.acted_both
 
     @property
+    def success_rate(self) -> float | None:
+        """If the twins lack the recovery: how often it succeeded where it acted and had to.
+
+        The share of violations that it prevented, of those that it prevented and those that it met
+        in vain; ``None`` without any.
+        """
+        tried = self.acted_only_without + self.acted_both
+        return self.acted_only_without / tried if tried else None
+
+    @property
     def unheeded(self) -> int:
         """If the twins lack the recovery: violations in both runs in which it never acted."""
         return self.both - self.acted_both
@@ -159,8 +169,8 @@ class PairCounts:
         return discordant - self.acted_only_with - self.acted_only_without
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data for the evidence record."""
-        return asdict(self)
+        """Plain data for the evidence record, with what follows from it."""
+        return {**asdict(self), "success_rate": self.success_rate}
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> PairCounts:

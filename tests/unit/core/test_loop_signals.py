@@ -9,6 +9,7 @@ import pytest
 from handmade import decided, handmade
 
 from pytest_dura.core.loop_signals import LOOP_SIGNALS, loop_signals
+from pytest_dura.core.switching import switching
 
 
 def found(sources: str, verdicts: str | None = None, *, dt: float = 0.5) -> dict[str, Any]:
@@ -37,6 +38,30 @@ def test_each_tick_tells_who_was_in_control_and_the_last_one_repeats() -> None:
 )
 def test_recovery_counts_its_time_from_each_takeover(sources: str, seconds: list[float]) -> None:
     assert found(sources)["recovering_for"] == seconds
+
+
+@pytest.mark.parametrize(
+    "sources, seconds",
+    [
+        ("prrrp", [0, 0, 0.5, 1, 1.5, 1.5]),
+        ("prprr", [0, 0, 0.5, 0.5, 1, 1.5]),  # takeovers add up
+        ("rfp", [0, 0.5, 0.5, 0.5]),  # the simulator's fallback is no recovery
+        ("ppp", [0, 0, 0, 0]),
+        ("", [0]),
+    ],
+)
+def test_the_time_in_which_recovery_was_in_control_adds_up(
+    sources: str, seconds: list[float]
+) -> None:
+    assert found(sources)["recovered_time"] == seconds
+    last = switching(decided(sources, "0" * len(sources), dt=0.5)).recovery_time
+    assert seconds[-1] == last
+
+
+def test_a_bound_on_the_time_in_control_holds_up_to_it_whatever_floats_round_to() -> None:
+    spent = found("pr" * 40, dt=0.1)["recovered_time"]
+    assert spent[60] == 3.0
+    assert spent[-1] == 4.0
 
 
 def test_the_time_since_the_takeover_does_not_depend_on_when_it_was() -> None:

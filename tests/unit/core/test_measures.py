@@ -18,7 +18,9 @@ from pytest_dura import (
     PerformanceOracle,
     Proposal,
     SafetyMonitor,
+    SecurityAssessor,
 )
+from pytest_dura.core.roles import SecurityAssessment
 
 
 def unsafe_at(*ticks: int) -> Any:
@@ -47,7 +49,7 @@ def test_the_summary_has_every_item_and_is_plain_data() -> None:
     assert set(summary) == {
         "violations", "performance", "wall_clock", "robustness_min", "faults", "recoveries",
         "recoveries_succeeded", "alerts", "proposals", "valid_proposals", "processing_us",
-        "tallies", "answer_seconds", "answer_ages", "user",
+        "tallies", "answer_seconds", "answer_ages", "user", "reactions",
     }  # fmt: skip
     assert summary["violations"]["safety_monitor"] > 0
     assert summary["violations"]["performance:energy"] > 0
@@ -136,6 +138,18 @@ def test_thresholds_that_depend_on_the_clock_are_told_apart() -> None:
     deterministic = episode.metrics.deterministic()
     assert deterministic["violations"] == {"performance:jerk": 3}
     assert "response_s" not in json.dumps(deterministic)
+
+
+def test_a_class_of_reaction_that_lasts_counts_once_each_time_it_begins() -> None:
+    said = ["frozen", "frozen", None, "frozen", "erratic", None]
+
+    def assess(view: Any) -> SecurityAssessment:
+        return SecurityAssessment(reaction=said[view.index])
+
+    episode = run_loop(Controller(), seconds=0.6, security_assessor=doing(SecurityAssessor, assess))
+    assert episode.metrics.reactions == {"frozen": 2, "erratic": 1}
+    assert episode.metrics.deterministic()["reactions"] == {"erratic": 1, "frozen": 2}
+    assert episode.metrics.summary()["reactions"] == {"erratic": 1, "frozen": 2}
 
 
 def test_performance_never_activates_recovery() -> None:

@@ -170,13 +170,38 @@ def test_jerk_is_the_change_of_acceleration() -> None:
     assert found.values["acceleration"] == -2.0
 
 
+def test_sustained_jerk_is_its_average_over_a_second() -> None:
+    oracle = Oracle()
+    oracle.look(acceleration=1.0)
+    found = [oracle.look(acceleration=-2.0).values["sustained_jerk"] for _ in range(12)]
+    assert found[:10] == pytest.approx([-3.0] * 10)
+    assert found[10:] == pytest.approx([0.0, 0.0])
+
+
+def test_an_emergency_stop_is_no_comfort_and_a_firm_stop_is() -> None:
+    for braking, comfortable in ((3.0, True), (8.0, False)):
+        oracle = Oracle()
+        oracle.look(acceleration=0.0)
+        found = oracle.look(acceleration=-braking)
+        assert found.values["discomfort"] == pytest.approx(max(braking / 6.0, braking / 5.0))
+        assert (found.performance_fail == ()) is comfortable
+
+
+def test_discomfort_is_that_of_the_limit_that_is_nearest() -> None:
+    oracle = Oracle(acceleration_limit=4.0, lateral_limit=2.0, jerk_limit=50.0)
+    oracle.look()
+    found = oracle.look(acceleration=-1.0)
+    assert found.values["discomfort"] == pytest.approx(0.25)
+    assert found.performance_fail == ()
+
+
 @pytest.mark.parametrize(
     "limit, seen, failed",
     [
         ({"acceleration_limit": 5.0}, [{"acceleration": -5.5}], "acceleration"),
         ({"acceleration_limit": 5.0}, [{"acceleration": -4.5}], None),
-        ({"jerk_limit": 20.0}, [{"acceleration": 0.0}, {"acceleration": 2.5}], "jerk"),
-        ({"jerk_limit": 30.0}, [{"acceleration": 0.0}, {"acceleration": 2.5}], None),
+        ({"jerk_limit": 2.0}, [{"acceleration": 0.0}, {"acceleration": 2.5}], "jerk"),
+        ({"jerk_limit": 3.0}, [{"acceleration": 0.0}, {"acceleration": 2.5}], None),
         ({"response_limit": 0.1}, [{"latency": 0.2}], "response_time"),
         ({"response_limit": 0.1}, [{"latency": 0.1}], None),
         ({"clearance_limit": 0.15}, [{}, {}, {}], "clearance_time"),

@@ -57,7 +57,7 @@ def case(number: int, component: str) -> dict[str, Any]:
     return {
         "id": f"a/b+f{number}", "scenario": "a/b", "component": component, "without": [], "off": [],
         "faults": [{"id": f"f{number}"}], "requirements": ["R"], "planned": 2,
-        "runs_override": None, "variation": {},
+        "runs_override": None, "variation": {}, "order": None,
     }  # fmt: skip
 
 

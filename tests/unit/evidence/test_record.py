@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import copy
 
-from pytest_dura.evidence.record.case_metrics import CaseMetrics
+from pytest_dura.evidence.record.case_metrics import CaseMetrics, Pooled
 from pytest_dura.evidence.record.evidence_record import UNKNOWN, EvidenceRecord
 from pytest_dura.requirements.model import Requirement
 from pytest_dura.requirements.verdicts import EpisodeVerdict, judge_campaign
@@ -14,6 +14,7 @@ def case(component="C", planned=2):
     return {
         "id": "a/b", "scenario": "a/b", "faults": [], "component": component,
         "requirements": ["R"], "planned": planned, "runs_override": None, "variation": {},
+        "order": None, "without": [],
     }  # fmt: skip
 
 
@@ -27,7 +28,10 @@ def episode(run=0, digest="d", validity="valid", termination="goal", **outcome):
         "validity": validity, "digest": digest, "outcome": told | outcome,
         "trajectory": f"{run}", "drawn": False,
         "termination": termination,
-        "metrics": {"user": {}, "tallies": {}, "answer_seconds": [], "answer_ages": []},
+        "metrics": {
+            "user": {}, "tallies": {}, "answer_seconds": [], "answer_ages": [],
+            "performance": {}, "reactions": {},
+        },
         "faults": [],
         "spec": {"run": run, "timeouts": []},
     }  # fmt: skip
@@ -305,6 +309,69 @@ def test_case_metrics_without_the_signals_of_driving():
     assert case_metrics([], 3)["valid"] == 0
 
 
+def felt(run, discomfort, takeovers=0, reactions=(), **own):
+    """An episode with an oracle of comfort, and with decisions."""
+    switching = {
+        "decisions": 10, "recovered": takeovers, "takeovers": takeovers, "switches": takeovers,
+        "censored": 0, "time_to_safe": [],
+    }  # fmt: skip
+    made = episode(run, switching=switching, **own)
+    if discomfort is not None:
+        spread = {"last": 0.0, "min": 0.0, "max": discomfort}
+        made["metrics"]["performance"] = {"discomfort": spread}
+    made["metrics"]["reactions"] = dict(reactions)
+    return made
+
+
+def test_reliance_comfort_and_reactions_are_counted_over_valid_runs():
+    runs = [
+        felt(0, 1.0, 0, {"frozen": 1}),
+        felt(1, 1.01, 2, {"frozen": 1, "erratic": 2}),
+        felt(2, 3.0, 1, {"frozen": 4}, validity="invalid"),
+    ]
+    found = case_metrics(runs, 4)
+    assert found["comfort_failed"] == {
+        "valid": 1, "run": 2, "share_of_valid": 0.5, "share_of_planned": 0.5,
+    }  # fmt: skip
+    assert (found["rescued"]["valid"], found["rescued"]["run"]) == (1, 2)
+    assert found["switching"]["share"] == 0.1
+    assert found["reactions"] == {"erratic": 2, "frozen": 2}
+
+
+def test_where_nothing_measures_comfort_nothing_is_said_of_it():
+    found = case_metrics([felt(0, None)], 1)
+    assert found["comfort_failed"] is None
+    assert found["rescued"]["valid"] == 0
+    assert case_metrics([episode(0)], 1)["rescued"] is None
+
+
+def test_all_cases_of_a_component_are_pooled_without_their_twins():
+    twin = {**case(), "id": "a/b~recovery_planner", "without": ["recovery_planner"]}
+    cases = [case(planned=3), {**case(), "id": "c/d"}, twin, {**case("D"), "id": "a/b"}]
+    pooled = Pooled(cases)
+    runs = [
+        episode(0, clearance_time=8.0, gridlock=False),
+        {**episode(0, clearance_time=12.0, gridlock=False), "case": "c/d"},
+        {**episode(0, clearance_time=99.0, gridlock=False), "case": twin["id"]},
+        {**episode(0, clearance_time=5.0, gridlock=False), "component": "D"},
+    ]
+    for one in runs:
+        pooled.add(one)
+    own, other = pooled.to_json()
+    assert (own["component"], own["cases"], own["metrics"]["planned"]) == ("C", 2, 5)
+    assert own["metrics"]["clearance_time"] == {"runs": 2, "mean": 10.0, "sd": 8.0**0.5}
+    assert (other["component"], other["metrics"]["valid"]) == ("D", 1)
+
+
+def test_cases_come_in_the_order_of_their_scenarios_then_by_name():
+    made = record()
+    places = {"z/first": 1, "b/second": 2, "a/none": None, "c/second": 2}
+    cases = [{**case(), "id": name, "order": place} for name, place in places.items()]
+    made.add(report(cases=cases))
+    found = [one["id"] for one in evidence(made)["cases"]]
+    assert found == ["z/first", "b/second", "c/second", "a/none"]
+
+
 def missing(made):
     (found,) = evidence(made)["cases"]
     return found["missing_runs"], found["missing_runs_total"]
@@ -338,7 +405,7 @@ def test_runs_that_a_campaign_was_decided_without_are_not_missing():
 def test_twins_are_missing_as_their_pairs_are():
     made = record()
     pairs = campaign("satisfied") | {"planned": 3, "saved": 1, "case": "a/b+f"}
-    pairs["pairs"] = {"case": "a/b"}
+    pairs["pairs"] = {"case": "a/b", "without": "faults"}
     made.add(report(cases=[case(planned=3)], episodes=[episode(0)], verdicts=[pairs]))
     assert missing(made) == ([1], 1)
 

@@ -20,6 +20,7 @@ from pytest_dura.evidence.formats.report.anchors import (
     verdict_anchor,
 )
 from pytest_dura.evidence.formats.report.matrix import heading, matrix
+from pytest_dura.evidence.formats.summary import render as summarised
 from pytest_dura.evidence.record.counts import Counts
 from pytest_dura.evidence.record.session_record import SessionRecord
 
@@ -94,8 +95,8 @@ def test_pairs_are_told_with_and_without_and_their_p():
     pairs = {
         "without": "recovery_planner", "case": "a/clear~recovery_planner", "pairs": 5,
         "only_with": 1, "only_without": 3, "both": 0, "neither": 1, "incomplete": 0,
-        "acted_only_with": 0, "acted_only_without": 0, "acted_both": 2, "acted_neither": 4,
-        "violated_with": 1, "violated_without": 3, "p_value": 0.625,
+        "acted_only_with": 0, "acted_only_without": 2, "acted_both": 2, "acted_neither": 4,
+        "violated_with": 1, "violated_without": 3, "p_value": 0.625, "success_rate": 0.5,
     }  # fmt: skip
     one = verdict("SAF-1", "a/clear", ("satisfied",) * 5, pairs=pairs)
     html = render(session_record(verdicts=[one]))
@@ -104,7 +105,7 @@ def test_pairs_are_told_with_and_without_and_their_p():
         "violated only with it 1, only without it 3, both 0, neither 1 of 5; McNemar p = 0.62"
         in words
     )
-    assert "SAF-1 a/clear 5 3 1 2 4 0.62" in section(html, "monitors")
+    assert "SAF-1 a/clear 5 3 1 2 4 50 % (4) 0.62" in section(html, "monitors")
     # The test's level does not hold where the pairs themselves say when to stop.
     html = render(session_record(verdicts=[{**one, "method": "sprt"}]))
     assert "McNemar p =" not in row(html, verdict_anchor("SAF-1", "a/clear"))
@@ -116,11 +117,45 @@ def test_cases_are_told_over_valid_and_over_run_episodes():
     metrics["collided"] = {**metrics["collided"], "valid": 1, "run": 2}
     html = render(session_record(cases=[{**record["cases"][0], "metrics": metrics}]))
     assert "1/2 +1*" in row(html, case_anchor("a/clear"))
-    assert "1.55 ± 0.07 s (2) 0 2" in row(html, case_anchor("a/clear"))
+    dash = "\N{EN DASH}"
+    assert f"1.55 ± 0.07 s (2) {dash} {dash} 0 {dash} 2" in row(html, case_anchor("a/clear"))
     # Sums over the valid runs, of which there are none, are no nought.
     metrics = {**metrics, "valid": 0, "clearance_time": None}
     html = render(session_record(cases=[{**record["cases"][0], "metrics": metrics}]))
-    assert row(html, case_anchor("a/clear")).endswith("\N{EN DASH} \N{EN DASH} \N{EN DASH} 0 0")
+    assert row(html, case_anchor("a/clear")).endswith(f"{' '.join([dash] * 7)} 0 0")
+
+
+def test_what_the_component_left_to_its_recovery_and_how_it_reacted_stand_beside_it():
+    case = session_record()["cases"][0]
+    share = {"valid": 1, "run": 1, "share_of_valid": 0.5, "share_of_planned": 0.5}
+    switching = {
+        "share": 0.125, "takeovers": 3, "switches_per_episode": 3.0,
+        "time_to_safe": {"median": 0.2, "max": 0.4, "censored": 0},
+    }  # fmt: skip
+    metrics = {
+        **case["metrics"], "rescued": share, "comfort_failed": {**share, "valid": 2, "run": 2},
+        "reactions": {"frozen": 1, "follows the fake": 4}, "switching": switching,
+    }  # fmt: skip
+    overall = [{"component": "C", "cases": 2, "metrics": metrics}]
+    told = session_record(cases=[{**case, "metrics": metrics}], overall=overall)
+    html = render(told)
+    figures = "1/2 12.5 % 0 2/2 2 frozen 1, follows the fake 4 0 0"
+    assert figures in row(html, case_anchor("a/clear")).replace("\N{NO-BREAK SPACE}", " ")
+    words = Page(html).words.replace("\N{NO-BREAK SPACE}", " ")
+    assert f"All 2 cases 2 / 2 1/2 1/2 \N{EN DASH} 1.55 ± 0.07 s (2) {figures}" in words
+
+
+def test_what_the_runs_show_of_recovery_and_monitors_is_listed():
+    detail = "cannot be told here: nothing happened"
+    found = {
+        "role": "recovery_planner", "component": "C", "requirement": "R",
+        "finding": "cannot be told", "detail": detail,
+    }  # fmt: skip
+    html = render(session_record(effectiveness=[found]))
+    assert f"<li><b>recovery_planner</b>: {detail}</li>" in html
+    assert f"`recovery_planner` with `C`: {detail}" in summarised(
+        session_record(effectiveness=[found])
+    )
 
 
 def test_the_map_of_faults_marks_what_is_untested_and_what_has_no_valid_episode():
@@ -520,7 +555,13 @@ def test_episodes_of_which_there_is_nothing_to_tell_are_folded(html):
 def test_a_mcnemar_test_without_a_pair_has_no_p():
     pairs = dict.fromkeys(
         ("only_with", "only_without", "both", "neither", "acted_both", "acted_neither"), 0
-    ) | {"without": "recovery_planner", "pairs": 3, "incomplete": 3, "p_value": 1.0}
+    ) | {
+        "without": "recovery_planner",
+        "pairs": 3,
+        "incomplete": 3,
+        "p_value": 1.0,
+        "success_rate": None,
+    }
     one = verdict("SAF-1", "a/clear", ("invalid",) * 3, pairs=pairs)
     words = section(render(session_record(verdicts=[one])), "monitors")
     assert "SAF-1 a/clear 0 (+3 incomplete) 0 0 0 0 \N{EN DASH}" in words

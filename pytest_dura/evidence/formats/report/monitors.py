@@ -41,6 +41,8 @@ def section(record: SessionRecord, _gathered: Gathered, _links: Links) -> Data:
         "horizons": horizons,
         "silent": len(record["monitors"]) - len(told),
         "pairs": pairs,
+        "effectiveness": record["effectiveness"],
+        "several": len({one["component"] for one in record["effectiveness"]}) > 1,
     }
 
 

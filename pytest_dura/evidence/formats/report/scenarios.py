@@ -42,6 +42,7 @@ def section(record: SessionRecord, gathered: Gathered, _links: Links) -> Data:
             if (found := [row for row in rows if bool(row["without"]) is arms])
             + (folded := [row for row in rest if bool(row["without"]) is arms])
         ],
+        "overall": [one for one in record["overall"] if one["cases"] > 1],
         "several": len({case["component"] for case in cases}) > 1,
         "users": sorted({name for case in cases for name in case["metrics"]["user"]}),
         "chart": clearance_chart(chart) if chart else None,
@@ -53,7 +54,7 @@ def _folded(cases: list[Data]) -> Data:
     metrics = [case["metrics"] for case in cases]
     shares = {
         word: sum(one[word]["valid"] for one in metrics if one[word])
-        for word in ("flagged", "gridlock")
+        for word in ("flagged", "gridlock", "rescued", "comfort_failed")
     }
     sums = {
         word: sum(one[word] for one in metrics)

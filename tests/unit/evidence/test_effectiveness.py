@@ -1,0 +1,128 @@
+"""What the runs show of recovery and monitors by themselves, and where they cannot show it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from pytest_dura.evidence.record.effectiveness import Courses, effectiveness
+
+OWN, TWIN = "a/b", "a/b~recovery_planner"
+
+
+def verdict(case: str = OWN, component: str = "C", **counts: int) -> dict[str, Any]:
+    names = ("only_with", "only_without", "both", "neither")
+    table = {name: 0 for word in names for name in (word, f"acted_{word}")} | counts
+    pairs = {"without": "recovery_planner", "case": f"{case}~recovery_planner", **table}
+    return {"requirement": "R", "case": case, "component": component, "pairs": pairs}
+
+
+def episode(case: str, run: int, *, acted: bool = False, jerk: float = 1.0) -> dict[str, Any]:
+    return {
+        "case": case, "component": "C", "validity": "valid", "spec": {"run": run},
+        "outcome": {"switching": {"takeovers": int(acted)}},
+        "metrics": {"performance": {"jerk": {"last": 0.0, "min": -jerk, "max": jerk}}},
+        "timings": {"simulated_seconds": 9.0},
+    }  # fmt: skip
+
+
+def monitor(target: str, tp: int = 0, fn: int = 0, fp: int = 0, tn: int = 0) -> dict[str, Any]:
+    return {
+        "case": TWIN, "component": "C", "monitor": "watch", "target": target,
+        "true_positives": tp, "false_negatives": fn, "false_positives": fp, "true_negatives": tn,
+    }  # fmt: skip
+
+
+def of_recovery(*verdicts: dict[str, Any], episodes: Any = ()) -> dict[str, Any]:
+    courses = Courses(verdicts)
+    for one in episodes:
+        courses.add(one)
+    (found,) = effectiveness(verdicts, [], courses)
+    assert (found["role"], found["requirement"], found["component"]) == (
+        "recovery_planner", "R", "C",
+    )  # fmt: skip
+    return found
+
+
+@pytest.mark.parametrize(
+    "counts, finding, detail",
+    [
+        (
+            {"neither": 5, "acted_neither": 2},
+            "cannot be told",
+            "none of 5 runs without it",
+        ),
+        (
+            {"only_with": 2, "neither": 3},
+            "introduced",
+            "introduced 2 violations and prevented",
+        ),
+        ({"both": 2, "acted_both": 2, "neither": 1}, "prevented none", "and acted in 2"),
+        ({"both": 2, "neither": 1}, "never acted", "acted in none of 2 violations"),
+        (
+            {"only_without": 3, "both": 1},
+            "prevented",
+            "3 of 4 violations of R without it in 4",
+        ),
+        ({"only_without": 1, "only_with": 2}, "prevented", "introduced 2"),
+    ],
+)
+def test_what_pairs_show_of_recovery(counts: Any, finding: str, detail: str) -> None:
+    found = of_recovery(verdict(**counts))
+    assert found["finding"] == finding
+    assert detail in found["detail"]
+
+
+def test_the_pairs_of_all_cases_count_together_and_each_once() -> None:
+    found = of_recovery(
+        verdict("a/b", neither=4), verdict("c/d", only_without=1), verdict("c/d", only_without=1)
+    )
+    assert found["finding"] == "prevented"
+    assert "prevented 1 of 1 violations of R without it in 5 pairs" in found["detail"]
+
+
+def test_commands_that_changed_nothing_are_seen_in_the_runs_in_which_it_acted() -> None:
+    runs = [episode(OWN, 0, acted=True), episode(TWIN, 0), episode(OWN, 1), episode(TWIN, 1)]
+    found = of_recovery(verdict(both=1, acted_both=1, neither=1), episodes=runs)
+    assert found["finding"] == "changed nothing"
+    assert "the runs in which it acted (1) went as" in found["detail"]
+
+
+def test_one_run_that_went_otherwise_is_enough() -> None:
+    runs = [
+        *(episode(OWN, run, acted=True, jerk=1.0 + run) for run in range(2)),
+        *(episode(TWIN, run) for run in range(2)),
+    ]
+    found = of_recovery(verdict(both=2, acted_both=2), episodes=runs)
+    assert found["finding"] == "prevented none"
+
+
+def test_pairs_without_something_else_say_nothing_of_recovery() -> None:
+    other = verdict(only_without=1)
+    other["pairs"]["without"] = "faults"
+    assert effectiveness([other], [], Courses([other])) == []
+
+
+@pytest.mark.parametrize(
+    "told, finding, detail",
+    [
+        ([monitor("R", tn=3, fp=1)], "cannot be told", "(R)"),
+        ([monitor("R", fn=2, tn=1)], "silent", "R 0 of 2"),
+        ([monitor("R", fn=2, fp=1)], "warned of none", "R 0 of 2"),
+        ([monitor("R", fn=1), monitor("R", tp=2)], "warned", "R 2 of 3"),
+        ([monitor("S", tn=3), monitor("R", tp=2)], "warned", "warned in time of R 2 of 2"),
+    ],
+)
+def test_what_runs_without_recovery_show_of_a_monitor(told: Any, finding: str, detail: str) -> None:
+    (found,) = effectiveness([], told, Courses([]))
+    assert (found["role"], found["requirement"]) == ("watch", None)
+    assert found["finding"] == finding
+    assert detail in found["detail"]
+
+
+def test_an_assessor_that_speaks_by_alerts_alone_is_no_silent_monitor() -> None:
+    told = [{**monitor("R", fn=2), "monitor": "security_assessor"}]
+    assert effectiveness([], told, Courses([])) == []
+    told = [{**monitor("R", tp=2), "monitor": "security_assessor"}]
+    assert effectiveness([], told, Courses([]))[0]["finding"] == "warned"

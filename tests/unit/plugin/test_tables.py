@@ -1,0 +1,131 @@
+"""The tables in the terminal: cases, reliance, pairs, and what the runs show of recovery."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pytest_dura.evidence.verifying.pairs import pair_problems
+from pytest_dura.plugin.tables import (
+    case_table,
+    effectiveness_lines,
+    pair_table,
+    reliance_table,
+)
+from pytest_dura.requirements.pairs.counts import PairCounts
+
+
+def share(valid: int, of: int = 10) -> dict[str, Any]:
+    return {
+        "valid": valid, "run": valid, "share_of_valid": valid / of, "share_of_planned": valid / of,
+    }  # fmt: skip
+
+
+SWITCHING = {"share": 0.125, "takeovers": 3, "time_to_safe": {"median": 0.2, "censored": 0}}
+
+
+def metrics(**changes: Any) -> dict[str, Any]:
+    return {
+        "planned": 10, "valid": 10, "missing": 0, "invalid": 0, "flagged": share(1),
+        "collided": share(0), "gridlock": share(0), "recoveries": 1, "alerts": 0, "user": {},
+        "clearance_time": {"runs": 10, "mean": 9.0, "sd": 1.0}, "rescued": share(2),
+        "comfort_failed": share(5), "reactions": {},
+        "switching": SWITCHING,
+    } | changes  # fmt: skip
+
+
+def case(name: str, component: str = "C", **changes: Any) -> dict[str, Any]:
+    return {"id": name, "component": component, "metrics": metrics(**changes)}
+
+
+def overall(cases: int, component: str = "C", **changes: Any) -> dict[str, Any]:
+    return {"component": component, "cases": cases, "metrics": metrics(**changes)}
+
+
+def cells(line: str) -> list[str]:
+    return line.split()
+
+
+def verdict(name: str, *cells: int) -> dict[str, Any]:
+    prevented, introduced, futile, unnecessary, neither = cells
+    counts = PairCounts(
+        pairs=sum(cells), only_with=introduced, only_without=prevented, both=futile,
+        neither=unnecessary + neither, incomplete=0, acted_only_with=introduced,
+        acted_only_without=prevented, acted_both=futile, acted_neither=unnecessary,
+        violated_with=introduced + futile, violated_without=prevented + futile, p_value=1.0,
+    )  # fmt: skip
+    pairs = {"without": "recovery_planner", "case": f"{name}~recovery_planner", **counts.to_json()}
+    return {
+        "requirement": "R", "case": name, "component": "C", "method": "every episode", "run": 0,
+        "pairs": pairs,
+    }  # fmt: skip
+
+
+def test_a_last_row_is_over_all_cases_where_there_are_several() -> None:
+    found = [case("a/b"), case("c/d")]
+    lines = case_table(found, [overall(2, flagged=share(7))])
+    assert [cells(line)[0] for line in lines[1:4]] == ["a/b", "c/d", "overall"]
+    assert cells(lines[3])[2] == "70"
+    assert not any(line.startswith("overall") for line in case_table(found[:1], [overall(1)]))
+
+
+def test_of_several_components_each_has_its_own() -> None:
+    found = [case("a/b"), case("a/b", "D"), case("c/d"), case("c/d", "D")]
+    lines = case_table(found, [overall(2), overall(2, "D")])
+    assert [line.partition("  ")[0] for line in lines[5:7]] == ["overall (C)", "overall (D)"]
+
+
+def test_reliance_comfort_and_reactions_stand_beside_each_case() -> None:
+    reactions = {"follows the fake": 3, "puzzled": 1}
+    header, row, last, *legend = reliance_table(
+        [case("a/b", reactions=reactions)], [overall(2, reactions=reactions)]
+    )
+    names = "reliance rescued % time % comfort % unaffected erratic frozen follows puzzled"
+    assert header.split() == names.split()
+    assert cells(row) == ["a/b", "20", "12.5", "50", "0", "0", "0", "3", "1"]
+    assert cells(last)[0] == "overall"
+    assert len(legend) == 3
+    assert all(len(line) <= 100 for line in (header, row, last, *legend))
+
+
+def test_what_nobody_measures_has_no_column_and_without_anything_there_is_no_table() -> None:
+    quiet = case("a/b", comfort_failed=None)
+    header, row, _ = reliance_table([quiet])
+    assert header.split() == ["reliance", "rescued", "%", "time", "%"]
+    assert cells(row) == ["a/b", "20", "12.5"]
+    assert reliance_table([case("a/b", comfort_failed=None, rescued=share(0))]) == []
+    assert reliance_table([case("a/b", comfort_failed=None, rescued=None, switching=None)]) == []
+
+
+def test_pairs_have_one_rate_of_success_each_and_together() -> None:
+    cases = [case("z/first"), case("a/second")]
+    verdicts = [verdict("a/second", 0, 1, 0, 2, 0), verdict("z/first", 3, 0, 1, 0, 4)]
+    header, first, second, together, *_ = pair_table(verdicts, cases)
+    names = "recovery pairs prev intro futile unnec success p takeovers to safe s"
+    assert header.split() == names.split()
+    assert " ".join(first.split()) == "R on z/first 8 3 0 1 0 75 (4) 1 3 0.2"
+    assert " ".join(second.split()) == "R on a/second 3 0 1 0 2 - 1 3 0.2"
+    assert " ".join(together.split()) == "R overall 11 3 1 1 2 75 (4) - - -"
+
+
+def test_a_rate_of_success_that_its_table_does_not_give_is_no_evidence() -> None:
+    one = verdict("a/b", 3, 0, 1, 0, 4)
+    one["run"] = 8
+    one["pairs"]["p_value"] = 0.25
+    assert list(pair_problems(one, None)) == []
+    one["pairs"]["success_rate"] = 1.0
+    assert list(pair_problems(one, None)) == [
+        "the rate of success is 1.0, and its table gives 0.75"
+    ]
+
+
+def test_sentences_on_recovery_and_on_monitors_are_told_apart_and_wrapped() -> None:
+    found = [
+        {"role": role, "component": "C", "detail": "cannot be told here " * 8}
+        for role in ("recovery_planner", "watch")
+    ]
+    recovery = effectiveness_lines(found, "recovery_planner")
+    monitors = effectiveness_lines(found)
+    assert recovery[0].startswith("recovery_planner: cannot be told here")
+    assert monitors[0].startswith("watch: cannot")
+    assert all(len(line) <= 100 for line in recovery + monitors)
+    assert all(line.startswith("  ") for line in recovery[1:])
