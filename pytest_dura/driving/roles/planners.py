@@ -31,6 +31,19 @@ SCALLOP = 0.35
 """m; by so much three discs overstate a car's width where it is widest."""
 
 
+PREVIEW = 2.0
+"""s; before what it stops for it approaches so that a steady acceleration would not take it there
+within this time, by which a monitor can tell that it means to stop."""
+
+
+def _unhurried(room: float, speed: float) -> float:
+    """Greatest acceleration in m/s2 that covers no more than ``room`` metres in the preview.
+
+    No harder braking than is comfortable is asked for: to stop in time is not its purpose.
+    """
+    return max(2.0 * (room - speed * PREVIEW) / PREVIEW**2, -COMFORT_BRAKING)
+
+
 class RuleBased(Generator):
     """Gap acceptance at the stop line, car following, and a look ahead inside the junction.
 
@@ -72,6 +85,8 @@ class RuleBased(Generator):
         self._watch_who_waits(scene)
         command, why = self._on_the_way(scene, view.dt)
         acceleration = acceleration_for(command, scene.speed, scene.to_stop_line)
+        if command.maneuver is Maneuver.WAIT:
+            acceleration = min(acceleration, _unhurried(scene.to_stop_line, scene.speed))
         follow = self._follow(scene.leader(), scene.speed)
         if follow < acceleration:
             acceleration, why = follow, "follows"
@@ -197,7 +212,7 @@ class RuleBased(Generator):
                 self._given_way += scene.speed < 0.5
                 expected |= self._given_way < self.KERB_PATIENCE
             if expected and room > braking_distance(scene.speed, MAX_BRAKING) - 0.5:
-                slowest = min(slowest, stop_at(room, scene.speed))
+                slowest = min(slowest, stop_at(room, scene.speed), _unhurried(room, scene.speed))
             elif on_path and room > -1.5:
                 slowest = -MAX_BRAKING
         return slowest
