@@ -11,6 +11,7 @@ from pytest_dura.core.metrics import REACTIONS
 from pytest_dura.evidence.record.effectiveness import RECOVERY
 from pytest_dura.evidence.text import name
 from pytest_dura.plugin.messages import apart
+from pytest_dura.requirements.model import FAULTS
 
 Data = Mapping[str, Any]
 
@@ -146,6 +147,41 @@ def _time(clearance: Data | None) -> str:
 
 def _user(value: Data | None) -> str:
     return "-" if value is None or value["mean"] is None else f"{value['mean']:.4g}"
+
+
+ATTACK_COLUMNS = ("pairs", "caused", "spared", "both", "cost", "max", "never", "p")
+ATTACK_LEGEND = (
+    "pairs: runs with the faults and without, equal seeds; violations there are only with them",
+    "(caused) and only without (spared); cost: mean growth of the measure; never: pairs without a",
+    "value only with the faults; p: exact McNemar, for a measure exact sign test",
+)
+
+
+def attack_table(verdicts: Sequence[Data], cases: Sequence[Data]) -> list[str]:
+    """What faults did: one line per case and requirement on pairs without them."""
+    names: list[str] = []
+    rows: list[list[str]] = []
+    order = {case["id"]: place for place, case in enumerate(cases)}
+    for verdict in sorted(verdicts, key=lambda one: order.get(one["case"], len(order))):
+        pairs = verdict["pairs"]
+        if not pairs or pairs["without"] != FAULTS:
+            continue
+        fixed = verdict["method"] not in ("sprt", "e-process")
+        if "only_with" in pairs:
+            complete = pairs["pairs"] - pairs["incomplete"]
+            cells = [str(pairs[key]) for key in ("only_with", "only_without", "both")] + ["-"] * 3
+            p_value = pairs["p_value"]
+        elif "change" in pairs:
+            change = pairs["change"]
+            complete, p_value = change["n"], change["p_value"]
+            known = change["mean"] is not None
+            cost = [f"{change[key]:+.1f}" if known else "-" for key in ("mean", "max")]
+            cells = ["-"] * 3 + [*cost, str(len(change["lost"]))]
+        else:
+            continue
+        names.append(f"{verdict['requirement']} on {verdict['case']}")
+        rows.append([str(complete), *cells, f"{p_value:.2g}" if fixed else "-"])
+    return [*aligned("attack", ATTACK_COLUMNS, names, rows), *ATTACK_LEGEND] if rows else []
 
 
 PAIR_COLUMNS = (

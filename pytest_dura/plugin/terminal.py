@@ -22,6 +22,7 @@ from pytest_dura.plugin.search_lines import counts as search_counts
 from pytest_dura.plugin.search_lines import show_searches
 from pytest_dura.plugin.shortening import ELSEWHERE, MOST, worst_cases
 from pytest_dura.plugin.tables import (
+    attack_table,
     case_table,
     counted,
     effectiveness_lines,
@@ -191,6 +192,9 @@ def _show_cases(session: DuraSession, terminal: Any, record: SessionRecord) -> N
         failure_mode_table(shown, by_case=session.config.option.verbose > 0),
         reliance_table(listed, overall),
         fault_table(listed),
+        attack_table(
+            [one for one in record["verdicts"] if one["case"] not in left], record["cases"]
+        ),
         [
             *pair_table(
                 [one for one in record["verdicts"] if one["case"] not in left], record["cases"]

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from pytest_dura.core.roles import STANDARD_ROLES
+
 CONFTEST = """
 import pytest
 from pytest_dura import Assessment, Recovery, RecoveryPlanner, SafetyMonitor
@@ -36,7 +38,7 @@ def session(project, scenario, *arguments, **roles):
     page = (project.path / "dura-evidence" / "report.html").read_text()
     for role, (_, detail) in found.items():
         assert f"{role}: {detail}" in shown
-        assert f"<b>{role}</b>: {detail}" in page
+        assert f"<b>{STANDARD_ROLES[role].__name__}</b>: {detail}" in page
     return {role: finding for role, (finding, _) in found.items()}
 
 

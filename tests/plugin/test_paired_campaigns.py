@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+import json
+import shutil
+
 import pytest
 from corridors import IDLE, expect, scenario
+
+from pytest_dura.__main__ import main
+from pytest_dura.requirements.pairs.changes import Change
 
 HARM = {
     "duration": 2.0,
@@ -97,7 +103,7 @@ def test_pairs_end_once_their_rate_is_decided(project):
         ("30", "supported", "pairs without recovery_planner: n = 3"),
     ],
 )
-def test_the_change_of_a_measure(project, bound, word, line):
+def test_the_change_of_a_measure(project, capsys, bound, word, line):
     scenario(project, **HARM)
     body = f"""pairs = campaign.paired(without='recovery_planner')
 change = pairs.change('checks:farthest')
@@ -110,6 +116,52 @@ pairs.require(measure='checks:farthest', change_at_most={bound})"""
     assert found["margin"] == pytest.approx(float(bound) - 27.6)
     assert found["pairs"]["change"]["values"] == pytest.approx([27.6] * 3)
     assert line in result.stdout.str()
+    folder = project.path / "dura-evidence"
+    assert main(["verify", str(folder)]) == 0
+    problems = {
+        "the summary of its change": lambda change: change.update(mean=1.0),
+        "and its changes give": lambda change: change.update(Change("m", *REVERSED).to_json()),
+    }
+    for problem, forge in problems.items():
+        forged = shutil.copytree(folder, project.path / "forged", dirs_exist_ok=True)
+        record = json.loads((forged / "evidence.json").read_text())
+        pairs = next(one["pairs"] for one in record["verdicts"] if one["pairs"])
+        forge(pairs["change"])
+        (forged / "evidence.json").write_text(json.dumps(record))
+        capsys.readouterr()
+        assert main(["verify", str(forged)]) == 1
+        assert (problem in capsys.readouterr().out) == (bound == "0.5" or "summary" in problem)
+
+
+REVERSED = (("corridor/it#0", "corridor/it#1", "corridor/it#2"), (-1.0, -1.0, -1.0))
+"""Pairs in which the measure shrinks, so that no bound is passed."""
+
+
+def test_what_faults_cost_has_a_table_of_its_own(project):
+    scenario(
+        project,
+        duration=2.0,
+        world="{wall: 4.0}",
+        fault_injector="pytest_dura.faults.injector:CampaignInjector",
+        faults="[{type: bias, target: gap, activation: {at: 0.0}, parameters: {offset: 0.3}}]",
+    )
+    body = """pairs = campaign.paired(without='faults')
+pairs.require(measure='checks:farthest', change_at_most=1.0)"""
+    result = run(project, body)
+    assert result.ret == 0
+    lines = result.outlines
+    header = next(line for line in lines if line.startswith("attack "))
+    cells = lines[lines.index(header) + 1].split()
+    row = dict(zip(header.split()[1:], cells[-8:], strict=True))
+    assert row["pairs"] == "2"
+    assert (row["caused"], row["never"]) == ("-", "0")
+    change = project.verdict("checks:farthest", "corridor/it")["pairs"]["change"]
+    assert change["mean"] > 0.1
+    assert float(row["cost"]) == pytest.approx(change["mean"], abs=0.05)
+    assert float(row["max"]) == pytest.approx(change["max"], abs=0.05)
+    assert not any(line.startswith("recovery ") for line in lines)
+    report = (project.path / "dura-evidence/report.html").read_text()
+    assert "Attacks: runs of equal seeds" in report
 
 
 @pytest.mark.parametrize(

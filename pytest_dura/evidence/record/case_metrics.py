@@ -155,13 +155,20 @@ class Pooled:
 
     Args:
         cases: Of the record, with or without their metrics.
+        verdicts: Of the record.
     """
 
-    def __init__(self, cases: Iterable[Data]) -> None:
+    def __init__(self, cases: Iterable[Data], verdicts: Iterable[Data] = ()) -> None:
         self._planned: Counter[str] = Counter()
         self._cases: dict[str, set[str]] = {}
+        judged, twins = set(), set()
+        for verdict in verdicts:
+            judged.add(verdict["case"])
+            if verdict["pairs"]:
+                twins.add(verdict["pairs"]["case"])
         for case in cases:
-            if not case["without"]:
+            # A case without faults may be a twin, or be judged for its own sake.
+            if not case["without"] and case["id"] not in twins - judged:
                 self._planned[case["component"]] += case["planned"]
                 self._cases.setdefault(case["component"], set()).add(case["id"])
         self._metrics = {component: CaseMetrics() for component in self._cases}

@@ -325,7 +325,7 @@ class EvidenceRecord:
         Cases come in the order that their scenarios give, then by name.
         """
         metrics = {key: CaseMetrics() for key in self._cases}
-        pooled = Pooled(self._cases.values())
+        pooled = Pooled(self._cases.values(), verdicts)
         heard: dict[tuple[str, str], set[int]] = {key: set() for key in self._cases}
         for episode in self._spool:
             key = episode["case"], episode["component"]

@@ -62,6 +62,8 @@ def _distribution(
         if not margins["min"] <= margin <= margins["max"]:
             yield f"its margins begin at {margins['min']}, and one is {margin}"
     # A test on single episodes tells the margins of violations alone.
-    whole = verdict["violations"] == verdict["episodes"] == len(listed) or not verdict["check"]
+    measured = verdict["paired"] is not None and verdict["paired"]["measure"]
+    by_tests = not verdict["check"] and not measured
+    whole = verdict["violations"] == verdict["episodes"] == len(listed) or by_tests
     if whole and margins != plain(distribution(listed)):
         yield "the distribution of its margins is not that of its counterexamples"

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 Data = Mapping[str, Any]
+_ROUNDING = 1e-6
 _WORDS = ("only_with", "only_without", "both", "neither")
 
 
@@ -17,8 +18,9 @@ def pair_problems(verdict: Data, recovered: int | None) -> Iterator[str]:
         recovered: Its runs in which recovery acted, if they are known.
     """
     pairs = verdict["pairs"]
-    if "pairs" not in pairs:
-        return  # of a measure, which has no table
+    if "change" in pairs:
+        yield from _change_problems(verdict)
+        return
     from pytest_dura.requirements.statistics import mcnemar
 
     open_pairs = pairs["incomplete"]
@@ -41,3 +43,26 @@ def pair_problems(verdict: Data, recovered: int | None) -> Iterator[str]:
         least, told = pairs["both"] + pairs[f"only_{name}"], pairs[f"violated_{name}"]
         if not least <= told <= least + open_pairs:
             yield f"{told} runs {name} it violated it, and its table says {least}"
+
+
+def _change_problems(verdict: Data) -> Iterator[str]:
+    """Everything in which the changes of a measure contradict their summary and the verdict."""
+    from pytest_dura.requirements.pairs.changes import Change
+
+    change = verdict["pairs"]["change"]
+    if len(change["pairs"]) != len(change["values"]):
+        yield f"its change has {len(change['values'])} values for {len(change['pairs'])} pairs"
+        return
+    if Change.from_json(change).to_json() != change:
+        yield "the summary of its change is not that of its values"
+    counted = change["n"] + sum(len(change[key]) for key in ("lost", "gained"))
+    if not counted <= verdict["run"]:
+        yield f"its change has {counted} pairs, of {verdict['run']}"
+    bound = verdict["paired"]["change_at_most"]
+    over = [value - bound for value in change["values"] if value is not None]
+    # Values that equal the bound but for rounding violate nothing.
+    slack = _ROUNDING * max(1.0, abs(bound))
+    least, most = (sum(one > shift for one in over) for shift in (slack, -slack))
+    lost = len(change["lost"])
+    if not least + lost <= verdict["violations"] <= most + lost:
+        yield f"{verdict['violations']} pairs violate it, and its changes give {least + lost}"

@@ -46,7 +46,7 @@ def _cases(record: SessionRecord) -> Iterator[str]:
     metrics: dict[Key, CaseMetrics] = defaultdict(CaseMetrics)
     heard: dict[Key, set[int]] = defaultdict(set)
     shared = SharedViolations(record["verdicts"])
-    pooled, courses = Pooled(record["cases"]), Courses(record["verdicts"])
+    pooled, courses = Pooled(record["cases"], record["verdicts"]), Courses(record["verdicts"])
     for episode in record.episodes():
         if episode["planned"]:
             shared.add(episode)

@@ -347,12 +347,18 @@ def test_where_nothing_measures_comfort_nothing_is_said_of_it():
 
 def test_all_cases_of_a_component_are_pooled_without_their_twins():
     twin = {**case(), "id": "a/b~recovery_planner", "without": ["recovery_planner"]}
-    cases = [case(planned=3), {**case(), "id": "c/d"}, twin, {**case("D"), "id": "a/b"}]
-    pooled = Pooled(cases)
+    free = {**case(), "id": "c/d+none"}
+    cases = [case(planned=3), {**case(), "id": "c/d"}, twin, free, {**case("D"), "id": "a/b"}]
+    verdicts = [
+        {"case": "a/b", "pairs": {"case": twin["id"]}},
+        {"case": "c/d", "pairs": {"case": free["id"]}},
+    ]
+    pooled = Pooled(cases, verdicts)
     runs = [
         episode(0, clearance_time=8.0, gridlock=False),
         {**episode(0, clearance_time=12.0, gridlock=False), "case": "c/d"},
         {**episode(0, clearance_time=99.0, gridlock=False), "case": twin["id"]},
+        {**episode(0, clearance_time=99.0, gridlock=False), "case": free["id"]},
         {**episode(0, clearance_time=5.0, gridlock=False), "component": "D"},
     ]
     for one in runs:
@@ -361,6 +367,8 @@ def test_all_cases_of_a_component_are_pooled_without_their_twins():
     assert (own["component"], own["cases"], own["metrics"]["planned"]) == ("C", 2, 5)
     assert own["metrics"]["clearance_time"] == {"runs": 2, "mean": 10.0, "sd": 8.0**0.5}
     assert (other["component"], other["metrics"]["valid"]) == ("D", 1)
+    judged = Pooled(cases, [*verdicts, {"case": free["id"], "pairs": None}])
+    assert judged.to_json()[0]["cases"] == 3, "who is judged for its own sake is no mere twin"
 
 
 def test_cases_come_in_the_order_of_their_scenarios_then_by_name():

@@ -152,7 +152,7 @@ def test_what_the_runs_show_of_recovery_and_monitors_is_listed():
         "finding": "cannot be told", "detail": detail,
     }  # fmt: skip
     html = render(session_record(effectiveness=[found]))
-    assert f"<li><b>recovery_planner</b>: {detail}</li>" in html
+    assert f"<li><b>RecoveryPlanner</b>: {detail}</li>" in html
     assert f"`recovery_planner` with `C`: {detail}" in summarised(
         session_record(effectiveness=[found])
     )
@@ -205,7 +205,7 @@ def test_requirements_without_a_case_and_cases_without_a_requirement_are_orphans
 
 def test_a_monitor_is_told_with_n_behind_its_rates(html):
     words = section(html, "monitors")
-    assert "security_assessor SAF-1 a/clear+ghost 4" in words
+    assert "SecurityAssessor SAF-1 a/clear+ghost 4" in words
     assert "0.5 (1/2) 1 (1/1)" in words
 
 
@@ -214,8 +214,8 @@ def test_targets_on_which_a_monitor_did_equally_well_share_a_row():
     silent = {**one, "true_positives": 0, "false_positives": 0, "false_negatives": 0}
     found = [one, {**one, "target": "SEC-1"}, {**one, "target": "SAF-2", "lead_times": []}, silent]
     words = section(render(session_record(monitors=found)), "monitors")
-    assert "security_assessor SAF-1, SEC-1 a/clear+ghost" in words
-    assert "security_assessor SAF-2 a/clear+ghost" in words
+    assert "SecurityAssessor SAF-1, SEC-1 a/clear+ghost" in words
+    assert "SecurityAssessor SAF-2 a/clear+ghost" in words
     assert "1 further measurements are not listed" in words
 
 

@@ -6,6 +6,7 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
+from pytest_dura.core.roles import STANDARD_ROLES
 from pytest_dura.evidence.text import LINE, name, one_line, visible
 from pytest_dura.evidence.views.replay_command import model_options, replay_command
 
@@ -61,6 +62,11 @@ def _replay(episode: str, session: str) -> str:
     return replay_command(episode, "DIR", model_options(session))
 
 
+def role_name(role: str) -> str:
+    """A standard role's name as in the paper, such as ``SafetyMonitor``; any other one as it is."""
+    return STANDARD_ROLES[role].__name__ if role in STANDARD_ROLES else name(role)
+
+
 FILTERS: Mapping[str, Any] = {
     "name": name,
     "line": line,
@@ -71,5 +77,6 @@ FILTERS: Mapping[str, Any] = {
     "moment": moment,
     "size": size,
     "replay": _replay,
+    "role": role_name,
 }
 """What templates may call."""

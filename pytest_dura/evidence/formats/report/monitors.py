@@ -11,6 +11,7 @@ from pytest_dura.evidence.formats.report.gathering import Gathered
 from pytest_dura.evidence.formats.report.links import Links
 from pytest_dura.evidence.formats.report.requirements import SEQUENTIAL
 from pytest_dura.evidence.record.session_record import SessionRecord
+from pytest_dura.requirements.model import FAULTS
 
 Data = Mapping[str, Any]
 
@@ -25,7 +26,7 @@ def section(record: SessionRecord, _gathered: Gathered, _links: Links) -> Data:
     switching = {
         (case["id"], case["component"]): case["metrics"]["switching"] for case in record["cases"]
     }
-    pairs = [
+    paired = [
         {
             **one,
             "anchor": verdict_anchor(one["requirement"], one["case"]),
@@ -33,14 +34,17 @@ def section(record: SessionRecord, _gathered: Gathered, _links: Links) -> Data:
             "fixed_n": one["method"] not in SEQUENTIAL,
         }
         for one in record["verdicts"]
-        if one["pairs"] and "only_with" in one["pairs"]
+        if one["pairs"] and ("only_with" in one["pairs"] or "change" in one["pairs"])
     ]
+    attacks = [one for one in paired if one["pairs"]["without"] == FAULTS]
+    pairs = [one for one in paired if one not in attacks and "only_with" in one["pairs"]]
     horizons = sorted({one["horizon"] for one in told if one["horizon"] is not None})
     return {
         "rows": _together(told),
         "horizons": horizons,
         "silent": len(record["monitors"]) - len(told),
         "pairs": pairs,
+        "attacks": attacks,
         "effectiveness": record["effectiveness"],
         "several": len({one["component"] for one in record["effectiveness"]}) > 1,
     }
