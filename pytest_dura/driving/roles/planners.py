@@ -183,10 +183,11 @@ class RuleBased(Generator):
             return -MAX_BRAKING if speed > 0.5 else -COMFORT_BRAKING
         ahead = max(leader.speed, 0.0)
         needed = max(speed - ahead, 0.0) ** 2 / (2.0 * room)
+        unhurried = _unhurried(room + ahead * PREVIEW, speed)
         if ahead < 1.0:
-            return stop_at(room + braking_distance(ahead, COMFORT_BRAKING), speed)
+            return min(stop_at(room + braking_distance(ahead, COMFORT_BRAKING), speed), unhurried)
         gentle = 0.3 * (room - 1.0 * speed) + 0.8 * (ahead - speed)
-        return max(min(gentle, -needed if needed > 1.0 else math.inf), -MAX_BRAKING)
+        return max(min(gentle, unhurried, -needed if needed > 1.0 else math.inf), -MAX_BRAKING)
 
     def _for_pedestrians(self, scene: Scene) -> float:
         """Acceleration in m/s2 that stops before a pedestrian who is on the path or may come.

@@ -14,6 +14,9 @@ from pytest_dura.driving.scene import Scene, crossing, time_to_cover
 SEPARATION_CAP = 10.0
 """m; the score saturates here."""
 
+STANDING = 0.1
+"""m/s; slower counts as standing."""
+
 ENTRY = 0.5
 """Seconds after which a proposal that could not stop before the stop line any more is held to the
 right of way."""
@@ -27,6 +30,8 @@ class SeparationMonitor(SafetyMonitor):
         unsafe: Predicted separation in m below which the proposal is unsafe.
         warning: The same for a warning.
         reaction: Seconds before the ego can answer a braking leader.
+
+    A proposal to go on standing is no more than a warning: who comes near then, comes by itself.
 
     The score is the least predicted separation in m. What it cannot judge is unsafe, with a score
     of 0 at most: a percept with an own pose or speed that cannot be, or with such numbers of an
@@ -57,7 +62,10 @@ class SeparationMonitor(SafetyMonitor):
             verdict, separation = Assessed.UNSAFE, min(separation, 0.0)
             reasons += [f"cannot judge: {one.subject} {one.detail}" for one in doubts]
         elif separation < self.warning:
-            verdict = Assessed.UNSAFE if separation < self.unsafe else Assessed.WARNING
+            # Who stands and means to is refused in vain: no brake makes that any safer.
+            stands = scene.speed < STANDING and acceleration <= 0.0
+            unsafe = separation < self.unsafe and not stands
+            verdict = Assessed.UNSAFE if unsafe else Assessed.WARNING
             reasons.append(f"comes within {max(separation, 0.0):.1f} m of {who}")
         following = self._following(scene, acceleration)
         if following is not None:

@@ -104,6 +104,18 @@ def test_a_standing_ego_may_stand_close_behind() -> None:
     assert judge(standing, "wait").verdict is Assessed.UNSAFE, "to wait is to roll up to the line"
 
 
+def test_who_stands_and_goes_on_standing_is_warned_of_who_comes_and_not_refused() -> None:
+    coming = car("V1", 2.0, 40.0, math.pi / 2, 8.0)  # towards the ego, in its lane
+    standing = channels_of(coming, s=60.0, speed=0.0)
+    for action in ("wait", "emergency_brake"):
+        stays = judge(standing, Command(Maneuver(action), -3.0))
+        assert stays.verdict is Assessed.WARNING
+        assert stays.score < 0.0
+    assert judge(standing, Command(Maneuver.WAIT, 0.5)).verdict is Assessed.UNSAFE
+    rolling = channels_of(coming, s=60.0, speed=2.0)
+    assert judge(rolling, Command(Maneuver.WAIT, -3.0)).verdict is Assessed.UNSAFE
+
+
 def test_entering_in_front_of_a_car_takes_its_right_of_way() -> None:
     coming = car_on(1, "straight", 85.0, 8.0)  # from the west, 2 s from the ego's lane
     percept = channels_of(coming, s=95.5, speed=4.0)
