@@ -41,9 +41,7 @@ PAGE = 1024
 """Bytes of a page of the shipped file: its rows are short, and larger pages stay half empty."""
 
 
-def session(
-    folder: Path, mode: str, options: Sequence[str], environment: dict[str, str]
-) -> float:
+def session(folder: Path, mode: str, options: Sequence[str], environment: dict[str, str]) -> float:
     """Seconds of a session; its evidence is in the folder's directory of the mode's name."""
     command = [
         *(sys.executable, "-m", "pytest", "-p", "no:cacheprovider"),
@@ -80,9 +78,8 @@ def ship(folder: Path, environment: dict[str, str]) -> None:
     """Record what the example suite ships, and put it there once a replay gives equal digests."""
     suite = shutil.copytree(SUITE, folder / "suite", ignore=shutil.ignore_patterns("*.sqlite"))
     folders = {"suite": suite, "scenario": folder}
-    for name, options in SHIPPED_SESSIONS.items():
-        # Both in one file: the second session is given the first one's.
-        options = (*options, f"--dura-cassette={folder / SHIPPED.name}")
+    for name, shipped in SHIPPED_SESSIONS.items():
+        options = (*shipped, f"--dura-cassette={folder / SHIPPED.name}")  # one file for both
         live = session(folders[name], "record", options, environment)
         replay = session(folders[name], "replay", options, {})
         recorded = digests(folders[name], "record")

@@ -89,8 +89,8 @@ class LanguageModels:
             made = ModelSession(
                 options.llm, self.file, session=self._name, scrub=self.session.redact
             )
-            self._put_to_use(made)
             self._replayed = made.replayed
+            self._put_to_use(made)
         elif self._input.get("dura_llm_described"):
             from pytest_dura.llm.session import ModelSession
 
