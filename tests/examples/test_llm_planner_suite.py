@@ -192,7 +192,7 @@ def replayed(folder, arguments):
     done = run_suite(folder, "-v", *WITHOUT_SOCKETS, *arguments)
     output = done.stdout + done.stderr
     assert "a replay opens no socket" not in output
-    assert done.returncode == 1, output  # a single run supports no rate
+    assert done.returncode == 1, output  # a single run decides too little
     record = json.loads((folder / "dura-evidence" / "evidence.json").read_text())
     failures = {one["failure"] for one in record["episodes"]} - {None, ""}
     assert not failures, f"{ANEW}\n{failures}"
