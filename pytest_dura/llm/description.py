@@ -20,6 +20,7 @@ class ModelDescription:
         capabilities: What the server can do, as the probe found it.
         tool: Version of pytest-dura that asked.
         created: When, in ISO 8601.
+        about: What the model is, in the words of who named it; empty if nobody says.
     """
 
     model: str
@@ -28,10 +29,22 @@ class ModelDescription:
     capabilities: Mapping[str, Any]
     tool: str
     created: str
+    about: str = ""
+
+    @property
+    def spoken_of(self) -> str:
+        """What the model is in words, or else its name."""
+        return self.about or self.model
 
     def to_json(self) -> dict[str, Any]:
         """Plain data."""
         return asdict(self)
+
+
+def latest(known: Sequence[ModelDescription]) -> list[ModelDescription]:
+    """The last description of each model, by name: the answers of that server came last."""
+    by_name = {each.model: each for each in known}
+    return [by_name[name] for name in sorted(by_name)]
 
 
 def chosen(

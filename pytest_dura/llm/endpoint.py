@@ -13,11 +13,14 @@ from pytest_dura.llm.secret import DUMMIES, SHORTEST, Scrubber
 
 URL, MODEL, KEY = "DURA_LLM_BASE_URL", "DURA_LLM_MODEL", "DURA_LLM_API_KEY"
 """The environment variables."""
+ABOUT = "DURA_LLM_ABOUT"
+"""The environment variable with what the model is in words, for header, record and cassette."""
 NO_KEY = "none"
 """The key where the server needs none; the SDK wants one that is not empty."""
 _EXAMPLE = "http://127.0.0.1:11434/v1"
 _LOCAL_REMEDY = f"unset {KEY}, or set it to `{NO_KEY}`, where the server needs no key"
 _LONGEST = 2000
+_LONGEST_ABOUT = 200
 
 
 @dataclass(frozen=True)
@@ -88,6 +91,24 @@ class Endpoint:
     @cached_property
     def _scrubber(self) -> Scrubber:
         return Scrubber(self.key)
+
+
+def about(environ: Mapping[str, str]) -> str:
+    """What the model is in words, of ``DURA_LLM_ABOUT``; empty if it is not set.
+
+    Raises:
+        ConfigurationError: If it is too long for a line, or cannot be printed.
+    """
+    text = environ.get(ABOUT, "").strip()
+    if text and (not text.isprintable() or len(text) > _LONGEST_ABOUT):
+        raise ConfigurationError(
+            "what is said about the model is too long or cannot be printed",
+            key=ABOUT,
+            found=text[:_LONGEST_ABOUT],
+            expected=f"a line of at most {_LONGEST_ABOUT} characters",
+            remedy=f"shorten it, or unset {ABOUT}",
+        )
+    return text
 
 
 def _public(parts: SplitResult) -> str:

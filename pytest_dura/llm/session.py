@@ -19,7 +19,8 @@ from pytest_dura.core.outside import OutsideError, told
 from pytest_dura.llm.cassette.exchanges import Cassette, Exchange
 from pytest_dura.llm.cassette.missing import CassetteMissError, why_missing
 from pytest_dura.llm.delivery import delivered, injected, scrubbed
-from pytest_dura.llm.description import ModelDescription, chosen
+from pytest_dura.llm.description import ModelDescription, chosen, latest
+from pytest_dura.llm.endpoint import about
 from pytest_dura.llm.port import Answer, Delivery, Request
 from pytest_dura.llm.serving import Connect, Server, connect
 
@@ -122,14 +123,22 @@ class ModelSession:
         }
         return [found[name] for name in sorted(found)]
 
+    @property
+    def replayed(self) -> list[ModelDescription]:
+        """In mode ``replay`` the models that the cassette knows, by name; else none.
+
+        Raises:
+            ConfigurationError: If the cassette cannot be read.
+        """
+        return latest(self._recorded()) if self.mode == "replay" else []
+
     def known(self, model: str, fingerprint: str) -> ModelDescription | None:
         """What was found out of a model at the server with this fingerprint, if anything was.
 
         Raises:
             ConfigurationError: If the cassette cannot be read.
         """
-        stored = [] if self.cassette is None else self.cassette.descriptions()
-        found = [self._description(one) for one in stored] + self.descriptions
+        found = self._recorded() + self.descriptions
         fitting = (one for one in reversed(found) if one.model == model)
         return next((one for one in fitting if one.fingerprint == fingerprint), None)
 
@@ -226,6 +235,7 @@ class ModelSession:
             shared = self.cassette.described(server.model, server.base_url, self._session)
             if shared is not None:
                 return self._description(shared)
+        words = server.scrub(about(self._environ))
         fingerprint, capabilities = server.probe()
         found = ModelDescription(
             server.model,
@@ -234,6 +244,7 @@ class ModelSession:
             capabilities,
             version("pytest-dura"),
             _now(),
+            words,
         ).to_json()
         found = {key: self._scrub(value) for key, value in found.items()}
         if self.cassette is not None:
@@ -243,9 +254,14 @@ class ModelSession:
 
     def _replayed(self, model: str | None) -> ModelDescription:
         assert self.cassette is not None
-        known = [self._description(one) for one in self.cassette.descriptions()]
+        known = self._recorded()
         usual = self._environ.get("DURA_LLM_MODEL")
         return chosen(known, model, usual, str(self.cassette.file))
+
+    def _recorded(self) -> list[ModelDescription]:
+        """Every description that the cassette holds, in its order."""
+        stored = [] if self.cassette is None else self.cassette.descriptions()
+        return [self._description(each) for each in stored]
 
     def _description(self, data: Mapping[str, Any]) -> ModelDescription:
         try:

@@ -20,11 +20,14 @@ if TYPE_CHECKING:
     from pytest_dura.core.episode import EpisodeSpec
     from pytest_dura.core.role_spec import RoleSpec
     from pytest_dura.evidence.record.session_record import SessionRecord
+    from pytest_dura.llm.description import ModelDescription
     from pytest_dura.llm.session import ModelSession
     from pytest_dura.plugin.inputs import SessionInputs
     from pytest_dura.plugin.session import DuraSession
 
 Data = dict[str, Any]
+MOST_MODELS = 3
+"""So many models of a cassette are named in the header."""
 DEEDS = ("asked", "reused", "injected", "missed")
 _SESSIONS = "pytest_dura.llm.session"
 _SETTLING = "pytest_dura.campaign.settling"
@@ -45,6 +48,7 @@ class LanguageModels:
         self._latest: dict[tuple[str, str], tuple[Any, ...]] = {}
         self._counted: Counter[tuple[str, str, str]] = Counter()
         self._to_tell: set[tuple[Any, ...]] = set()
+        self._replayed: list[ModelDescription] = []
 
     @property
     def _input(self) -> Mapping[str, Any]:
@@ -85,6 +89,7 @@ class LanguageModels:
             made = ModelSession(
                 options.llm, self.file, session=self._name, scrub=self.session.redact
             )
+            self._replayed = made.replayed
             self._put_to_use(made)
         elif self._input.get("dura_llm_described"):
             from pytest_dura.llm.session import ModelSession
@@ -153,6 +158,18 @@ class LanguageModels:
                 found.append(spec)
         return found
 
+    def replayed(self) -> list[str]:
+        """A line on who spoke, where a cassette answers, whatever component will ask it."""
+        if self.file is None or not self._replayed:
+            return []
+        from pytest_dura.provenance.places import told_path
+
+        spoke = [f"{each.spoken_of}, recorded {each.created[:10]}" for each in self._replayed]
+        if len(spoke) > MOST_MODELS:
+            spoke[MOST_MODELS:] = [f"and {len(spoke) - MOST_MODELS} more models"]
+        file = told_path(self.file, self.session.config.rootpath)
+        return [f"dura: answers replayed from {file}: {'; '.join(spoke)}"]
+
     def header(self) -> list[str]:
         """A line for each model that is known by now."""
         session = self._in_use
@@ -168,6 +185,7 @@ class LanguageModels:
                 f"dura: language model {one.model} at {one.base_url} "
                 f"({self.session.options.llm}), structured output {level}"
                 f"{'' if level == 'none' else kept}, {abilities}"
+                f"{f'; {one.about}' if one.about else ''}"
             )
         return lines
 
@@ -257,6 +275,7 @@ class LanguageModels:
         return {
             "component": component,
             "model": model,
+            "about": "" if known is None else known.about,
             "base_url": None if known is None else known.base_url,
             "mode": session.mode,
             "fingerprint": fingerprint,

@@ -49,7 +49,7 @@ def header(session: DuraSession) -> list[str]:
     if plan:
         runs = sum(options.runs or planned.case.scenario.planned for planned in plan)
         parts.append(f"{counted(len(plan), 'case')}, {counted(runs, 'episode')}")
-    lines = ["dura: " + ", ".join(parts)]
+    lines = [*session.models.replayed(), "dura: " + ", ".join(parts)]
     if options.runs is not None:
         lines.append(f"dura: --dura-runs={options.runs} replaces the planned number of runs")
     if options.shard is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 import shutil
 
 import careful_model as models
@@ -17,6 +18,27 @@ from pytest_dura.llm.port import Answer
 from pytest_dura.requirements.verdicts import judge_episode
 
 SUITE = SUITES / "llm_planner"
+TEMPLATES = SUITES.parent / "pytest_dura" / "llm" / "driving" / "templates"
+CASSETTE = "null-model.sqlite"
+SPOKE = "null model (random weights, knows nothing of driving), recorded "
+ANEW = "record the cassette anew: python benchmarks/llm_replay.py --ship"
+SERVER = ("DURA_LLM_BASE_URL", "DURA_LLM_MODEL", "DURA_LLM_API_KEY", "DURA_LLM_ABOUT")
+NO_SOCKETS = """
+import os
+import sys
+
+
+def refuse(event, _):
+    if event.startswith("socket."):
+        os.write(2, b"a replay opens no socket")
+        os._exit(99)
+
+
+sys.addaudithook(refuse)
+"""
+"""A plugin of pytest; it ends the process, since an exception could be caught."""
+# pytest-rerunfailures listens on a socket of its own.
+WITHOUT_SOCKETS = ("-p", "no:rerunfailures", "-p", "no_sockets")
 PARAMS = {"decide_every": 10, "samples": 3, "beside": "all", "beside_every": 1}
 
 __all__ = ["scripted_server"]
@@ -141,3 +163,84 @@ def test_without_an_endpoint_the_suite_says_what_is_missing(tmp_path, monkeypatc
     done = run_suite(suite, "-k", "format", python=forked_workers.command())
     assert done.returncode == 1, done.stdout + done.stderr
     assert "DURA_LLM_BASE_URL" in done.stdout
+
+
+def told_commands():
+    """The commands of the README that replay the shipped cassette, as arguments of pytest."""
+    lines = (SUITE / "README.md").read_text().splitlines()
+    return [
+        shlex.split(line)[1:] for line in lines if line.startswith("pytest") and CASSETTE in line
+    ]
+
+
+IN_FOLDER, ANYWHERE = told_commands()
+
+
+@pytest.fixture
+def cut_off(tmp_path, monkeypatch):
+    """A copy of the suite where nothing names a server and no socket can be opened."""
+    for name in SERVER:
+        monkeypatch.delenv(name, raising=False)
+    suite = shutil.copytree(SUITE, tmp_path / "example_suites" / "llm_planner")
+    for folder in (suite, tmp_path):
+        (folder / "no_sockets.py").write_text(NO_SOCKETS)
+    return suite
+
+
+def replayed(folder, arguments):
+    """What a replay printed, and its record; every request of it was answered."""
+    done = run_suite(folder, "-v", *WITHOUT_SOCKETS, *arguments)
+    output = done.stdout + done.stderr
+    assert "a replay opens no socket" not in output
+    assert done.returncode == 1, output  # a single run decides too little
+    record = json.loads((folder / "dura-evidence" / "evidence.json").read_text())
+    failures = {one["failure"] for one in record["episodes"]} - {None, ""}
+    assert not failures, f"{ANEW}\n{failures}"
+    assert {one["validity"] for one in record["episodes"]} == {"valid"}
+    (model,) = record["models"]
+    assert (model["mode"], model["asked"], model["missed"]) == ("replay", 0, 0)
+    assert model["reused"] > 0
+    assert model["about"] == SPOKE.partition(", recorded")[0]
+    return done.stdout, record
+
+
+def first_line(output):
+    return next(line for line in output.splitlines() if line.startswith("dura: "))
+
+
+def test_the_suite_is_replayed_from_its_cassette_without_server_and_environment(cut_off):
+    output, record = replayed(cut_off, IN_FOLDER)
+    assert first_line(output).startswith(f"dura: answers replayed from {CASSETTE}: {SPOKE}20")
+    assert {one["requirement"] for one in record["verdicts"]} > set(DEFECTS)
+    assert len(record["verdicts"]) == 13
+    # Random ids are those of no object: the verdicts come from the answers.
+    assert any(one["violations"] for one in record["verdicts"])
+
+
+def test_a_built_in_scenario_is_replayed_from_the_cassette(cut_off):
+    output, record = replayed(cut_off.parents[1], ANYWHERE)
+    cassette = f"example_suites/llm_planner/{CASSETTE}"
+    assert first_line(output).startswith(f"dura: answers replayed from {cassette}: {SPOKE}20")
+    assert f"; {SPOKE.partition(', recorded')[0]}\n" in output
+    assert {one["verdict"] for one in record["verdicts"]} >= {"supported"}
+
+
+def test_a_changed_prompt_is_not_answered_from_the_cassette(cut_off):
+    templates = cut_off / "templates"
+    templates.mkdir()
+    for file in TEMPLATES.glob("system*"):
+        (templates / file.name).write_text("Mind the gap.\n" + file.read_text())
+    conftest = cut_off / "conftest.py"
+    given = '"fallback": "wait",'
+    assert given in conftest.read_text()
+    changed = f'{given} "templates": "templates",'
+    conftest.write_text(conftest.read_text().replace(given, changed))
+    done = run_suite(cut_off, *WITHOUT_SOCKETS, "-k", "format and not beside", *IN_FOLDER)
+    assert done.returncode == 1, done.stdout + done.stderr
+    record = json.loads((cut_off / "dura-evidence" / "evidence.json").read_text())
+    (episode,) = record["episodes"]
+    assert episode["validity"] == "missing"
+    words = f"the cassette {CASSETTE} has no answer to a request to 'null'; from the nearest of "
+    assert words in episode["failure"]
+    assert "message 1 (system), line 1" in episode["failure"]
+    assert "asked 'Mind the gap.'" in episode["failure"]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import tarfile
 import venv
 from dataclasses import dataclass
 from pathlib import Path
@@ -109,6 +110,16 @@ def test_the_wheel_holds_what_users_need_and_nothing_else(wheel: Path) -> None:
         for file in (REPOSITORY / "pytest_dura").rglob("*.py")
     }
     assert modules == {name for name in names if name.endswith(".py")}
+
+
+def test_the_source_distribution_holds_the_example_suites_and_their_cassette(tmp_path) -> None:
+    build = ["-m", "build", "--sdist", "--no-isolation", "--outdir", str(tmp_path)]
+    run(sys.executable, *build, str(REPOSITORY), cwd=tmp_path)
+    (found,) = tmp_path.glob("*.tar.gz")
+    with tarfile.open(found) as opened:
+        names = {name.partition("/")[2] for name in opened.getnames()}
+    suite = "example_suites/llm_planner"
+    assert {f"{suite}/null-model.sqlite", f"{suite}/conftest.py"} <= names
 
 
 def test_the_built_in_scenarios_are_those_of_this_installation(installation: Installation) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import sqlite3
 import subprocess
 import sys
@@ -241,6 +242,45 @@ def test_a_replayed_session_tells_what_it_took_from_the_cassette(talking, cut_of
     assert told["cassette"]["exchanges"] == before["cassette"]["exchanges"]
     for key in ("base_url", "fingerprint", "capabilities", "prompts"):
         assert told[key] == before[key]
+
+
+def first_line(result):
+    return next(line for line in result.outlines if line.startswith("dura: "))
+
+
+@pytest.mark.parametrize("workers", [(), ("-n", "1")])
+def test_the_first_line_of_a_replay_and_the_evidence_name_what_spoke(
+    talking, server, cut_off, monkeypatch, workers
+):
+    monkeypatch.setenv("DURA_LLM_ABOUT", "a parrot")
+    recorded = run(talking, "record", "--dura-cassette=tapes/one.sqlite", runs=1)
+    assert any(line.endswith("seed yes; a parrot") for line in recorded.outlines)
+    assert not first_line(recorded).startswith("dura: answers replayed")
+    monkeypatch.setenv("DURA_LLM_ABOUT", "another one, that did not speak")
+    cut_off()
+    result = run(talking, "replay", "--dura-cassette=tapes/one.sqlite", *workers, runs=1)
+    spoke = r"dura: answers replayed from tapes/one\.sqlite: a parrot, recorded \d{4}-\d\d-\d\d"
+    assert re.fullmatch(spoke, first_line(result))
+    (told,) = talking.evidence()["models"]
+    assert told["about"] == "a parrot"
+    assert "(`a parrot`)" in (talking.path / "dura-evidence" / "summary.md").read_text()
+
+
+def test_a_model_that_nobody_described_goes_by_its_name(talking, server, cut_off):
+    run(talking, "record", runs=1)
+    cut_off()
+    line = first_line(run(talking, "replay", runs=1))
+    assert line.startswith(
+        f"dura: answers replayed from dura-cassette.sqlite: {server.model}, recorded 2"
+    )
+    assert talking.evidence()["models"][0]["about"] == ""
+
+
+def test_words_about_the_model_that_are_no_line_end_the_session(talking, monkeypatch):
+    monkeypatch.setenv("DURA_LLM_ABOUT", "parrot " * 30)
+    result = run(talking, "record", runs=1)
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    assert "DURA_LLM_ABOUT" in result.stderr.str()
 
 
 @pytest.mark.parametrize("hides", [False, True])

@@ -133,7 +133,8 @@ def session_record(directory=Path("nowhere"), **changes):
                                  "file_count": 1,
                                  "files": [{"path": "m.py", "sha256": "e" * 64}]},
         "models": [
-            {"component": "C", "model": "llama", "base_url": "http://127.0.0.1:8080/v1",
+            {"component": "C", "model": "llama", "about": "a llama of 8 billion weights",
+             "base_url": "http://127.0.0.1:8080/v1",
              "mode": "record", "fingerprint": "f" * 64,
              "capabilities": {"structured": "json_schema", "enforced": True, "vision": False,
                               "seed": True},

@@ -24,8 +24,9 @@ def _line(one: Mapping[str, Any]) -> str:
     can = one["capabilities"] or {}
     level = _name(str(can.get("structured", "unknown")))
     kept = "enforced" if can.get("enforced") else "not enforced"
+    about = f" ({_name(one['about'])})" if one["about"] else ""
     told = (
-        f"- language model of {_name(one['component'])}: {_name(one['model'])} at "
+        f"- language model of {_name(one['component'])}: {_name(one['model'])}{about} at "
         f"{_name(one['base_url'])}, {one['mode']}, structured output {level} ({kept}), "
         f"fingerprint {_name(one['fingerprint'])}; {one['asked']} answers from the server, "
         f"{one['reused']} from the cassette, {one['injected']} injected faults, "

@@ -428,7 +428,7 @@ def test_traces_are_attached_to_their_episodes():
 
 def model(process="main", asked=0, **changes):
     told = {
-        "component": "C", "model": "m", "base_url": "http://h/v1", "mode": "record",
+        "component": "C", "model": "m", "about": "", "base_url": "http://h/v1", "mode": "record",
         "fingerprint": "f", "capabilities": {"vision": False}, "prompts": None, "process": process,
         "asked": asked, "reused": 1, "injected": 0, "missed": 0,
     }  # fmt: skip

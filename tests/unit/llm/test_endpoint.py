@@ -9,7 +9,7 @@ from urllib.parse import quote
 import pytest
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.llm.endpoint import Endpoint
+from pytest_dura.llm.endpoint import Endpoint, about
 
 SECRET = 'sk-p/ro+j=eg\\"q'
 GIVEN = {
@@ -160,3 +160,14 @@ def test_every_form_of_the_key_is_taken_out(form: str) -> None:
 def test_what_is_no_key_stays() -> None:
     text = "speed 8.3 m/s, none near, sk-other-key"
     assert Endpoint.from_environment(GIVEN).scrub(text) == text
+
+
+def test_what_the_model_is_may_be_said_in_a_line() -> None:
+    assert about({"DURA_LLM_ABOUT": " a llama that drives "}) == "a llama that drives"
+    assert about(GIVEN) == about({"DURA_LLM_ABOUT": ""}) == ""
+
+
+@pytest.mark.parametrize("text", ["two\nlines", "\x1b[2J", "long" * 51])
+def test_what_is_no_line_about_the_model_is_refused(text: str) -> None:
+    with pytest.raises(ConfigurationError, match=r"at most 200(.*\n)+.*unset DURA_LLM_ABOUT"):
+        about({"DURA_LLM_ABOUT": text})

@@ -262,6 +262,27 @@ def test_replay_needs_a_name_only_where_there_are_several_models(tape):
     assert named.describe().model == "m"
 
 
+def test_a_replay_knows_each_model_by_its_last_description(tape):
+    for name, text in (("m", "first"), ("n", ""), ("m", f"second {KEY}")):
+        environ = {"DURA_LLM_ABOUT": text}
+        server = CountingServer(model=name)
+        session = ModelSession("record", tape, environ=environ, connect=lambda *_, s=server: s)
+        session.describe()
+        assert session.replayed == []
+        session.close()
+    found = replaying(tape).replayed
+    assert [(each.model, each.spoken_of) for each in found] == [("m", "second [key]"), ("n", "n")]
+
+
+def test_a_cassette_from_before_models_were_described_in_words_is_read(tape, server):
+    session = made("record", tape, server)
+    found = session.describe().to_json()
+    del found["about"]
+    session.cassette.describe({**found, "model": "old"}, "an older session")
+    session.close()
+    assert replaying(tape).describe("old").spoken_of == "old"
+
+
 def test_a_server_that_is_another_than_the_spec_says_is_not_the_components_failure(server):
     session = made("live", None, server)
     with listening() as heard, pytest.raises(OutsideError, match="the server is another"):
