@@ -15,7 +15,7 @@ KEYS = {
     "argument", "baseline", "finished", "evidence_level", "gate", "inputs", "coverage", "timings",
     "require_repeatable", "selection",
     "redacted", "totals", "models", "shard", "merged_from",
-    "reuse", "execution",
+    "reuse", "execution", "overall", "effectiveness",
 }  # fmt: skip
 
 

@@ -234,7 +234,9 @@ def test_forged_tallies_are_found(chatty):
         if change is not None:
             change(record)
         problems = list(recomputed_problems(SessionRecord.of(record, chatty.path)))
-        assert len(problems) == (change is not None)
+        assert bool(problems) == (change is not None)
+        # The figures of the case, and those of all cases together if an episode was forged.
+        assert len(problems) <= 2
         assert all(place in problem for problem in problems)
 
 

@@ -30,8 +30,9 @@ from pytest_dura.evidence.baseline.file import Baseline
 from pytest_dura.evidence.bundle.directory import read_session_record
 from pytest_dura.evidence.bundle.schema import schema
 from pytest_dura.evidence.plain import plain
-from pytest_dura.evidence.record.case_metrics import CaseMetrics
+from pytest_dura.evidence.record.case_metrics import CaseMetrics, Pooled
 from pytest_dura.evidence.record.conclusion import concluded
+from pytest_dura.evidence.record.effectiveness import Courses, effectiveness
 from pytest_dura.evidence.record.session_record import SessionRecord
 from pytest_dura.evidence.text import name as shown
 from pytest_dura.evidence.traces.mcap_file import read_trace, write_trace
@@ -297,6 +298,12 @@ def session(real, directory, spoil):
         metrics[one["case"], one["component"]].add(one)
     for one in told["cases"]:
         one["metrics"] = metrics[one["id"], one["component"]].to_json(one["planned"])
+    pooled, courses = Pooled(told["cases"], told["verdicts"]), Courses(told["verdicts"])
+    for one in told["episodes"]:
+        pooled.add(one)
+        courses.add(one)
+    told["overall"] = pooled.to_json()
+    told["effectiveness"] = effectiveness(told["verdicts"], told["monitors"], courses)
     told["requirements"].sort(key=lambda one: one["id"])
     told["cases"].sort(key=lambda one: (one["id"], one["component"]))
     told["episodes"].sort(key=lambda one: (one["case"], one["component"], one["spec"]["run"]))
