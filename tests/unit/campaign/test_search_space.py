@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -120,11 +121,15 @@ def test_faults_of_a_type_of_the_users_own_may_be_added_twice(monkeypatch) -> No
         "target": "sensor.temperature",
         "activation": {"at": 1.0},
     }
-    space = SearchSpace.of(case(), [drizzle], at_most=2)
-    made = space.made(space.values([1.0] * space.layout.size), 1)
-    assert [one["id"] for one in made.faults] == ["oddities:Drizzle", "oddities-Drizzle-2"]
-    (again,) = expand_cases([made.scenario])
-    assert again.faults == made.faults
+    try:
+        space = SearchSpace.of(case(), [drizzle], at_most=2)
+        made = space.made(space.values([1.0] * space.layout.size), 1)
+        assert [one["id"] for one in made.faults] == ["oddities:Drizzle", "oddities-Drizzle-2"]
+        (again,) = expand_cases([made.scenario])
+        assert again.faults == made.faults
+    finally:  # other tests of this process have modules of these names
+        for name in ("oddities", "corridor"):
+            sys.modules.pop(name, None)
 
 
 def test_faults_of_one_kind_that_differ_may_each_be_added() -> None:
