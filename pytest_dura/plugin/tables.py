@@ -162,25 +162,26 @@ def attack_table(verdicts: Sequence[Data], cases: Sequence[Data]) -> list[str]:
     names: list[str] = []
     rows: list[list[str]] = []
     order = {case["id"]: place for place, case in enumerate(cases)}
-    for verdict in sorted(verdicts, key=lambda one: order.get(one["case"], len(order))):
+    for verdict in sorted(verdicts, key=lambda verdict: order.get(verdict["case"], len(order))):
         pairs = verdict["pairs"]
         if not pairs or pairs["without"] != FAULTS:
             continue
-        fixed = verdict["method"] not in ("sprt", "e-process")
         if "only_with" in pairs:
-            complete = pairs["pairs"] - pairs["incomplete"]
+            incomplete = pairs["incomplete"]
+            complete = pairs["pairs"] - incomplete
             cells = [str(pairs[key]) for key in ("only_with", "only_without", "both")] + ["-"] * 3
             p_value = pairs["p_value"]
         elif "change" in pairs:
             change = pairs["change"]
-            complete, p_value = change["n"], change["p_value"]
+            complete, incomplete = change["n"], len(change["incomplete"])
+            p_value = change["p_value"]
             known = change["mean"] is not None
             cost = [f"{change[key]:+.1f}" if known else "-" for key in ("mean", "max")]
             cells = ["-"] * 3 + [*cost, str(len(change["lost"]))]
         else:
             continue
         names.append(f"{verdict['requirement']} on {verdict['case']}")
-        rows.append([str(complete), *cells, f"{p_value:.2g}" if fixed else "-"])
+        rows.append([_complete(complete, incomplete), *cells, _p_value(verdict, p_value)])
     return [*aligned("attack", ATTACK_COLUMNS, names, rows), *ATTACK_LEGEND] if rows else []
 
 
@@ -202,7 +203,7 @@ def pair_table(verdicts: Sequence[Data], cases: Sequence[Data]) -> list[str]:
     rows: list[list[str]] = []
     sums: dict[tuple[str, str], list[Data]] = {}
     order = {case["id"]: place for place, case in enumerate(cases)}
-    for verdict in sorted(verdicts, key=lambda one: order.get(one["case"], len(order))):
+    for verdict in sorted(verdicts, key=lambda verdict: order.get(verdict["case"], len(order))):
         pairs = verdict["pairs"]
         if not pairs or pairs["without"] != "recovery_planner" or "only_with" not in pairs:
             continue
@@ -220,17 +221,14 @@ def pair_table(verdicts: Sequence[Data], cases: Sequence[Data]) -> list[str]:
 
 def _pair_row(verdict: Data, switching: Data | None) -> list[str]:
     pairs = verdict["pairs"]
-    # The test's level holds for a number of pairs that does not depend on what they show.
-    fixed = verdict["method"] not in ("sprt", "e-process")
-    incomplete = f" (+{pairs['incomplete']} inc)" if pairs["incomplete"] else ""
     row = [
-        f"{pairs['pairs'] - pairs['incomplete']}{incomplete}",
+        _complete(pairs["pairs"] - pairs["incomplete"], pairs["incomplete"]),
         str(pairs["only_without"]),
         str(pairs["only_with"]),
         str(pairs["acted_both"]),
         str(pairs["acted_neither"]),
         _success(pairs["acted_only_without"], pairs["acted_both"]),
-        f"{pairs['p_value']:.2g}" if fixed else "-",
+        _p_value(verdict, pairs["p_value"]),
     ]
     if switching is None:
         return [*row, "-", "-"]
@@ -245,13 +243,21 @@ def _all_pairs_row(found: Sequence[Data]) -> list[str]:
     total: Counter[str] = Counter()
     for pairs in found:
         total.update({key: value for key, value in pairs.items() if isinstance(value, int)})
-    incomplete = f" (+{total['incomplete']} inc)" if total["incomplete"] else ""
     return [
-        f"{total['pairs'] - total['incomplete']}{incomplete}",
+        _complete(total["pairs"] - total["incomplete"], total["incomplete"]),
         *(str(total[key]) for key in ("only_without", "only_with", "acted_both", "acted_neither")),
         _success(total["acted_only_without"], total["acted_both"]),
         *"---",
     ]
+
+
+def _complete(complete: int, incomplete: int) -> str:
+    return f"{complete} (+{incomplete} inc)" if incomplete else str(complete)
+
+
+def _p_value(verdict: Data, value: float) -> str:
+    # The test's level holds for a number of pairs that does not depend on what they show.
+    return "-" if verdict["method"] in ("sprt", "e-process") else f"{value:.2g}"
 
 
 def _success(prevented: int, futile: int) -> str:

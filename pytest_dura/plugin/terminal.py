@@ -179,6 +179,7 @@ def _show_cases(session: DuraSession, terminal: Any, record: SessionRecord) -> N
         told = "those with the worst verdicts are shown"
         terminal.line(f"and {counted(len(shown) - len(listed), 'case')} more: {told}; {ELSEWHERE}")
     left = {case["id"] for case in shown}.difference(case["id"] for case in listed)
+    verdicts = [verdict for verdict in record["verdicts"] if verdict["case"] not in left]
     early = sum(case["metrics"]["ended_early"] for case in record["cases"])
     if early:
         told = "ended early, once all was decided; figures are up to then"
@@ -192,13 +193,9 @@ def _show_cases(session: DuraSession, terminal: Any, record: SessionRecord) -> N
         failure_mode_table(shown, by_case=session.config.option.verbose > 0),
         reliance_table(listed, overall),
         fault_table(listed),
-        attack_table(
-            [one for one in record["verdicts"] if one["case"] not in left], record["cases"]
-        ),
+        attack_table(verdicts, record["cases"]),
         [
-            *pair_table(
-                [one for one in record["verdicts"] if one["case"] not in left], record["cases"]
-            ),
+            *pair_table(verdicts, record["cases"]),
             *effectiveness_lines(record["effectiveness"], RECOVERY),
         ],
         [

@@ -234,9 +234,10 @@ def test_forged_tallies_are_found(chatty):
         if change is not None:
             change(record)
         problems = list(recomputed_problems(SessionRecord.of(record, chatty.path)))
-        assert bool(problems) == (change is not None)
-        # The figures of the case, and those of all cases together if an episode was forged.
-        assert len(problems) <= 2
+        # What an episode says counts in all cases together, too.
+        own = [problem for problem in problems if not problem.startswith("overall")]
+        assert len(own) == (change is not None)
+        assert len(problems) - len(own) <= len(own)
         assert all(place in problem for problem in problems)
 
 

@@ -9,13 +9,11 @@ from pytest_dura.driving.junction import SPEED_LIMIT
 from pytest_dura.driving.maneuvers import MAX_BRAKING, acceleration_for, braking_distance
 from pytest_dura.driving.nearest import nearest
 from pytest_dura.driving.plausible import doubtful
+from pytest_dura.driving.roles.performance import STANDING
 from pytest_dura.driving.scene import Scene, crossing, time_to_cover
 
 SEPARATION_CAP = 10.0
 """m; the score saturates here."""
-
-STANDING = 0.1
-"""m/s; slower counts as standing."""
 
 ENTRY = 0.5
 """Seconds after which a proposal that could not stop before the stop line any more is held to the
