@@ -20,7 +20,7 @@ from pytest_dura.campaign.fault_grids import check_number
 from pytest_dura.campaign.planned_faults import own_fault, parsed
 from pytest_dura.campaign.scenario import Scenario
 from pytest_dura.campaign.selection import may_match, selected
-from pytest_dura.campaign.settling import settled
+from pytest_dura.campaign.settling import ParameterResolver
 from pytest_dura.campaign.worlds import checked_world
 from pytest_dura.core.episode import EpisodeSpec, Policy, Termination
 from pytest_dura.core.errors import ConfigurationError
@@ -98,6 +98,7 @@ class Case:
         simulator: RoleSpec | None = None,
         policy: str | None = None,
         seed: int | None = None,
+        resolver: ParameterResolver | None = None,
     ) -> EpisodeSpec:
         """All that determines one episode.
 
@@ -108,6 +109,7 @@ class Case:
             simulator: Replaces the scenario's simulator.
             policy: Replaces the scenario's policy.
             seed: Seed of the episode, instead of the one that follows from ``base_seed``.
+            resolver: Resolves parameters of roles, each once; by default anew.
 
         Raises:
             ConfigurationError: If a role is unknown or none is the component under test.
@@ -117,12 +119,13 @@ class Case:
         seed = self.seed(run, base_seed) if seed is None else seed
         simulator = simulator or simulator_spec(entry.path, entry.params)
         world, faults = self._varied(simulator, seed)
+        resolve = (resolver or ParameterResolver()).resolve
         return EpisodeSpec(
             case=self.id,
             run=run,
             seed=seed,
             simulator=simulator,
-            roles={name: settled(role) for name, role in self.roles(roles or {}).items()},
+            roles={name: resolve(role) for name, role in self.roles(roles or {}).items()},
             scenario={"name": scenario.name, "duration": scenario.duration, "world": world},
             faults=faults,
             policy=Policy.parse(policy or self.policy),

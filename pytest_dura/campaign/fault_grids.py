@@ -23,7 +23,6 @@ from pytest_dura.core.errors import ConfigurationError
 MAX_CASES = 10_000
 """Cases that the fault campaigns of one scenario may make, all together."""
 
-_ABSENT = object()
 Values = Annotated[tuple[JsonValue, ...], Field(strict=False), AfterValidator(not_empty)]
 
 
@@ -69,10 +68,7 @@ def sample(scenario: Scenario, data: Mapping[str, Any]) -> Iterator[dict[str, An
     """
     given: FaultSample = _model(FaultSample, data)
     _check_keys("sample", given.sample)
-    reader, drawn = FaultReader(scenario), {path.partition(".")[0] for path in given.sample}
-    recurring = [
-        key for key, value in given.fault.items() if isinstance(value, Mapping) and key not in drawn
-    ]
+    reader = FaultReader(scenario)
     for number in range(given.count):
         values = {
             path: variation.draw(f"{number}:{path}", spread, given.seed)
@@ -82,7 +78,7 @@ def sample(scenario: Scenario, data: Mapping[str, Any]) -> Iterator[dict[str, An
         for path, value in values.items():
             fault = _with(fault, path.split("."), value)
         name = f"{fault['id']}-sample{given.seed}.{number}"
-        yield reader.read({**fault, "id": name}, recurring)
+        yield reader.read({**fault, "id": name})
 
 
 def check_number(cases: int, key: str) -> None:
@@ -135,39 +131,17 @@ def _check_keys(word: str, keys: Iterable[str]) -> None:
 
 
 def _combinations(given: FaultGrid, reader: FaultReader) -> Iterator[dict[str, Any]]:
-    """Every fault of a grid. Where its parts are equal they are one object, and read once."""
     base = _named(given.fault)
-    paths, values = [path.split(".") for path in given.grid], list(given.grid.values())
-    suffixes = [
-        [f"-{name}={_told(value)}" for value in each]
-        for name, each in zip(_short_names(list(given.grid)), values, strict=True)
-    ]
-    varied: dict[str, list[int]] = {}
-    for at, path in enumerate(paths):
-        varied.setdefault(path[0], []).append(at)
-    number = math.prod(map(len, values))
-    recurring = [key for key, value in base.items() if isinstance(value, Mapping)]
-    recurring = [
-        key
-        for key in dict.fromkeys([*recurring, *varied])
-        if math.prod(len(values[at]) for at in varied.get(key, ())) < number
-    ]
-    parts: dict[tuple[str, tuple[int, ...]], Any] = {}
-    for chosen in itertools.product(*(range(len(each)) for each in values)):
-        data = dict(base)
-        for key, places in varied.items():
-            which = key, tuple([chosen[at] for at in places])
-            part = parts.get(which, _ABSENT)
-            if part is _ABSENT:
-                part = base.get(key)
-                for at in places:
-                    part = _with(part, paths[at][1:], values[at][chosen[at]])
-                if key in recurring:
-                    parts[which] = part
-            data[key] = part
-        suffix = "".join([each[at] for each, at in zip(suffixes, chosen, strict=True)])
-        data["id"] = f"{data['id']}{suffix}"
-        yield reader.read(data, recurring)
+    paths = [path.split(".") for path in given.grid]
+    names = _short_names(list(given.grid))
+    for values in itertools.product(*given.grid.values()):
+        fault: Any = base
+        for path, value in zip(paths, values, strict=True):
+            fault = _with(fault, path, value)
+        suffix = "".join(
+            f"-{name}={_told(value)}" for name, value in zip(names, values, strict=True)
+        )
+        yield reader.read({**fault, "id": f"{base['id']}{suffix}"})
 
 
 def _named(fault: Mapping[str, Any]) -> dict[str, Any]:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from pytest_dura.campaign.domains import domain_of
 from pytest_dura.campaign.problems import did_you_mean, placed
-from pytest_dura.campaign.recurring_parts import RecurringParts
 from pytest_dura.campaign.scenario import Scenario
 from pytest_dura.campaign.worlds import channel_kinds, fault_targets
 from pytest_dura.core.episode import Termination
@@ -47,20 +46,18 @@ class FaultReader:
         """The channels of targets that suit a type."""
         self._conditions: set[tuple[str, str, bool]] = set()
         """Keys and texts of conditions on what is there, and whether they may read a proposal."""
-        self._parts = RecurringParts()
 
-    def read(self, data: Mapping[str, Any], recurring: Collection[str] = ()) -> dict[str, Any]:
+    def read(self, data: Mapping[str, Any]) -> dict[str, Any]:
         """A fault as plain data, with the defaults of its type and of the scenario's domain.
 
         Args:
             data: The fault.
-            recurring: Keys whose values are the very objects that other faults have as well.
-                They are read once, and what they come to is the same object in all of them.
 
         Raises:
             ConfigurationError: If the catalogue refuses it, or the domain has no such target.
         """
-        fault, filled = self._loaded(data, recurring)
+        fault = load_fault(data, self._targets)
+        filled = plain_fault(fault)
         if fault.type not in FAULT_TYPES:
             # Whether what a user's own type tells of itself makes a fault again, we cannot know.
             fault = load_fault(filled)
@@ -76,18 +73,6 @@ class FaultReader:
         _check_id(fault.id)
         self._check_times(fault)
         return filled
-
-    def _loaded(
-        self, data: Mapping[str, Any], recurring: Collection[str]
-    ) -> tuple[Fault, dict[str, Any]]:
-        known = self._parts.among(data, recurring)
-        read = {key: part.read for key, part in known.items()}
-        fault = load_fault({**data, **read} if read else data, self._targets)
-        filled = plain_fault(fault, {key: part.plain for key, part in known.items()})
-        for key in recurring:
-            if key not in known:
-                self._parts.remember(data, key, fault, filled)
-        return fault, filled
 
     def _check_place(self, fault: Fault, channels: Mapping[str, Channel]) -> None:
         place = fault.type, fault.target

@@ -16,11 +16,11 @@ from pytest_dura.campaign.fault_campaigns import NO_FAULTS, FaultCampaign
 from pytest_dura.campaign.following import Following
 from pytest_dura.campaign.loading import Library
 from pytest_dura.campaign.progress import RunningCampaign
-from pytest_dura.campaign.recent_tasks import RecentTasks
 from pytest_dura.campaign.scenario import Scenario
 from pytest_dura.campaign.search.result import Falsification
 from pytest_dura.campaign.search.space.searched import SearchedCase
 from pytest_dura.campaign.selection import no_match
+from pytest_dura.campaign.settling import ParameterResolver
 from pytest_dura.core.episode import Episode, EpisodeSpec
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.role_spec import RoleSpec
@@ -61,6 +61,7 @@ class Bench:
         on_chains: Told what came of each fault of an episode that a verdict rests on.
         on_search: Told what a search came to.
         on_searched: Told of every use of an episode of a case that a strategy chose.
+        resolver: Resolves the parameters of roles, each class once.
         keep: Keeps a counterexample that a search confirmed; ``None`` keeps it nowhere.
         twins: Whether fault-free twins are run, to see which faults reached the proposals.
         recorded: Whether episodes keep what a viewer shows of them.
@@ -89,7 +90,7 @@ class Bench:
     recorded: bool = False
     store: EpisodeStore = field(default_factory=EpisodeStore)
     role_timeout: float = ROLE_TIMEOUT
-    _recent: RecentTasks = field(default_factory=RecentTasks, init=False)
+    resolver: ParameterResolver = field(default_factory=ParameterResolver)
     _following: Following = field(init=False)
     _cases: dict[str, dict[str, Case]] = field(default_factory=dict, init=False)
 
@@ -233,15 +234,14 @@ class Bench:
             run: Number of the run.
             seed: Seed of the episode; by default that of the run within the case.
         """
-        simulator = self.simulator
-        recent = self._recent.under(
-            {**self.roles, "simulator": simulator} if simulator else self.roles,
-            self.metrics, self.base_seed, self.time_budget, self.end_when_decided,
-        )  # fmt: skip
-        return recent.get(case, run, seed, lambda: self._made(case, run, seed))
-
-    def _made(self, case: Case, run: int, seed: int | None) -> EpisodeTask:
-        spec = case.spec(run, self.base_seed, self.roles, simulator=self.simulator, seed=seed)
+        spec = case.spec(
+            run,
+            self.base_seed,
+            self.roles,
+            simulator=self.simulator,
+            seed=seed,
+            resolver=self.resolver,
+        )
         if self.end_when_decided is not None:
             end = replace(spec.termination, decided=self.end_when_decided)
             spec = replace(spec, termination=end)

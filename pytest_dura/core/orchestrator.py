@@ -18,7 +18,6 @@ from pytest_dura.core.checked_calls import (
     next_tick,
     run_if_triggered,
 )
-from pytest_dura.core.collecting import rare_collections
 from pytest_dura.core.component import Component
 from pytest_dura.core.ending import Judge, all_decided
 from pytest_dura.core.episode import Episode, EpisodeSpec
@@ -126,7 +125,7 @@ class Orchestrator:
         self._injector_ns = 0
         self._watch = Watch(self.role_timeout)
         draws = noting_draws()
-        with Boundary() as self._boundary, alarms(self._watch), rare_collections(), draws as noted:
+        with Boundary() as self._boundary, alarms(self._watch), draws as noted:
             episode = self._run()
         episode.drawn = noted.any
         return episode

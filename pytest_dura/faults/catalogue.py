@@ -140,19 +140,9 @@ def parse_fault(data: Mapping[str, Any], targets: Mapping[str, str] = NOTHING) -
     return plain_fault(load_fault(data, targets))
 
 
-def plain_fault(fault: Fault, known: Mapping[str, Any] = NOTHING) -> dict[str, Any]:
-    """A fault as plain data, from which :func:`load_fault` makes an equal one.
-
-    Args:
-        fault: The fault.
-        known: What some of its fields are in plain data; it is taken as it is.
-    """
-    if not known:
-        return {**fault.model_dump(mode="json"), BY_CHANCE: fault.by_chance}
-    rest = fault.model_dump(mode="json", exclude=set(known))
-    fields = type(fault).model_fields
-    plain = {name: known[name] if name in known else rest[name] for name in fields}
-    return {**plain, BY_CHANCE: fault.by_chance}
+def plain_fault(fault: Fault) -> dict[str, Any]:
+    """A fault as plain data, from which :func:`load_fault` makes an equal one."""
+    return {**fault.model_dump(mode="json"), BY_CHANCE: fault.by_chance}
 
 
 def default_fault(name: str, targets: Mapping[str, str] = NOTHING) -> dict[str, Any]:

@@ -78,7 +78,5 @@ def pytest_configure(config: pytest.Config) -> None:
     for marker in MARKERS:
         config.addinivalue_line("markers", marker)
     session = session_of(config)
-    # Before the clean-up of pytest's own that looks for garbage, and so undone after it.
-    config.add_cleanup(session.garbage.undo)
     config.add_cleanup(session.properties.begin())
     config.pluginmanager.register(SessionHooks(session), "dura-session")

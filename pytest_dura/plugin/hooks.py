@@ -66,15 +66,10 @@ class SessionHooks:
 
         return header(self.session) if self.session.active else []
 
-    @pytest.hookimpl(wrapper=True)
-    def pytest_collection(self) -> Generator[None, Any, Any]:
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_collection(self) -> None:
         """Take our own out of the arguments, which pytest would look up as files."""
         self.session.take_arguments()
-        self.session.garbage.begin(len(self.session.plan))
-        try:
-            return (yield)
-        finally:
-            self.session.garbage.end()
 
     def pytest_generate_tests(self, metafunc: pytest.Metafunc) -> None:
         """Make one test per case and run."""

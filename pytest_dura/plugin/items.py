@@ -10,7 +10,6 @@ import pytest
 
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.plugin.commands import replay_command, rerun_command
-from pytest_dura.plugin.garbage import no_garbage_collection
 from pytest_dura.plugin.session import session_of
 
 if TYPE_CHECKING:
@@ -86,7 +85,6 @@ class ScenarioItem(pytest.Function):
         return scenario.file, line - 1, self.nodeid
 
 
-@no_garbage_collection()
 def scenario_items(session: DuraSession, root: pytest.Session) -> list[pytest.Item]:
     """The items of all planned cases."""
     cases = ScenarioCases.from_parent(

@@ -30,7 +30,6 @@ MOST_MODELS = 3
 """So many models of a cassette are named in the header."""
 DEEDS = ("asked", "reused", "injected", "missed")
 _SESSIONS = "pytest_dura.llm.session"
-_SETTLING = "pytest_dura.campaign.settling"
 
 
 class LanguageModels:
@@ -116,10 +115,7 @@ class LanguageModels:
             own.close()
 
     def _put_to_use(self, session: ModelSession | None) -> ModelSession | None:
-        """See :func:`pytest_dura.llm.session.use`; settled parameters are forgotten along with."""
-        settling = sys.modules.get(_SETTLING)
-        if settling is not None:
-            settling.forget()
+        """See :func:`pytest_dura.llm.session.use`."""
         module = sys.modules.get(_SESSIONS)
         before: ModelSession | None = None if module is None else module.use(session)
         return before
@@ -141,9 +137,7 @@ class LanguageModels:
         if self.session.is_worker or config.option.collectonly:
             return
         for spec in self._components():
-            from pytest_dura.campaign.settling import settled
-
-            settled(spec)
+            self.session.resolver.resolve(spec)
 
     def _components(self) -> list[RoleSpec]:
         session = self.session

@@ -13,7 +13,6 @@ import pytest
 
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.plugin.falsify_marker import check_falsify
-from pytest_dura.plugin.garbage import no_garbage_collection
 from pytest_dura.plugin.messages import error_text
 from pytest_dura.plugin.requirement_markers import marked_requirements, marker_arguments
 
@@ -60,7 +59,6 @@ def parametrize(session: DuraSession, metafunc: pytest.Metafunc, marker: pytest.
             return
         targets = _targets(session, marker, requirements, each_run="episode" in looked_at)
     if looked_at:
-        session.garbage.begin(len(targets))
         metafunc.parametrize(
             ",".join(looked_at),
             [(target,) * len(looked_at) if len(looked_at) > 1 else target for target, _ in targets],
@@ -174,7 +172,6 @@ def _check_decidable(requirements: Sequence[Requirement], *, each_run: bool) -> 
         )
 
 
-@no_garbage_collection()
 def _targets(
     session: DuraSession, marker: pytest.Mark, requirements: list[Requirement], *, each_run: bool
 ) -> list[tuple[Target, str]]:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.plugin.garbage import no_garbage_collection
 
 if TYPE_CHECKING:
     from pytest_dura.campaign.cases import Case
@@ -23,7 +22,6 @@ class Planned:
     requirements: tuple[str, ...]
 
 
-@no_garbage_collection()
 def make_plan(session: DuraSession, chosen: Mapping[str, Chosen]) -> list[Planned]:
     """The cases of the scenarios, or those that arguments name, with their requirements.
 

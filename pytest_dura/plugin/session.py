@@ -12,7 +12,6 @@ import pytest
 
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.plugin.evidence import SessionEvidence
-from pytest_dura.plugin.garbage import CollectorRest, no_garbage_collection
 from pytest_dura.plugin.hypothesis_tests import PropertyTests
 from pytest_dura.plugin.language_models import LanguageModels
 from pytest_dura.plugin.messages import error_text
@@ -33,6 +32,7 @@ if TYPE_CHECKING:
     from pytest_dura.campaign.cases import Case
     from pytest_dura.campaign.loading import Library
     from pytest_dura.campaign.runner import Bench
+    from pytest_dura.campaign.settling import ParameterResolver
     from pytest_dura.evidence.redaction.redactor import Redactor
     from pytest_dura.plugin.planning import Planned
     from pytest_dura.requirements.model import Requirement
@@ -58,7 +58,6 @@ class DuraSession:
         self.shared = SharedEpisodes(self)
         self.properties = PropertyTests(self)
         self.selection = Selection(self)
-        self.garbage = CollectorRest()
         self.named_requirements: set[str] = set()
         """Ids that the markers of collected tests name."""
         self.marked: dict[str, Requirement] = {}
@@ -185,8 +184,7 @@ class DuraSession:
 
             self.reach_project()
             try:
-                with no_garbage_collection():
-                    self._library = load_library(self.options.paths)
+                self._library = load_library(self.options.paths)
             except ConfigurationError as error:
                 self._library = error
         if isinstance(self._library, ConfigurationError):
@@ -212,6 +210,13 @@ class DuraSession:
             return {}
         found = self._library.unused
         return {name: found[name] for name in found if name not in self.named_requirements}
+
+    @cached_property
+    def resolver(self) -> ParameterResolver:
+        """Resolves the parameters of roles, each class once a session."""
+        from pytest_dura.campaign.settling import ParameterResolver
+
+        return ParameterResolver()
 
     @cached_property
     def bench(self) -> Bench:
@@ -240,6 +245,7 @@ class DuraSession:
             recorded=self.options.evidence_level != "summary",
             store=self.shared.store(),
             role_timeout=self.options.role_timeout,
+            resolver=self.resolver,
         )
 
     def _make_plan(self) -> None:

@@ -11,7 +11,6 @@ from typing import Any
 from pytest_dura.campaign.cases import one_case
 from pytest_dura.campaign.episodes.task import run_episode
 from pytest_dura.campaign.loading import load_library
-from pytest_dura.campaign.settling import forget
 from pytest_dura.core.episode import Termination
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.llm import session
@@ -63,12 +62,8 @@ class Model:
 def answering(answers, **capabilities):
     """Context in which this model answers; gives the model."""
     model = answers if isinstance(answers, Model) else Model(answers, **capabilities)
-    forget()
-    try:
-        with session.using(session.ModelSession(environ={}, connect=lambda *_: model)):
-            yield model
-    finally:
-        forget()
+    with session.using(session.ModelSession(environ={}, connect=lambda *_: model)):
+        yield model
 
 
 _LIBRARY: list[Any] = []

@@ -78,7 +78,11 @@ class Trials:
         """What the campaign's run of this number was drawn to be."""
         case = self.space.case
         spec = case.spec(
-            run, self.bench.base_seed, self.bench.roles, simulator=self.bench.simulator
+            run,
+            self.bench.base_seed,
+            self.bench.roles,
+            simulator=self.bench.simulator,
+            resolver=self.bench.resolver,
         )
         return searched_case(case, spec.scenario["world"], spec.faults, spec.seed)
 

@@ -302,13 +302,6 @@ class Louder(NumberFault):
         return value * self.parameters.factor
 
 
-def test_parts_that_faults_of_a_grid_have_in_common_are_kept_once() -> None:
-    values = {"parameters.ahead": [9.0, 10.0, 11.0], "activation.at": [1.0, 2.0]}
-    found = list(fault_grids.grid(scenario(), {"fault": GHOST, "grid": values}))
-    assert len({id(one["parameters"]) for one in found}) == 3
-    assert len({id(one["activation"]) for one in found}) == 2
-
-
 def test_a_refusal_shows_what_was_given_though_a_part_of_it_was_read_before() -> None:
     ramp = {"type": "drift", "target": "odometry.speed", "activation": {"at": 1.0}}
     values = {"activation.at": [1.0, 2.0], "duration": [1.0, -1.0]}

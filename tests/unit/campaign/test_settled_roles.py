@@ -6,11 +6,10 @@ import pytest
 from thermostat import Controller
 
 from pytest_dura import ConfigurationError, Generator, Proposal, RoleSpec, SafetyMonitor
-from pytest_dura.campaign import settling
 from pytest_dura.campaign.cases import expand_cases
 from pytest_dura.campaign.components import LocalRole
 from pytest_dura.campaign.loading import load_library
-from pytest_dura.campaign.settling import settled
+from pytest_dura.campaign.settling import ParameterResolver
 
 ASKED: list[dict] = []
 
@@ -60,18 +59,20 @@ def make(power=1.0):
 
 
 @pytest.fixture(autouse=True)
-def anew():
-    settling.forget()
+def nothing_asked():
     ASKED.clear()
-    yield
-    settling.forget()
+
+
+@pytest.fixture
+def settled():
+    return ParameterResolver().resolve
 
 
 def spec_of(kind, **params):
     return RoleSpec(f"{__name__}:{kind.__name__}", params)
 
 
-def test_a_class_is_asked_once_for_the_same_parameters():
+def test_a_class_is_asked_once_for_the_same_parameters(settled):
     first = settled(spec_of(Asking, power=2.0))
     assert first.params == {"power": 2.0, "model": "model-1"}
     assert settled(spec_of(Asking, power=2.0)) is first
@@ -79,19 +80,19 @@ def test_a_class_is_asked_once_for_the_same_parameters():
     assert ASKED == [{"power": 2.0}, {"power": 3.0}]
 
 
-def test_settling_again_changes_nothing():
+def test_settling_again_changes_nothing(settled):
     first = settled(spec_of(Asking))
     assert settled(first) is first
     assert len(ASKED) == 1
 
 
-def test_a_session_that_begins_in_the_same_process_asks_again():
+def test_a_session_that_begins_in_the_same_process_asks_again(settled):
     assert settled(spec_of(Asking)).params["model"] == "model-1"
-    settling.forget()
-    assert settled(spec_of(Asking)).params["model"] == "model-2"
+    again = ParameterResolver().resolve
+    assert again(spec_of(Asking)).params["model"] == "model-2"
 
 
-def test_a_failure_is_not_repeated_and_stays_the_same_error():
+def test_a_failure_is_not_repeated_and_stays_the_same_error(settled):
     for _ in range(2):
         with pytest.raises(ConfigurationError, match="the server is not there"):
             settled(spec_of(Unsettled))
@@ -101,17 +102,17 @@ def test_a_failure_is_not_repeated_and_stays_the_same_error():
 @pytest.mark.parametrize(
     "kind, words",
     [
-        (Broken, "Broken cannot settle its parameters: KeyError"),
-        (NotPlain, "NotPlain cannot settle its parameters: TypeError"),
-        (NoMapping, "NoMapping settles its parameters to something else"),
+        (Broken, "Broken cannot resolve its parameters: KeyError"),
+        (NotPlain, "NotPlain cannot resolve its parameters: TypeError"),
+        (NoMapping, "NoMapping resolves its parameters to something else"),
     ],
 )
-def test_what_a_class_cannot_settle_is_one_error(kind, words):
+def test_what_a_class_cannot_settle_is_one_error(settled, kind, words):
     with pytest.raises(ConfigurationError, match=words):
         settled(spec_of(kind))
 
 
-def test_a_local_class_keeps_its_target_and_is_built_with_what_was_settled():
+def test_a_local_class_keeps_its_target_and_is_built_with_what_was_settled(settled):
     class Local(Asking):
         pass
 
@@ -122,7 +123,7 @@ def test_a_local_class_keeps_its_target_and_is_built_with_what_was_settled():
     assert found.create().model == "model-1"
 
 
-def test_two_local_classes_of_one_path_are_told_apart():
+def test_two_local_classes_of_one_path_are_told_apart(settled):
     path = "conftest.py:Local"
     found = [settled(LocalRole(path, type("Local", (Asking,), {}))) for _ in range(2)]
     assert [one.params["model"] for one in found] == ["model-1", "model-2"]
@@ -139,7 +140,7 @@ def test_two_local_classes_of_one_path_are_told_apart():
     ],
     ids=["instance", "factory", "class that settles nothing", "no such module", "local factory"],
 )
-def test_everything_else_stays_as_it_is(spec):
+def test_everything_else_stays_as_it_is(settled, spec):
     assert settled(spec) is spec
     assert settled(spec) is spec
     assert ASKED == []
@@ -161,7 +162,8 @@ def test_the_spec_of_an_episode_states_what_was_settled_of_every_role():
     library = load_library(())
     (case,) = expand_cases([library.scenarios["intersection/nominal"]])
     roles = {"generator": spec_of(Asking), "safety_monitor": spec_of(Watching)}
-    specs = [case.spec(run, 0, roles) for run in range(3)]
+    resolver = ParameterResolver()
+    specs = [case.spec(run, 0, roles, resolver=resolver) for run in range(3)]
     for spec in specs:
         assert spec.to_json()["roles"]["generator"]["params"] == {"model": "model-1"}
         assert spec.to_json()["roles"]["safety_monitor"]["params"] == {"model": "a judge"}

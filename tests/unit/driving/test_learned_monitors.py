@@ -14,13 +14,13 @@ import pytest
 from roads import SCENARIOS, SIX, Views, car, channels_of, run, spec_of_drive, truth_of
 
 from pytest_dura.__main__ import main
-from pytest_dura.campaign import settling
 from pytest_dura.campaign.cases import expand_cases
 from pytest_dura.campaign.detector_training import Training, detector_class, train
 from pytest_dura.campaign.domains import DOMAINS
 from pytest_dura.campaign.episodes.address import Addresses
 from pytest_dura.campaign.episodes.task import EpisodeTask
 from pytest_dura.campaign.loading import load_library, load_scenarios
+from pytest_dura.campaign.settling import ParameterResolver
 from pytest_dura.core.anomaly import AnomalyModel
 from pytest_dura.core.conformance import check_role
 from pytest_dura.core.errors import ConfigurationError
@@ -63,13 +63,6 @@ def cruise(ticks: int, *bodies: Any, speed: float = 8.0) -> list[dict[str, Any]]
 def faster(percept: dict[str, Any], by: float) -> dict[str, Any]:
     odometry = percept["odometry"]
     return {**percept, "odometry": odometry._replace(speed=odometry.speed + by)}
-
-
-@pytest.fixture(autouse=True)
-def anew():
-    settling.forget()
-    yield
-    settling.forget()
 
 
 def test_features_are_zero_while_all_is_well() -> None:
@@ -278,7 +271,7 @@ def test_the_specs_of_episodes_state_the_models_digest(forest) -> None:
     roles = {"residual_monitor": RoleSpec("isolation_forest", {"model": str(forest)})}
     own = case.spec(0, 0, roles).roles["residual_monitor"]
     assert own.params == {"model": str(forest), "digest": AnomalyModel.read(forest).digest}
-    assert settling.settled(own).params == own.params
+    assert ParameterResolver().resolve(own).params == own.params
 
 
 def test_another_model_is_another_episode(forest, tmp_path) -> None:
@@ -292,7 +285,6 @@ def test_another_model_is_another_episode(forest, tmp_path) -> None:
         AnomalyModel(
             **{**plain, "features": tuple(plain["features"]), "threshold": threshold}
         ).write(file)
-        settling.forget()
         spec = case.spec(0, 0, roles)
         addresses.append(Addresses().of(EpisodeTask(spec)))
     first, second = addresses
