@@ -1,0 +1,202 @@
+"""Whether two checkouts come to the same: digests of episodes, verdicts, and each file of bundles.
+
+Run: python benchmarks/same_results.py run TREE OUT [--only NAME]
+     python benchmarks/same_results.py compare OUT OTHER [--words FILE]
+
+``run`` runs sessions of the built-in scenarios with the package of a checkout and keeps their
+evidence in OUT: the default gate, ``aggressive``, the catalogue of faults, and 480 episodes of four
+planners. ``compare`` reads two such directories. Masked is what differs between two runs of one
+checkout: times, durations, ids of sessions, digests of code and of files that hold such; what is
+masked is replaced, never left out, so that a missing line shows. FILE holds renamed words, one pair
+a line, old and new.
+"""
+
+from __future__ import annotations
+
+import argparse
+import difflib
+import json
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+SESSIONS = {
+    "default": (),
+    "aggressive": ("--dura-generator=aggressive",),
+    "catalogue": ("--dura-faults=catalogue", "--dura-runs=2"),
+    **{
+        f"digests-{planner}": (
+            f"--dura-generator={planner}",
+            "--dura-runs=20",
+            "--dura-seed=11",
+            "--dura-faults=none",
+        )
+        for planner in ("rule_based", "tactical", "reactive", "aggressive")
+    },
+}
+BUNDLES = ("default", "aggressive", "catalogue")
+VOLATILE = frozenset(
+    (
+        *("created", "finished", "command", "environment", "tool", "session", "inputs"),
+        *("timings", "processing_us", "processing_seconds", "wall_clock", "answer_seconds"),
+        *("file_count", "files", "sha256"),
+    )
+)
+"""Keys of the record whose values differ between two runs of one checkout."""
+COMPONENT = frozenset(("digest", "files", "file_count"))
+MASKS = (
+    (re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d(\.\d+)?(Z|\+00:00| UTC)?"), "<time>"),
+    (re.compile(r"\b[0-9a-f]{64}\b"), "<sha256>"),
+    (re.compile(r"\b[0-9a-f]{32}\b"), "<id>"),
+    (re.compile(r"\b\d+(\.\d+)?(e-\d+)? ?(ms|us|MiB|kB|MB)\b"), "<cost>"),
+    (re.compile(r"urn:uuid:[0-9a-f-]{36}"), "<uuid>"),
+)
+SHOWN = 20
+
+
+def run(tree: Path, out: Path, only: str | None) -> None:
+    """Run the sessions."""
+    out.mkdir(parents=True, exist_ok=True)
+    (out / "pytest.ini").write_text("[pytest]\n")
+    for name, options in SESSIONS.items():
+        if only in (None, name):
+            command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider"]
+            done = subprocess.run(
+                [*command, "--dura-scenarios", f"--dura-evidence={name}", *options],
+                check=False,
+                cwd=out,
+                env={**os.environ, "PYTHONPATH": str(tree.resolve())},
+                capture_output=True,
+                text=True,
+            )
+            (out / f"{name}.out").write_text(done.stdout + done.stderr)
+            print(f"{name}: exit code {done.returncode}", flush=True)
+
+
+def record(out: Path, name: str) -> Any:
+    """The record of one session."""
+    return json.loads((out / name / "evidence.json").read_text())
+
+
+def masked(value: Any) -> Any:
+    """A record without what differs between two runs of one checkout."""
+    if isinstance(value, dict):
+        volatile = VOLATILE | (COMPONENT if "distribution" in value else frozenset())
+        return {key: "<masked>" if key in volatile else masked(part) for key, part in value.items()}
+    if isinstance(value, list):
+        return [masked(part) for part in value]
+    return masked_text(value) if isinstance(value, str) else value
+
+
+def masked_text(text: str) -> str:
+    """A text without times, digests and costs."""
+    for pattern, mask in MASKS:
+        text = pattern.sub(mask, text)
+    return text
+
+
+def lines_of(path: Path) -> list[str]:
+    """A file of a bundle as comparable lines."""
+    if path.suffix == ".mcap":
+        return [f"{path.stat().st_size // 1024} KiB"]
+    text = path.read_text(encoding="utf-8")
+    if path.suffix == ".json":
+        return json.dumps(masked(json.loads(text)), indent=1).splitlines()
+    return masked_text(text).splitlines()
+
+
+def compare(own: Path, other: Path, words: Sequence[tuple[str, str]]) -> bool:
+    """Print what differs, and return whether nothing does."""
+    equal = True
+    total = 0
+    for name in SESSIONS:
+        records = [record(out, name) for out in (own, other)]
+        digests = [
+            {episode["id"]: episode["digest"] for episode in data["episodes"]} for data in records
+        ]
+        verdicts = [
+            {
+                (row["requirement"], row["case"]): (row["verdict"], row["violations"], row["run"])
+                for row in data["verdicts"]
+            }
+            for data in records
+        ]
+        same = digests[0] == digests[1]
+        print(
+            f"{name}: {len(digests[0])} episodes, digests {'equal' if same else 'DIFFER'}; "
+            f"{len(verdicts[0])} verdicts {'equal' if verdicts[0] == verdicts[1] else 'DIFFER'}"
+        )
+        total += len(digests[0])
+        equal &= same and verdicts[0] == verdicts[1]
+    print(f"{total} episodes in all")
+    for name in BUNDLES:
+        files = [
+            {
+                str(path.relative_to(out / name))
+                for path in (out / name).rglob("*")
+                if path.is_file()
+            }
+            for out in (own, other)
+        ]
+        if files[0] != files[1]:
+            print(f"{name}: other files: {sorted(files[0] ^ files[1])}")
+            equal = False
+        for file in sorted(files[0] & files[1]):
+            equal &= _compare_file(name, file, own, other, words)
+    return equal
+
+
+def _compare_file(
+    name: str, file: str, own: Path, other: Path, words: Sequence[tuple[str, str]]
+) -> bool:
+    left, right = lines_of(own / name / file), lines_of(other / name / file)
+    renamed = []
+    for line in left:
+        for old, new in words:
+            line = line.replace(old, new)  # noqa: PLW2901 - one word after the other
+        renamed.append(line)
+    changes = [
+        line
+        for line in difflib.unified_diff(renamed, right, lineterm="", n=0)
+        if not line.startswith(("---", "+++", "@@"))
+    ]
+    touched = sum(a != b for a, b in zip(left, renamed, strict=True))
+    if changes:
+        print(f"{name}/{file}: {len(changes)} lines differ")
+        for line in changes[:SHOWN]:
+            print("   ", line[:240])
+    elif not file.startswith("episodes/"):
+        print(f"{name}/{file}: {len(left)} lines equal, {touched} of them but for renamed words")
+    return not changes
+
+
+def main() -> None:
+    """Run or compare."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    actions = parser.add_subparsers(required=True, dest="action")
+    running = actions.add_parser("run")
+    running.add_argument("tree", type=Path)
+    running.add_argument("out", type=Path)
+    running.add_argument("--only")
+    comparing = actions.add_parser("compare")
+    comparing.add_argument("own", type=Path)
+    comparing.add_argument("other", type=Path)
+    comparing.add_argument("--words", type=Path)
+    given = parser.parse_args()
+    if given.action == "run":
+        run(given.tree, given.out, given.only)
+        return
+    words: list[tuple[str, str]] = []
+    if given.words:
+        for line in given.words.read_text().splitlines():
+            old, new = line.split("\t")
+            words.append((old, new))
+    sys.exit(0 if compare(given.own, given.other, words) else 1)
+
+
+if __name__ == "__main__":
+    main()
