@@ -9,6 +9,8 @@ from enum import IntEnum
 from typing import Any, ClassVar
 
 from pytest_dura.core.state import NOTHING, GeneratorView, RoleView
+from pytest_dura.core.state import Alert as Alert
+from pytest_dura.core.state import Proposal as Proposal
 
 
 class Assessed(IntEnum):
@@ -20,33 +22,6 @@ class Assessed(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Proposal:
-    """The Generator's output.
-
-    Args:
-        action: What it wants done. ``None`` where ``failure`` says that there is nothing.
-        explanation: Why, in the component's own words.
-        latency: The component's own response time in seconds, where it is modelled or known;
-            it is held against the time budget, and is deterministic where wall-clock time is not.
-        failure: Why the component came to no decision of its own, if so. ``action`` is what its
-            own fallback does instead. It is assessed and carried out like any other, and counts as
-            a failed proposal.
-        account: What the component tells of how it came to the proposal, as plain data with texts
-            as keys; see :meth:`pytest_dura.Simulator.account_measures`.
-    """
-
-    action: Any
-    explanation: str = ""
-    latency: float | None = None
-    failure: str = ""
-    account: Mapping[str, Any] = NOTHING
-
-    def with_action(self, action: Any) -> Proposal:
-        """The same with another action; at each tick, so without the cost of ``replace``."""
-        return Proposal(action, self.explanation, self.latency, self.failure, self.account)
-
-
-@dataclass(frozen=True, slots=True)
 class Assessment:
     """The output of a monitor. ``score`` is its margin: the larger, the safer."""
 
@@ -54,15 +29,6 @@ class Assessment:
     score: float = 0.0
     reasons: tuple[str, ...] = ()
     critical: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class Alert:
-    """A suspicion about the percept or the component: which pattern, about whom."""
-
-    pattern: str
-    subject: str
-    detail: str = ""
 
 
 @dataclass(frozen=True, slots=True)

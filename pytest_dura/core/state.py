@@ -5,18 +5,27 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pytest_dura.core.errors import LONGEST_TEXT, cut
-from pytest_dura.core.percepts import NOTHING, History, Lazy, Percept, PerceptView, sealed_parts
-
-if TYPE_CHECKING:
-    from pytest_dura.core.roles import Alert, Proposal
-
-__all__ = [
-    "NOTHING", "Event", "GeneratorView", "History", "Lazy", "PastDecision", "Percept",
-    "PerceptView", "RoleView", "StateManager", "Tick", "Transmit",
-]  # fmt: skip
+from pytest_dura.core.percepts import (
+    NOTHING as NOTHING,
+)
+from pytest_dura.core.percepts import (
+    History as History,
+)
+from pytest_dura.core.percepts import (
+    Lazy as Lazy,
+)
+from pytest_dura.core.percepts import (
+    Percept as Percept,
+)
+from pytest_dura.core.percepts import (
+    PerceptView as PerceptView,
+)
+from pytest_dura.core.percepts import (
+    sealed_parts,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +54,42 @@ class Event:
         """Plain data for the evidence record."""
         plain = {"tick": self.tick, "time": self.time, "kind": self.kind, "subject": self.subject}
         return plain | {"detail": self.detail, "data": dict(self.data)}
+
+
+@dataclass(frozen=True, slots=True)
+class Proposal:
+    """The Generator's output.
+
+    Args:
+        action: What it wants done. ``None`` where ``failure`` says that there is nothing.
+        explanation: Why, in the component's own words.
+        latency: The component's own response time in seconds, where it is modelled or known;
+            it is held against the time budget, and is deterministic where wall-clock time is not.
+        failure: Why the component came to no decision of its own, if so. ``action`` is what its
+            own fallback does instead. It is assessed and carried out like any other, and counts as
+            a failed proposal.
+        account: What the component tells of how it came to the proposal, as plain data with texts
+            as keys; see :meth:`pytest_dura.Simulator.account_measures`.
+    """
+
+    action: Any
+    explanation: str = ""
+    latency: float | None = None
+    failure: str = ""
+    account: Mapping[str, Any] = NOTHING
+
+    def with_action(self, action: Any) -> Proposal:
+        """The same with another action; at each tick, so without the cost of ``replace``."""
+        return Proposal(action, self.explanation, self.latency, self.failure, self.account)
+
+
+@dataclass(frozen=True, slots=True)
+class Alert:
+    """A suspicion about the percept or the component: which pattern, about whom."""
+
+    pattern: str
+    subject: str
+    detail: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,6 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.faults.model import Fault
 
 PARAMETERS = "parameters"
 
@@ -50,7 +49,7 @@ class Words:
     values: tuple[Any, ...]
 
 
-def spans_of(kind: type[Fault]) -> Mapping[str, Span | Words]:
+def spans_of(kind: type[BaseModel]) -> Mapping[str, Span | Words]:
     """The parameters of a type that a search may change, such as ``parameters.offset``.
 
     Those are the numbers with a :class:`Span` in their annotation, truth values, and words of a
@@ -70,7 +69,7 @@ def spans_of(kind: type[Fault]) -> Mapping[str, Span | Words]:
     return {f"{PARAMETERS}.{name}": one for name, one in found.items() if one is not None}
 
 
-def parameters_of(kind: type[Fault]) -> type[BaseModel] | None:
+def parameters_of(kind: type[BaseModel]) -> type[BaseModel] | None:
     """The model of a type's parameters; ``None`` for a type of a user's own that has none."""
     field = kind.model_fields.get(PARAMETERS)
     model = None if field is None else field.annotation

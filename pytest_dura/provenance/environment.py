@@ -14,8 +14,6 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from pytest_dura.provenance.places import is_installed
 from pytest_dura.provenance.sources import sources_of
 
@@ -50,6 +48,8 @@ def describe_arithmetic() -> dict[str, Any]:
     ``cpu_features`` are the instruction sets that NumPy uses on this machine, ``blas`` is the
     library that multiplies its matrices; ``None`` where NumPy does not tell.
     """
+    import numpy as np
+
     found: Any = np.show_config(mode="dicts")
     simd = found.get("SIMD Extensions")
     blas = found.get("Build Dependencies", {}).get("blas")

@@ -9,8 +9,15 @@ from typing import Protocol, cast
 from pytest_dura.evidence.record.counts import Counts
 from pytest_dura.evidence.record.session_record import SessionRecord
 
-NAMES = ("summary", "report", "gsn.yaml_file", "gsn.svg_file", "cyclonedx", "intoto")
-"""The modules of this package that are formats, in the order in which they are written."""
+FORMATS = (
+    "pytest_dura.evidence.formats.summary",
+    "pytest_dura.evidence.formats.report",
+    "pytest_dura.evidence.formats.gsn.yaml_file",
+    "pytest_dura.evidence.formats.gsn.svg_file",
+    "pytest_dura.evidence.formats.cyclonedx",
+    "pytest_dura.evidence.formats.intoto",
+)
+"""The modules of the formats, in the order in which they are written."""
 
 
 class Format(Protocol):
@@ -33,5 +40,5 @@ class Format(Protocol):
 
 def all_formats() -> Iterator[Format]:
     """Every format, imported when it is asked for."""
-    for name in NAMES:
-        yield cast("Format", import_module(f"{__name__}.{name}"))
+    for name in FORMATS:
+        yield cast("Format", import_module(name))

@@ -28,11 +28,11 @@ from typing import Any
 
 from pytest_dura.evidence.bundle.directory import RECORD
 from pytest_dura.evidence.bundle.manifest import file_entry
-from pytest_dura.evidence.formats.stated import UNREVIEWED, components, part, sha256
+from pytest_dura.evidence.formats.stated import UNREVIEWED, part, sha256
 from pytest_dura.evidence.plain import plain
 from pytest_dura.evidence.record.counts import Counts
 from pytest_dura.evidence.record.searches import NOTHING, standing
-from pytest_dura.evidence.record.session_record import SessionRecord
+from pytest_dura.evidence.record.session_record import SessionRecord, components_under_test
 from pytest_dura.evidence.text import name, visible
 
 FILE = "test-result.intoto.json"
@@ -183,7 +183,7 @@ def _subjects(record: SessionRecord) -> list[Data]:
         raise ValueError(f"{RECORD} has to be written before the statement on it")
     found = [
         {"name": name(one["name"] or "unknown", NAME_LIMIT), "digest": {"sha256": digest}}
-        for one in components(record)
+        for one in components_under_test(record)
         if (digest := sha256(one.get("digest")))
     ]
     return [*found, {"name": RECORD, "digest": {"sha256": file_entry(file)["sha256"]}}]
@@ -210,7 +210,7 @@ def _campaign(record: SessionRecord, names: list[str]) -> Data:
             "part": part(record) or "whole",
             "reasons": [visible(one) for one in record["gate"]["reasons"][:REASONS]],
             "components": [
-                name(one["name"] or "unknown", NAME_LIMIT) for one in components(record)
+                name(one["name"] or "unknown", NAME_LIMIT) for one in components_under_test(record)
             ],
             "command": visible(record["command"]),
             "base_seed": str(record["base_seed"]),  # as a number, JSON readers would round it

@@ -7,7 +7,8 @@ from collections.abc import Iterator, Mapping
 from xml.etree import ElementTree as ET
 
 from pytest_dura.evidence import text
-from pytest_dura.evidence.formats.stated import EPISODE_WORDS, WORDS
+from pytest_dura.requirements.verdicts.campaigns import CAMPAIGN_STATUSES
+from pytest_dura.requirements.verdicts.episodes import EPISODE_STATUSES
 
 Key = tuple[str, str, str]
 """Case, requirement, and node id of the test; see :func:`junit_key`."""
@@ -33,7 +34,7 @@ def junit_verdicts(xml: str) -> dict[Key, tuple[str, ...]]:
     for item, group in _groups(xml):
         word = group.get("verdict")
         if word is not None:
-            found.setdefault(_key(item, group), []).append(_one_of(WORDS, word, item))
+            found.setdefault(_key(item, group), []).append(_one_of(CAMPAIGN_STATUSES, word, item))
     return {key: tuple(sorted(words)) for key, words in found.items()}
 
 
@@ -48,7 +49,7 @@ def junit_outcomes(xml: str) -> dict[Key, Counter[str]]:
         word = group.get("episode_verdict")
         if word is not None:
             key = _key(item.partition("[")[0], group)
-            found.setdefault(key, Counter())[_one_of(EPISODE_WORDS, word, item)] += 1
+            found.setdefault(key, Counter())[_one_of(EPISODE_STATUSES, word, item)] += 1
     return found
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from pytest_dura.evidence.formats.model_lines import model_lines
-from pytest_dura.evidence.formats.stated import UNREVIEWED, components, merged
-from pytest_dura.evidence.record.session_record import SessionRecord
+from pytest_dura.evidence.formats.stated import UNREVIEWED, merged
+from pytest_dura.evidence.record.session_record import SessionRecord, components_under_test
 from pytest_dura.evidence.text import code, name
 
 
@@ -15,7 +15,7 @@ def provenance_lines(record: SessionRecord, most: int) -> Iterator[str]:
     git, tool, told = record["environment"]["git"] or {}, record["tool"], record["environment"]
     commit = _name(git.get("commit")) + (" with local changes" if git.get("dirty") else "")
     yield from ["", "## Provenance", ""]
-    for one in components(record)[:most]:
+    for one in components_under_test(record)[:most]:
         version = f", version {_name(str(one['version']))}" if one.get("version") else ""
         digest = f", SHA-256 {_name(one['digest'])}" if one.get("digest") else ", no digest"
         yield f"- component under test: {_name(one['name'])}{version}{digest}"

@@ -6,18 +6,13 @@ import json
 import re
 from collections import Counter
 from collections.abc import Mapping
-from typing import Any, get_args
+from typing import Any
 
 from pytest_dura.evidence.record.session_record import SessionRecord
-from pytest_dura.requirements.verdicts.campaigns import CampaignWord
-from pytest_dura.requirements.verdicts.episodes import EpisodeWord
 from pytest_dura.requirements.verdicts.situations import SITUATIONS
 
 Data = Mapping[str, Any]
 UNREVIEWED = "generated, unreviewed"
-WORDS: tuple[str, ...] = get_args(CampaignWord)
-"""Of verdicts on campaigns: supported, violated, undecided."""
-EPISODE_WORDS: tuple[str, ...] = get_args(EpisodeWord)
 NAMED = 8
 """Names of what a test looked at, in a sentence."""
 _SHA256 = re.compile(r"[0-9a-f]{64}")
@@ -132,12 +127,6 @@ def merged(record: SessionRecord) -> str:
     several = len({json.dumps(one, sort_keys=True) for one in places}) > 1
     count = f"{len(shards)} shard{'' if len(shards) == 1 else 's'}"
     return f"{count}, in environments that differ" if several else f"{count}, in one environment"
-
-
-def components(record: SessionRecord) -> list[Data]:
-    """The components under test that the record describes, the first one first."""
-    first = record["component_under_test"]
-    return [first, *first.get("others", ())]
 
 
 def sha256(text: object) -> str | None:

@@ -9,10 +9,9 @@ from pathlib import PurePosixPath
 from typing import Any
 
 from pytest_dura.core.errors import ConfigurationError, shorten
-from pytest_dura.evidence.formats.stated import components
 from pytest_dura.evidence.merging.parts import Part
 from pytest_dura.evidence.record.attempts import question
-from pytest_dura.evidence.record.session_record import SessionRecord
+from pytest_dura.evidence.record.session_record import SessionRecord, components_under_test
 from pytest_dura.provenance.ourselves import describe_tool
 
 Data = Mapping[str, Any]
@@ -169,7 +168,7 @@ def _code(record: SessionRecord) -> Named:
 
 
 def _under_test(record: SessionRecord) -> Named:
-    known = [one for one in components(record) if one["name"] is not None]
+    known = [one for one in components_under_test(record) if one["name"] is not None]
     times = Counter(one["name"] for one in known)
     for one in known:
         told = {key: value for key, value in one.items() if key not in ("others", "sources")}

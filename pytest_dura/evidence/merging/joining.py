@@ -7,13 +7,13 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from pytest_dura.evidence.formats.stated import components
 from pytest_dura.evidence.merging.parts import Part
 from pytest_dura.evidence.record.evidence_record import EvidenceRecord
 from pytest_dura.evidence.record.faults import UNFOLLOWED
 from pytest_dura.evidence.record.gate import NO_TESTS, OK, TESTS_FAILED, Gate
 from pytest_dura.evidence.record.item_report import ItemReport
 from pytest_dura.evidence.record.reuse import joined_reuse
+from pytest_dura.evidence.record.session_record import components_under_test
 
 Data = Mapping[str, Any]
 _OF_ITS_OWN = {"metrics", "missing_runs", "missing_runs_total", "repeat"}
@@ -94,7 +94,9 @@ def join(record: EvidenceRecord, parts: Sequence[Part]) -> None:
     for part in parts:
         told = part.record
         report = ItemReport("")
-        report.components += [_without(one, _OF_ALL) for one in components(told) if one["name"]]
+        report.components += [
+            _without(one, _OF_ALL) for one in components_under_test(told) if one["name"]
+        ]
         report.sources.update(told["component_under_test"].get("sources", {}))
         report.cases += [_without(one, _OF_ITS_OWN) for one in told["cases"]]
         report.repeats += [

@@ -37,3 +37,9 @@ class SessionRecord:
         """That of a record which is in memory as a whole."""
         head = {key: value for key, value in record.items() if key != "episodes"}
         return cls(head, directory, lambda: iter(record["episodes"]))
+
+
+def components_under_test(record: SessionRecord) -> list[Any]:
+    """The components under test that the record describes, the first one first."""
+    first = record["component_under_test"]
+    return [first, *first.get("others", ())]

@@ -8,9 +8,8 @@ from pathlib import PurePosixPath, PureWindowsPath
 from typing import Any
 
 from pytest_dura.core.episode import canonical
-from pytest_dura.evidence.formats.stated import components
 from pytest_dura.evidence.record.searches import CLAIMED, NOTHING
-from pytest_dura.evidence.record.session_record import SessionRecord
+from pytest_dura.evidence.record.session_record import SessionRecord, components_under_test
 
 Data = Mapping[str, Any]
 MARK = "@"
@@ -23,7 +22,7 @@ def search_problems(record: SessionRecord) -> Iterator[str]:
     """Everything in which searches contradict themselves or the record, and what rests on them."""
     yield from _in_rates(record)
     listed = {one["id"]: one for one in record["requirements"]}
-    described = {one["name"] for one in components(record)}
+    described = {one["name"] for one in components_under_test(record)}
     told: Counter[bytes] = Counter()
     for one in record["searches"]:
         place = f"search by {one['item']} on {one['case']}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from pytest_dura.requirements.statistics import METHOD
 from pytest_dura.requirements.verdicts.situations import Situation
 
 CampaignWord = Literal["supported", "violated", "undecided"]
+CAMPAIGN_STATUSES: tuple[str, ...] = get_args(CampaignWord)
 
 EVERY_EPISODE = "every episode"
 """The method of a requirement that accepts no violation."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
 EpisodeWord = Literal["satisfied", "violated", "open", "invalid", "missing"]
+EPISODE_STATUSES: tuple[str, ...] = get_args(EpisodeWord)
 
 EARLY_ENDS = {
     "critical": "the episode ended critical",

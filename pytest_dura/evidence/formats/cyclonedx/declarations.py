@@ -16,10 +16,10 @@ from pytest_dura.evidence.formats.cyclonedx.parts import (
     described,
     requirement_ref,
 )
-from pytest_dura.evidence.formats.stated import UNREVIEWED, bound, components, part, sample
+from pytest_dura.evidence.formats.stated import UNREVIEWED, bound, part, sample
 from pytest_dura.evidence.plain import plain
 from pytest_dura.evidence.record.searches import AGAINST, NOTHING, standing
-from pytest_dura.evidence.record.session_record import SessionRecord
+from pytest_dura.evidence.record.session_record import SessionRecord, components_under_test
 from pytest_dura.evidence.text import name, one_line, visible
 
 Data = dict[str, Any]
@@ -93,7 +93,7 @@ class _Targets:
     @classmethod
     def of(cls, record: SessionRecord) -> _Targets:
         known: dict[str, Any] = {}
-        for one in components(record):
+        for one in components_under_test(record):
             known.setdefault(one["name"], one)
         for verdict in record["verdicts"]:
             known.setdefault(verdict["component"], {"name": verdict["component"]})

@@ -17,10 +17,10 @@ from pytest_dura.evidence.formats.cyclonedx.parts import (
     properties,
     requirement_ref,
 )
-from pytest_dura.evidence.formats.stated import UNREVIEWED, components
+from pytest_dura.evidence.formats.stated import UNREVIEWED
 from pytest_dura.evidence.plain import plain
 from pytest_dura.evidence.record.counts import Counts
-from pytest_dura.evidence.record.session_record import SessionRecord
+from pytest_dura.evidence.record.session_record import SessionRecord, components_under_test
 from pytest_dura.evidence.text import name, visible
 
 FILE = "cyclonedx.json"
@@ -80,7 +80,7 @@ def _metadata(record: SessionRecord) -> Data:
                 }
             ]
         },
-        "component": described(components(record)[0], "component-under-test"),
+        "component": described(components_under_test(record)[0], "component-under-test"),
         "properties": properties(told),
     }
 

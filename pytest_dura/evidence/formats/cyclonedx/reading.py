@@ -8,9 +8,9 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 from urllib.parse import unquote
 
-from pytest_dura.evidence.formats.stated import WORDS
 from pytest_dura.evidence.record.counts import Counts
 from pytest_dura.evidence.record.session_record import SessionRecord
+from pytest_dura.requirements.verdicts.campaigns import CAMPAIGN_STATUSES
 
 Data = Mapping[str, Any]
 _PREFIX = "pytest-dura:"
@@ -34,7 +34,7 @@ def read_counts(text: str) -> Counts:
             gate=stated[f"{_PREFIX}gate"],
             requirements=requirements,
             **{key: int(stated[f"{_PREFIX}{key}"]) for key in numbers},
-            **{word: words[word] for word in WORDS},
+            **{word: words[word] for word in CAMPAIGN_STATUSES},
             waived=waived,
         )
     except (LookupError, TypeError, AttributeError) as error:
@@ -55,7 +55,7 @@ def _verdicts(declared: Data) -> tuple[Counter[str], int]:
     for claim in declared["claims"]:
         evidence = entries[claim["evidence"][0]]
         word = evidence["propertyName"].removeprefix(f"{_PREFIX}verdict:")
-        if word not in WORDS:
+        if word not in CAMPAIGN_STATUSES:
             raise ValueError(f"{claim['bom-ref']} rests on evidence of no verdict")
         place = "counterClaims" if word == "violated" else "claims"
         if mapped.pop((claim["bom-ref"], place), 0) != 1:

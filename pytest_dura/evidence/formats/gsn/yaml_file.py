@@ -8,9 +8,9 @@ from typing import Any, NoReturn
 
 from pytest_dura.evidence.formats.gsn.merging import argument_with_users
 from pytest_dura.evidence.formats.gsn.rules import problems
-from pytest_dura.evidence.formats.stated import WORDS
 from pytest_dura.evidence.record.counts import Counts
 from pytest_dura.evidence.record.session_record import SessionRecord
+from pytest_dura.requirements.verdicts.campaigns import CAMPAIGN_STATUSES
 
 FILE = "assurance-case.gsn.yaml"
 MODULE = "module"
@@ -154,7 +154,7 @@ def _counted(elements: Mapping[str, Any]) -> Counter[str]:
                 _refuse(f"{id_} is drawn as {word}, and its verdict is {one.get('verdict')}")
             counted[word] += 1
         elif what == UNUSED[:-1]:
-            for key in (*WORDS, "requirements", "waived"):
+            for key in (*CAMPAIGN_STATUSES, "requirements", "waived"):
                 counted[key] += int(one.get(key, 0))
     return counted
 

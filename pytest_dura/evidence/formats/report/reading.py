@@ -6,8 +6,8 @@ from collections import Counter
 from dataclasses import dataclass, field
 from html.parser import HTMLParser
 
-from pytest_dura.evidence.formats.stated import WORDS
 from pytest_dura.evidence.record.counts import Counts
+from pytest_dura.requirements.verdicts.campaigns import CAMPAIGN_STATUSES
 
 GATES = ("passed", "failed", "incomplete")
 _MARKS = ("gate-word", "word", "waived", "folded-supported", "folded-cases")
@@ -39,7 +39,7 @@ def read_counts(text: str) -> Counts:
         valid=episodes["valid"],
         invalid=episodes["invalid"],
         missing=episodes["missing"],
-        **{word: page.words[word] for word in WORDS},
+        **{word: page.words[word] for word in CAMPAIGN_STATUSES},
         waived=page.waived,
     )
 
@@ -127,7 +127,7 @@ class _Page(HTMLParser):
 
     def _end_row(self, row: _Row) -> None:
         if self._table == "verdicts" and "verdict" in row.kinds:
-            if len(row.words) != 1 or row.words[0] not in WORDS:
+            if len(row.words) != 1 or row.words[0] not in CAMPAIGN_STATUSES:
                 raise ValueError(f"a verdict reads {row.words}")
             self.words[row.words[0]] += 1
             self.waived += row.waived
