@@ -77,7 +77,7 @@ class OpenAiServer:
 
     def probe(self) -> tuple[str, Mapping[str, Any]]:
         """See :class:`Server`."""
-        from pytest_dura.llm.capabilities import probe
+        from pytest_dura.llm.capabilities.probe import probe
 
         found = probe(self.client, self.endpoint, PROBING).to_json()
         return str(found["fingerprint"]), found

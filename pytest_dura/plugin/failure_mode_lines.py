@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 from pytest_dura.evidence.views.failure_modes import (
     HEADINGS,
-    Data,
     ages,
     answers,
     by_kind,
@@ -15,7 +14,7 @@ from pytest_dura.evidence.views.failure_modes import (
     summed,
     told,
 )
-from pytest_dura.plugin.tables import aligned
+from pytest_dura.plugin.tables import Data, aligned
 
 COLUMNS = ("decisions", "share %", "null %", "episodes")
 LEGEND = (

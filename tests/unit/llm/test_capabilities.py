@@ -10,7 +10,8 @@ import pytest
 import scripted_server as script
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.llm.capabilities import Capabilities, probe
+from pytest_dura.llm.capabilities.found import Capabilities
+from pytest_dura.llm.capabilities.probe import probe
 from pytest_dura.llm.capabilities.canary import CODE, canary, tells
 from pytest_dura.llm.client import OpenAiClient
 from pytest_dura.llm.endpoint import Endpoint

@@ -16,7 +16,8 @@ import scripted_server as script
 from llm_servers import KEY
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.llm.client import OpenAiClient, chat
+import pytest_dura.llm.client.chat as chat_module
+from pytest_dura.llm.client.chat import OpenAiClient
 from pytest_dura.llm.client.failing import RESPONSES
 from pytest_dura.llm.endpoint import Endpoint
 from pytest_dura.llm.port import Image, Message, Request
@@ -202,7 +203,7 @@ def test_an_interrupt_is_none(client, monkeypatch) -> None:
     def interrupted(_body):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(chat, "read_completion", interrupted)
+    monkeypatch.setattr(chat_module, "read_completion", interrupted)
     with pytest.raises(KeyboardInterrupt):
         client(script.answers("ok")).ask(REQUEST, BUDGET)
 
