@@ -24,12 +24,12 @@ from machine import machine, table
 from reads import can_reach, channels_read
 from scipy.stats import chi2
 
-from pytest_dura import Bench
-from pytest_dura.campaign.cases import expand_cases
-from pytest_dura.campaign.domains import DOMAINS
-from pytest_dura.campaign.loading import load_library
+from pytest_dura import Runner
 from pytest_dura.core.metrics import FaultRecord
 from pytest_dura.core.role_spec import RoleSpec
+from pytest_dura.domains import DOMAINS
+from pytest_dura.library.cases import expand_cases
+from pytest_dura.library.loading import load_library
 
 Roles = dict[str, RoleSpec | None]
 DRIVING = DOMAINS["driving"]
@@ -79,7 +79,7 @@ def roles_of(generator: str, arm: str) -> Roles:
 def run(job: Job) -> Outcome:
     """All episodes of a job."""
     library = load_library([])
-    bench = Bench(
+    bench = Runner(
         lambda: library, base_seed=job.seed, roles=roles_of(job.generator, job.arm), twins=False
     )
     case = bench.case(job.scenario, job.fault)

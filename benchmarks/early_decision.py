@@ -13,9 +13,9 @@ from time import perf_counter
 
 from machine import machine, table
 
-from pytest_dura import Bench, Requirement, RoleSpec
-from pytest_dura.campaign.domains import DOMAINS
-from pytest_dura.campaign.loading import load_library
+from pytest_dura import Requirement, RoleSpec, Runner
+from pytest_dura.domains import DOMAINS
+from pytest_dura.library.loading import load_library
 from pytest_dura.requirements.model import Method
 
 LIMIT, P0 = 0.05, 0.01
@@ -40,7 +40,7 @@ def judged(planner: str, *, recovers: bool, scenario: str, budget: int) -> list[
         requirement = Requirement(
             "RATE", check="always (gap > 0)", at_most=LIMIT, method=method, p0=p0
         )
-        campaign = Bench(lambda: library, roles=roles).campaign(
+        campaign = Runner(lambda: library, roles=roles).campaign(
             scenario, budget, until_decided=True
         )
         began = perf_counter()

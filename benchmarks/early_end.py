@@ -18,11 +18,11 @@ from typing import NamedTuple
 from machine import machine, table
 
 from pytest_dura import Orchestrator, Requirement, RoleSpec, Simulator, Termination, Tick
-from pytest_dura.campaign.cases import Case, expand_cases
-from pytest_dura.campaign.domains import DOMAINS
-from pytest_dura.campaign.loading import load_library
-from pytest_dura.requirements.judge import RequirementJudge
-from pytest_dura.requirements.verdicts import judge_episode
+from pytest_dura.domains import DOMAINS
+from pytest_dura.library.cases import Case, expand_cases
+from pytest_dura.library.loading import load_library
+from pytest_dura.requirements.early_end import RequirementJudge
+from pytest_dura.requirements.verdicts.episodes import judge_episode
 
 PLANNERS = DOMAINS["driving"].short_names["generator"]
 ASKED = (

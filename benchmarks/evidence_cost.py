@@ -63,19 +63,18 @@ class Clock:
 def watch(clock: Clock) -> None:
     """Let the clock run in everything that makes evidence."""
     from pytest_dura.core.log import EpisodeLog
-    from pytest_dura.evidence.bundle import writing
+    from pytest_dura.evidence import bundle
     from pytest_dura.plugin.evidence import SessionEvidence
-    from pytest_dura.plugin.reporter import Reporter
-    from pytest_dura.plugin.traces import TraceKeeper
+    from pytest_dura.plugin.recorder import ItemRecorder, TraceKeeper
 
     clock.runs_in(EpisodeLog, "_recording", "recording")
     for name in ("episode_used", "verdict_reached", "monitors_judged", "faults_followed", "attach"):
-        clock.runs_in(Reporter, name, "items")
+        clock.runs_in(ItemRecorder, name, "items")
     for name in ("used", "violated"):
         clock.runs_in(TraceKeeper, name, "traces")
     for name in ("start", "gather", "take", "finish"):
         clock.runs_in(SessionEvidence, name, "record")
-    clock.runs_in(writing, "_write_format", "formats")
+    clock.runs_in(bundle, "_write_format", "formats")
 
 
 def session(level: str, directory: Path, options: list[str]) -> None:

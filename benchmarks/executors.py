@@ -19,13 +19,12 @@ from pathlib import Path
 
 from machine import machine, table
 
-from pytest_dura.campaign.cases import expand_cases
-from pytest_dura.campaign.episodes.store import EpisodeStore
-from pytest_dura.campaign.episodes.task import EpisodeTask
-from pytest_dura.campaign.execution.choice import execution_of
-from pytest_dura.campaign.execution.executors import Execution
-from pytest_dura.campaign.loading import load_library
-from pytest_dura.campaign.runner import Bench
+from pytest_dura.execution.executors import Execution, execution_of
+from pytest_dura.execution.store import EpisodeStore
+from pytest_dura.execution.task import EpisodeTask
+from pytest_dura.library.cases import expand_cases
+from pytest_dura.library.loading import load_library
+from pytest_dura.runner import Runner
 
 WIDTH = 2
 
@@ -33,7 +32,7 @@ WIDTH = 2
 def tasks(runs: int, select: str) -> list[EpisodeTask]:
     """The episodes."""
     library = load_library([])
-    bench = Bench(lambda: library)
+    bench = Runner(lambda: library)
     scenarios = [one for name, one in library.scenarios.items() if fnmatch.fnmatch(name, select)]
     cases = expand_cases(scenarios, read=library.faults)
     return [bench.task(case, run) for case in cases for run in range(runs)]

@@ -19,12 +19,12 @@ from functools import cache
 from machine import machine, table
 from reads import can_reach, channels_read
 
-from pytest_dura import Bench
-from pytest_dura.campaign.cases import expand_cases
-from pytest_dura.campaign.chains import CausalChain
-from pytest_dura.campaign.domains import DOMAINS
-from pytest_dura.campaign.loading import load_library
+from pytest_dura import Runner
+from pytest_dura.campaign.causal_chains import CausalChain
 from pytest_dura.core.role_spec import RoleSpec
+from pytest_dura.domains import DOMAINS
+from pytest_dura.library.cases import expand_cases
+from pytest_dura.library.loading import load_library
 
 DRIVING = DOMAINS["driving"]
 PLANNERS = ("rule_based", "reactive", "aggressive")
@@ -56,7 +56,7 @@ def run(job: Job) -> list[Link]:
         "generator": RoleSpec(DRIVING.short_names["generator"][job.planner]),
         "residual_monitor": RoleSpec(DRIVING.short_names["residual_monitor"]["cusum"]),
     }
-    bench = Bench(lambda: library, base_seed=job.seed, roles=roles)
+    bench = Runner(lambda: library, base_seed=job.seed, roles=roles)
     found = []
     for case in expand_cases([library.scenarios[job.scenario]], job.faults):
         episode = bench.episode(case, job.run)

@@ -17,8 +17,8 @@ import numpy as np
 from machine import table
 
 from pytest_dura.requirements.model import Method, Requirement
-from pytest_dura.requirements.verdicts import CampaignJudge, EpisodeVerdict
-from pytest_dura.requirements.verdicts.episodes import EpisodeWord
+from pytest_dura.requirements.verdicts.episodes import EpisodeStatus, EpisodeVerdict
+from pytest_dura.requirements.verdicts.judging import CampaignJudge
 
 LIMIT, P0, CONFIDENCE = 0.05, 0.01, 0.95
 SHARES = (0.0, 0.5, 0.8, 1.0)
@@ -29,7 +29,7 @@ PLANS: tuple[tuple[Method, float | None, int], ...] = (
 )
 
 
-def episode(word: EpisodeWord) -> EpisodeVerdict:
+def episode(word: EpisodeStatus) -> EpisodeVerdict:
     """An episode's verdict; which run it was does not matter to a rate."""
     ended = "critical" if word == "open" else ""
     return EpisodeVerdict("R", "case#0", "component", word, None, None, "", 10, 10, ended=ended)

@@ -18,13 +18,13 @@ from typing import Any
 
 from machine import machine, table
 
-from pytest_dura.campaign.cases import expand_cases
-from pytest_dura.campaign.loading import load_library
 from pytest_dura.core.episode import Episode, EpisodeSpec
 from pytest_dura.core.orchestrator import Orchestrator
 from pytest_dura.driving.sensors import FAULT_TARGETS
 from pytest_dura.faults.catalogue import parse_fault
 from pytest_dura.faults.injector import CampaignInjector
+from pytest_dura.library.cases import expand_cases
+from pytest_dura.library.loading import load_library
 
 NEVER = 1e6
 """s; later than any episode ends."""

@@ -15,16 +15,15 @@ import statistics
 
 from machine import machine, table
 
-from pytest_dura import Bench, RoleSpec
-from pytest_dura.campaign.cases import one_case
-from pytest_dura.campaign.domains import DOMAINS
-from pytest_dura.campaign.loading import load_library
-from pytest_dura.campaign.search.baselines import alone
-from pytest_dura.campaign.search.falsify import falsify
-from pytest_dura.campaign.search.limits import Limits
-from pytest_dura.campaign.search.portfolio import trivial_searchers
-from pytest_dura.campaign.search.space.search_space import SearchSpace
-from pytest_dura.campaign.search.trials import Asked, Trials
+from pytest_dura import RoleSpec, Runner
+from pytest_dura.campaign.falsification import Limits
+from pytest_dura.domains import DOMAINS
+from pytest_dura.library.cases import case_with_faults
+from pytest_dura.library.loading import load_library
+from pytest_dura.search.falsify import falsify
+from pytest_dura.search.portfolio import trivial_searchers
+from pytest_dura.search.space import SearchSpace
+from pytest_dura.search.trials import Objective, Trials, run_alone
 
 FAULTS = (
     "object-miss", "position-noise", "range-cut", "class-change", "moved-obstacle",
@@ -45,9 +44,9 @@ def simulations(job: Job) -> int | None:
     planner, scenario, method, seed, budget = job
     library = load_library([])
     path = DOMAINS["driving"].short_names["generator"][planner]
-    bench = Bench(lambda: library, seed, roles={"generator": RoleSpec(path)})
-    case = one_case(library.scenarios[f"intersection/{scenario}"], "none")
-    asked = Asked(library.requirements["SAF-1"])
+    bench = Runner(lambda: library, seed, roles={"generator": RoleSpec(path)})
+    case = case_with_faults(library.scenarios[f"intersection/{scenario}"], "none")
+    asked = Objective(library.requirements["SAF-1"])
     if method == SEARCH:
         limits = Limits(budget, shrink=0, baselines=False)
         (outcome,) = falsify(bench, case, [asked], limits=limits, faults=FAULTS).outcomes
@@ -56,7 +55,7 @@ def simulations(job: Job) -> int | None:
     space = SearchSpace.of(case, FAULTS, lasting=lasting)
     trials = Trials(bench, space, [asked])
     trivial = dict(trivial_searchers(space.layout, seed))
-    (first,) = alone(trials, trivial.get(method), budget).first
+    (first,) = run_alone(trials, trivial.get(method), budget).first
     if first is None:
         return None
     if method == RANDOM:

@@ -17,16 +17,13 @@ import numpy as np
 from machine import machine, table
 from scipy.stats import binom
 
-from pytest_dura.requirements.statistics import (
+from pytest_dura.requirements.statistics.rate_tests import EProcess, FixedN, Sprt, runs_needed
+from pytest_dura.requirements.statistics.sequential import (
     Boundaries,
     Characteristics,
     Decision,
-    EProcess,
-    FixedN,
     SequentialTest,
-    Sprt,
     operating_characteristics,
-    runs_needed,
     simulate,
 )
 

@@ -19,17 +19,16 @@ from statistics import median
 
 from machine import machine, table
 
-from pytest_dura.campaign.cases import Case, expand_cases
-from pytest_dura.campaign.loading import load_library
-from pytest_dura.campaign.search.shrinking.changes import changes_of, count_parameters
-from pytest_dura.campaign.search.shrinking.shrink import shrink
-from pytest_dura.campaign.search.space.search_space import SearchSpace
-from pytest_dura.campaign.search.space.searched import SearchedCase
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.orchestrator import Orchestrator
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.seeding import derive_seed, stream
-from pytest_dura.driving.concrete import concrete_world
+from pytest_dura.driving.scenario import concrete_world
+from pytest_dura.library.cases import Case, SearchedCase, expand_cases
+from pytest_dura.library.loading import load_library
+from pytest_dura.search.differences import changes_of, count_parameters
+from pytest_dura.search.shrinking import shrink
+from pytest_dura.search.space import SearchSpace
 
 PLANNERS = ("reactive", "aggressive")
 Job = tuple[str, str, bool, int, int, int]

@@ -3,14 +3,8 @@
 from __future__ import annotations
 
 from pytest_dura import StlSafetyMonitor
-from pytest_dura.core.roles import (
-    Alert,
-    Assessed,
-    RoleContext,
-    SecurityAssessment,
-    SecurityAssessor,
-)
-from pytest_dura.core.state import RoleView
+from pytest_dura.core.roles import Assessed, RoleContext, SecurityAssessment, SecurityAssessor
+from pytest_dura.core.state import Alert, RoleView
 from pytest_dura.driving.junction import SPEED_LIMIT
 from pytest_dura.driving.maneuvers import MAX_ACCELERATION, MAX_BRAKING
 

@@ -9,14 +9,10 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from pytest_dura.campaign.campaigns import Campaign, RequirementViolated
-    from pytest_dura.campaign.cases import Case
-    from pytest_dura.campaign.paired import PairedCampaign
-    from pytest_dura.campaign.runner import Bench
-    from pytest_dura.campaign.search.campaigns import Falsified
-    from pytest_dura.campaign.search.result import Falsification
-    from pytest_dura.campaign.search.space.searched import SearchedCase
-    from pytest_dura.core.conformance import check_role, check_simulator
+    from pytest_dura.campaign.campaign import Campaign, RequirementViolated
+    from pytest_dura.campaign.falsification import Falsification
+    from pytest_dura.campaign.pairs import PairedCampaign
+    from pytest_dura.core.conformance import check_role
     from pytest_dura.core.episode import Episode, EpisodeSpec, Policy, Termination
     from pytest_dura.core.errors import (
         ActionError,
@@ -27,11 +23,8 @@ if TYPE_CHECKING:
     )
     from pytest_dura.core.metrics import DependabilityMetrics, FaultRecord
     from pytest_dura.core.orchestrator import Orchestrator
-    from pytest_dura.core.percepts import sealed
-    from pytest_dura.core.recording import Line, Recording, Scene, Tracks
     from pytest_dura.core.role_spec import RoleSpec
     from pytest_dura.core.roles import (
-        Alert,
         Assessed,
         Assessment,
         FaultInjector,
@@ -39,7 +32,6 @@ if TYPE_CHECKING:
         Injection,
         PerformanceAssessment,
         PerformanceOracle,
-        Proposal,
         Recovery,
         RecoveryPlanner,
         Role,
@@ -49,25 +41,35 @@ if TYPE_CHECKING:
         SecurityAssessor,
     )
     from pytest_dura.core.seeding import derive_seed, stream
-    from pytest_dura.core.simulator import Simulator
+    from pytest_dura.core.simulator import Line, Recording, Scene, Simulator, Tracks
+    from pytest_dura.core.simulator_conformance import check_simulator
     from pytest_dura.core.state import (
+        Alert,
         Event,
         GeneratorView,
         Lazy,
         Percept,
+        Proposal,
         RoleView,
         StateManager,
         Tick,
+        sealed,
     )
     from pytest_dura.core.trust import factory
     from pytest_dura.faults.model import Fault, Moment
-    from pytest_dura.faults.parts import FaultPart
+    from pytest_dura.faults.parameters import FaultPart
+    from pytest_dura.library.cases import Case, SearchedCase
     from pytest_dura.requirements.checks import CheckResult
     from pytest_dura.requirements.model import Paired, Requirement
     from pytest_dura.requirements.monitoring.stl_monitor import StlSafetyMonitor
     from pytest_dura.requirements.verdicts.campaigns import CampaignVerdict
-    from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict, JudgedEpisode
-    from pytest_dura.requirements.verdicts.searched import SearchedEpisode
+    from pytest_dura.requirements.verdicts.episodes import (
+        EpisodeVerdict,
+        JudgedEpisode,
+        SearchedEpisode,
+    )
+    from pytest_dura.runner import Runner
+    from pytest_dura.search.falsify import Falsified
 
 __version__ = "0.1.0"
 
@@ -76,7 +78,6 @@ __all__ = [
     "Alert",
     "Assessed",
     "Assessment",
-    "Bench",
     "Campaign",
     "CampaignVerdict",
     "Case",
@@ -120,6 +121,7 @@ __all__ = [
     "RoleContext",
     "RoleSpec",
     "RoleView",
+    "Runner",
     "SafetyMonitor",
     "Scene",
     "SearchedCase",
@@ -142,40 +144,39 @@ __all__ = [
 ]
 
 _HOMES = {
-    "pytest_dura.campaign.cases": "Case",
-    "pytest_dura.campaign.campaigns": "Campaign RequirementViolated",
-    "pytest_dura.campaign.paired": "PairedCampaign",
-    "pytest_dura.campaign.runner": "Bench",
-    "pytest_dura.campaign.search.campaigns": "Falsified",
-    "pytest_dura.campaign.search.result": "Falsification",
-    "pytest_dura.campaign.search.space.searched": "SearchedCase",
-    "pytest_dura.core.conformance": "check_role check_simulator",
+    "pytest_dura.campaign.campaign": "Campaign RequirementViolated",
+    "pytest_dura.campaign.falsification": "Falsification",
+    "pytest_dura.campaign.pairs": "PairedCampaign",
+    "pytest_dura.core.conformance": "check_role",
     "pytest_dura.core.episode": "Episode EpisodeSpec Policy Termination",
     "pytest_dura.core.errors": (
-        "ActionError ConfigurationError ConformanceError DuraError InfrastructureError"
+        "ActionError ConfigurationError ConformanceError DuraError InfrastructureError "
     ),
     "pytest_dura.core.metrics": "DependabilityMetrics FaultRecord",
     "pytest_dura.core.orchestrator": "Orchestrator",
-    "pytest_dura.core.percepts": "sealed",
-    "pytest_dura.core.recording": "Line Recording Scene Tracks",
     "pytest_dura.core.role_spec": "RoleSpec",
     "pytest_dura.core.roles": (
-        "Alert Assessed Assessment FaultInjector Generator Injection PerformanceAssessment "
-        "PerformanceOracle Proposal Recovery RecoveryPlanner Role RoleContext "
-        "SafetyMonitor SecurityAssessment SecurityAssessor"
+        "Assessed Assessment FaultInjector Generator Injection PerformanceAssessment "
+        "PerformanceOracle Recovery RecoveryPlanner Role RoleContext SafetyMonitor "
+        "SecurityAssessment SecurityAssessor "
     ),
     "pytest_dura.core.seeding": "derive_seed stream",
-    "pytest_dura.core.simulator": "Simulator",
-    "pytest_dura.core.state": "Event GeneratorView Lazy Percept RoleView StateManager Tick",
+    "pytest_dura.core.simulator": "Line Recording Scene Simulator Tracks",
+    "pytest_dura.core.simulator_conformance": "check_simulator",
+    "pytest_dura.core.state": (
+        "Alert Event GeneratorView Lazy Percept Proposal RoleView StateManager Tick sealed "
+    ),
     "pytest_dura.core.trust": "factory",
-    "pytest_dura.requirements.verdicts.campaigns": "CampaignVerdict",
     "pytest_dura.faults.model": "Fault Moment",
-    "pytest_dura.faults.parts": "FaultPart",
+    "pytest_dura.faults.parameters": "FaultPart",
+    "pytest_dura.library.cases": "Case SearchedCase",
     "pytest_dura.requirements.checks": "CheckResult",
-    "pytest_dura.requirements.verdicts.episodes": "EpisodeVerdict JudgedEpisode",
-    "pytest_dura.requirements.verdicts.searched": "SearchedEpisode",
     "pytest_dura.requirements.model": "Paired Requirement",
     "pytest_dura.requirements.monitoring.stl_monitor": "StlSafetyMonitor",
+    "pytest_dura.requirements.verdicts.campaigns": "CampaignVerdict",
+    "pytest_dura.requirements.verdicts.episodes": "EpisodeVerdict JudgedEpisode SearchedEpisode",
+    "pytest_dura.runner": "Runner",
+    "pytest_dura.search.falsify": "Falsified",
 }
 _HOME_OF = {name: module for module, names in _HOMES.items() for name in names.split()}
 

@@ -124,7 +124,7 @@ def _add_training(parser: argparse.ArgumentParser) -> None:
 
 
 def _train(given: argparse.Namespace) -> int:
-    from pytest_dura.campaign.detector_training import Training, describe, train
+    from pytest_dura.campaign.detector_training import Training, describe_training, train
 
     training = Training(
         scenarios=given.scenario,
@@ -146,15 +146,15 @@ def _train(given: argparse.Namespace) -> int:
             key="--output",
             remedy="name a file that can be written",
         ) from None
-    for line in describe(model, given.output, digest):
+    for line in describe_training(model, given.output, digest):
         print(one_line(line, LONGEST))
     return 0
 
 
 def _list_cassette(given: argparse.Namespace) -> int:
-    from pytest_dura.llm.cassette.listing import listing
+    from pytest_dura.llm.cassette import cassette_lines
 
-    for line in listing(given.file):
+    for line in cassette_lines(given.file):
         print(line)
     return 0
 
@@ -162,8 +162,8 @@ def _list_cassette(given: argparse.Namespace) -> int:
 def _merge(given: argparse.Namespace) -> int:
     fail_worse, baseline = given.baseline_worse == "fail", given.baseline
     bundles, output = given.bundles, given.output
-    from pytest_dura.evidence.baseline.file import Baseline
-    from pytest_dura.evidence.merging import Held, merge_bundles
+    from pytest_dura.evidence.baseline import Baseline
+    from pytest_dura.evidence.merge import MergeComparison, merge_bundles
 
     if fail_worse and baseline is None:
         raise ConfigurationError(
@@ -173,7 +173,7 @@ def _merge(given: argparse.Namespace) -> int:
             remedy="add --baseline=evidence.json",
         )
     found = None if baseline is None else Baseline.read(baseline, Path.cwd())
-    merged = merge_bundles(bundles, output, Held(found, fail_worse))
+    merged = merge_bundles(bundles, output, MergeComparison(found, fail_worse))
     _let_names_be_any_bytes()
     for reason in merged.reasons:
         print(one_line(reason, LONGEST))
@@ -188,7 +188,7 @@ def _merge(given: argparse.Namespace) -> int:
 
 
 def _prune(given: argparse.Namespace) -> int:
-    from pytest_dura.campaign.episodes.pruning import prune, read_age, read_size
+    from pytest_dura.execution.cache import prune, read_age, read_size
 
     directory, older_than, at_most = given.directory, given.older_than, given.at_most
     if older_than is None and at_most is None:
@@ -215,7 +215,7 @@ def _let_names_be_any_bytes() -> None:
 
 
 def _verify(given: argparse.Namespace) -> int:
-    from pytest_dura.evidence.verifying import verify_bundle
+    from pytest_dura.evidence.verify import verify_bundle
 
     found = verify_bundle(given.directory, given.junit_xml)
     _let_names_be_any_bytes()

@@ -33,12 +33,12 @@ from hypothesis.errors import InvalidArgument
 from pytest_dura.core.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from pytest_dura.campaign.cases import Case
-    from pytest_dura.campaign.fault_campaigns import FaultCampaign
-    from pytest_dura.campaign.loading import Library
-    from pytest_dura.campaign.scenario import Scenario
-    from pytest_dura.campaign.search.drawing.cases import CaseDrawing
-    from pytest_dura.campaign.search.space.searched import SearchedCase
+    from pytest_dura.library.cases import Case, SearchedCase
+    from pytest_dura.library.fault_campaigns import FaultCampaign
+    from pytest_dura.library.loading import Library
+    from pytest_dura.library.scenario import Scenario
+    from pytest_dura.search.drawing import CaseDrawing
+
 
 __all__ = ["PROFILE", "cases", "fault_campaigns", "faults", "load_profile", "scenarios"]
 
@@ -70,7 +70,7 @@ def cases(
     """
 
     def made(library: Library) -> list[CaseDrawing]:
-        from pytest_dura.campaign.search.drawing.cases import CaseDrawing
+        from pytest_dura.search.drawing import CaseDrawing
 
         found = _named(library, name)
         entries = _entries(faults)
@@ -127,7 +127,7 @@ def fault_campaigns(
     """
 
     def made(library: Library) -> list[CaseDrawing]:
-        from pytest_dura.campaign.search.drawing.cases import CaseDrawing
+        from pytest_dura.search.drawing import CaseDrawing
 
         case = _named(library, scenario)[0].without_faults()
         numbers = {"at_least": at_least, "at_most": at_most}
@@ -164,7 +164,7 @@ def _at_hand(made: Callable[[Library], T]) -> Callable[[], T]:
     known: list[tuple[Library, T]] = []
 
     def get() -> T:
-        from pytest_dura.campaign.current import current_library
+        from pytest_dura.library.loading import current_library
 
         library = current_library()
         if not known or known[0][0] is not library:
@@ -175,7 +175,7 @@ def _at_hand(made: Callable[[Library], T]) -> Callable[[], T]:
 
 
 def _named(library: Library, name: str) -> list[Case]:
-    from pytest_dura.campaign.cases import expand_cases
+    from pytest_dura.library.cases import expand_cases
 
     return expand_cases(library.scenarios, select=[name], read=library.faults)
 

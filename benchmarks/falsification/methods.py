@@ -10,10 +10,9 @@ import numpy as np
 from scipy.optimize import dual_annealing
 
 from falsification.systems import Floats
-from pytest_dura.campaign.search.loop import Outcome, search
-from pytest_dura.campaign.search.portfolio import Batch, Portfolio, trivial_searchers
-from pytest_dura.campaign.search.searchers.base import Searcher
-from pytest_dura.campaign.search.space.layout import Layout
+from pytest_dura.search.portfolio import Batch, Outcome, Portfolio, search, trivial_searchers
+from pytest_dura.search.searchers import Searcher
+from pytest_dura.search.space import Layout
 
 
 class OverError(Exception):

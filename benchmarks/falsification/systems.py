@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_dura.campaign.search.space.layout import Layout
-from pytest_dura.requirements.stl.language.parsing import parse
-from pytest_dura.requirements.stl.offline.robustness import robustness_batch
+from pytest_dura.requirements.stl.parser import parse
+from pytest_dura.requirements.stl.robustness import robustness_batch
+from pytest_dura.search.space import Layout
 
 Floats = NDArray[np.float64]
 Signals = Mapping[str, Floats]

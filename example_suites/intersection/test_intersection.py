@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from pytest_dura import Bench, Campaign, JudgedEpisode
+from pytest_dura import Campaign, JudgedEpisode, Runner
 
 
 @pytest.mark.dura(scenario="intersection/nominal", runs=5)
@@ -46,7 +46,7 @@ def test_what_a_ghost_costs(campaign: Campaign) -> None:
     campaign.paired(without="faults").require(measure=clearance, change_at_most=20.0)
 
 
-def test_by_hand(orchestrator: Bench) -> None:
+def test_by_hand(orchestrator: Runner) -> None:
     """Any seed, with everything at hand that the episode recorded."""
     episode = orchestrator.run("intersection/nominal", seed=7)
     assert episode.signal("speed").max() <= 10.5

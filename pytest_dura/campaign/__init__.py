@@ -1,1 +1,1 @@
-"""From scenario files to cases to episode specs."""
+"""Campaigns: the runs of cases, what a requirement comes to on them, and what faults did."""

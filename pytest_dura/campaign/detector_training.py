@@ -19,18 +19,25 @@ from typing import Any
 import numpy as np
 
 from pytest_dura import __version__
-from pytest_dura.campaign.cases import expand_cases
-from pytest_dura.campaign.domains import DOMAINS, domain_of, role_spec
-from pytest_dura.campaign.loading import load_library
-from pytest_dura.campaign.problems import did_you_mean
-from pytest_dura.core.anomaly import KINDS, AnomalyModel, Floats, average_depth, kept
-from pytest_dura.core.anomaly_monitor import AnomalyMonitor, FeatureSource
+from pytest_dura.core.anomaly_monitor import (
+    KINDS,
+    AnomalyModel,
+    AnomalyMonitor,
+    FeatureSource,
+    Floats,
+    average_depth,
+    rounded_numbers,
+)
+from pytest_dura.core.error_messages import did_you_mean
 from pytest_dura.core.errors import ConfigurationError, DuraError
 from pytest_dura.core.orchestrator import Orchestrator
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.roles import Role
 from pytest_dura.core.seeding import stream
 from pytest_dura.core.state import RoleView
+from pytest_dura.domains import DOMAINS, domain_of, role_spec
+from pytest_dura.library.cases import expand_cases
+from pytest_dura.library.loading import load_library
 
 TREES = 64
 ROWS_PER_TREE = 256
@@ -80,9 +87,11 @@ class Training:
         """Refuse numbers that cannot be."""
         for name, least in (("runs", 1), ("held_out", 1), ("seed", 0), ("draws", 0)):
             if getattr(self, name) < least:
-                raise _refused(name, getattr(self, name), f"at least {least}")
+                raise _refuse_training(name, getattr(self, name), f"at least {least}")
         if not 0.0 < self.false_alarms < 36_000.0:
-            raise _refused("false_alarms", self.false_alarms, "above 0 an hour, and not every tick")
+            raise _refuse_training(
+                "false_alarms", self.false_alarms, "above 0 an hour, and not every tick"
+            )
 
 
 class Recorder(Role):
@@ -123,10 +132,12 @@ def train(detector: str, training: Training) -> AnomalyModel:
     # Numbers that never differ in training, such as an object's size, would have no scale.
     spread = stream(training.seed, "dither").random(rows.shape) - 0.5
     dithered = rows + spread * np.array(source.resolutions)
-    centre = kept(dithered.mean(axis=0))
+    centre = rounded_numbers(dithered.mean(axis=0))
     off = np.abs(dithered - np.array(centre))
     # What is 0 but for rare ticks has a small deviation, and would be an anomaly at each of them.
-    scale = kept(np.maximum(dithered.std(axis=0), np.quantile(off, TAIL, axis=0) / NORMAL_TAIL))
+    scale = rounded_numbers(
+        np.maximum(dithered.std(axis=0), np.quantile(off, TAIL, axis=0) / NORMAL_TAIL)
+    )
     parameters = fit((dithered - np.array(centre)) / np.array(scale), training.seed)
     plain = (monitor.kind, source.names, tuple(centre), tuple(scale), parameters)
     unset = AnomalyModel(*plain, threshold=1.0, window=1, time_step=time_step)
@@ -146,7 +157,7 @@ def train(detector: str, training: Training) -> AnomalyModel:
         "noise": dict(source.noise) if training.draws else {},
         "rows": len(rows),
         "held_out_rows": sum(map(len, others)),
-        "held_out_hours": kept(hours),
+        "held_out_hours": rounded_numbers(hours),
         "false_alarms_per_hour": training.false_alarms,
         "data": _digest(rows, *others),
     }
@@ -259,7 +270,7 @@ def _threshold(scores: Floats, hours: float, rate: float) -> float:
             expected=f"at least {1.0 / hours:.3g} an hour, or {1.0 / rate:.3g} h",
             remedy="raise --held-out, --draws or --false-alarms",
         )
-    return float(kept(np.sort(scores)[-1 - accepted]))
+    return float(rounded_numbers(np.sort(scores)[-1 - accepted]))
 
 
 def _fit_isolation_forest(rows: Floats, seed: int) -> Mapping[str, Any]:
@@ -282,10 +293,10 @@ def _preorder(tree: Any) -> list[list[Any]]:
         node, depth = waiting.pop()
         if tree.children_left[node] < 0:
             features.append(-1)
-            values.append(kept(depth + average_depth(int(tree.n_node_samples[node]))))
+            values.append(rounded_numbers(depth + average_depth(int(tree.n_node_samples[node]))))
         else:
             features.append(int(tree.feature[node]))
-            values.append(kept(tree.threshold[node]))
+            values.append(rounded_numbers(tree.threshold[node]))
             waiting += [
                 (int(tree.children_right[node]), depth + 1),
                 (int(tree.children_left[node]), depth + 1),
@@ -301,9 +312,9 @@ def _fit_one_class_svm(rows: Floats, seed: int) -> Mapping[str, Any]:
     machine = _module("sklearn.svm").OneClassSVM(nu=BORDER, gamma=gamma).fit(rows)
     weights = machine.dual_coef_[0]
     return {
-        "gamma": kept(gamma),
-        "weights": kept(weights / weights.sum()),
-        "vectors": kept(machine.support_vectors_),
+        "gamma": rounded_numbers(gamma),
+        "weights": rounded_numbers(weights / weights.sum()),
+        "vectors": rounded_numbers(machine.support_vectors_),
     }
 
 
@@ -332,14 +343,14 @@ def _digest(*rows: Floats) -> str:
     return state.hexdigest()
 
 
-def _refused(name: str, found: object, expected: str) -> ConfigurationError:
+def _refuse_training(name: str, found: object, expected: str) -> ConfigurationError:
     key = "--" + name.replace("_", "-")
     return ConfigurationError(
         f"{key} is out of range", key=key, found=found, expected=expected, remedy="correct it"
     )
 
 
-def describe(model: AnomalyModel, file: Path, digest: str) -> list[str]:
+def describe_training(model: AnomalyModel, file: Path, digest: str) -> list[str]:
     """Lines that say what was trained, for people."""
     told = model.training
     rows = f"{told['rows']} rows to learn from, {told['held_out_rows']} held out"

@@ -32,7 +32,7 @@ class ComponentFailures:
         return f"{self.first}; in {self.count} of {self.episodes} episodes"
 
 
-def reasons(
+def explain_verdict(
     verdict: CampaignVerdict, requirement: Requirement, failures: ComponentFailures
 ) -> list[str]:
     """Why a verdict is not "supported": what, in which run, when and by how much, line by line."""

@@ -8,10 +8,15 @@ same type that the code has raised itself.
 
 Called code does not end the process either: ``os._exit`` and ``os.exec*`` are refused where it
 runs, and a copy of the process that it makes by ``os.fork`` ends where the call would return.
+
+Every call has a wall-clock limit, so that nothing blocks for ever: the component its time budget
+(:func:`call_within`), everything else the limit of a :class:`Watch`. Both share one alarm.
 """
 
 from __future__ import annotations
 
+import contextvars
+import ctypes
 import os
 import signal
 import sys
@@ -20,10 +25,13 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar, Token
 from functools import partial
-from typing import TYPE_CHECKING, Any, NoReturn
+from math import isclose
+from time import monotonic
+from typing import TYPE_CHECKING, Any, ClassVar, NoReturn, TypeVar
 
 if TYPE_CHECKING:
     from typing_extensions import Self
+
 
 EXIT_CODE = 70
 """Exit code (``EX_SOFTWARE``) of a process that would have ended itself with 0, and of copies."""
@@ -264,3 +272,227 @@ def _after_fork() -> None:
 
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_parent=_after_fork)
+
+
+ROLE_TIMEOUT = 60.0
+"""Seconds of wall-clock time that a role or the simulator has for one call."""
+_STROKES = 4
+"""How often the timer strikes within the limit."""
+
+
+class CallBlocked(CallEnded):
+    """Raised inside a call that has not come back in time. The callee must not swallow it."""
+
+
+class CallTimer:
+    """Ends a call that takes too long. It costs a call two attributes, and no timer of its own.
+
+    A timer strikes again and again; a call that is seen to be under way for longer than the limit
+    is ended, after at most one and a half times that.
+
+    Args:
+        limit: Seconds of wall-clock time for one call; ``None`` waits for ever.
+    """
+
+    def __init__(self, limit: float | None) -> None:
+        self.limit = limit
+        self.calls = 0
+        """Calls that have begun."""
+        self.role: str | None = None
+        """Who is called at this moment, if anybody is."""
+        self.overran: str | None = None
+        """Who took too long, also if it went on and came back in the end."""
+        self._seen = -1
+        self._since = 0.0
+
+    @property
+    def period(self) -> float:
+        """Seconds from stroke to stroke; 0 without a limit."""
+        return 0.0 if self.limit is None else self.limit / _STROKES
+
+    def strike(self) -> None:
+        """What the timer does.
+
+        Raises:
+            CallBlocked: In the middle of a call that takes too long, and again if it goes on.
+        """
+        if self.role is None or self.limit is None:
+            self._seen = -1
+        elif self.calls != self._seen:
+            self._seen, self._since = self.calls, monotonic()
+        elif monotonic() - self._since >= self.limit:
+            self.overran = self.role
+            raise CallBlocked(self.cause)
+
+    @contextmanager
+    def calling(self, role: str) -> Iterator[None]:
+        """Watch what is done meanwhile as one call."""
+        self.calls += 1
+        self.role = role
+        try:
+            yield
+        finally:
+            self.role = None
+
+    @property
+    def cause(self) -> str:
+        """What happened, in words that are the same whenever it happens."""
+        return f"it did not come back within {self.limit:g} s of wall-clock time"
+
+
+T = TypeVar("T")
+
+GRACE = 0.2
+"""Seconds within which a call that is told to stop should have stopped."""
+
+
+_TICK = 2e-6
+"""Seconds to which timers are told."""
+
+
+class TimeBudgetExceeded(CallEnded):
+    """Raised inside a call that overran. Not an ``Exception``: the callee must not swallow it."""
+
+
+class CallNotStopped(TimeBudgetExceeded):
+    """The call overran and could not be ended: it is still running in a thread of its own."""
+
+
+def call_within(seconds: float | None, function: Callable[..., T], *args: Any) -> T:
+    """Call ``function`` and end it after ``seconds`` of wall-clock time.
+
+    In the main thread an alarm interrupts whatever runs Python bytecode, sleeps or waits. Where
+    there is no alarm to be had (in other threads, inside another limit, on Windows), the function
+    runs in a thread of its own, which is left behind if it sleeps on. A call that stays inside C
+    code is ended when it comes back. A call that catches the interruption and returns has overrun
+    all the same.
+
+    Raises:
+        TimeBudgetExceeded: If it ran longer.
+        CallNotStopped: If it ran longer and still does.
+    """
+    if seconds is None:
+        return function(*args)
+    if _alarm_is_free():
+        if _Alarm.installed is not None:  # as it is throughout an episode
+            return _call_with_alarm(_Alarm.installed, seconds, function, *args)
+        with alarms():
+            if _Alarm.installed is not None:
+                return _call_with_alarm(_Alarm.installed, seconds, function, *args)
+    return _call_in_thread(seconds, function, *args)
+
+
+class _Alarm:
+    """The handler of SIGALRM: ends the call that is under way, and nothing between two calls.
+
+    Args:
+        watch: Looks after the calls that have no limit of their own, between those that have one.
+    """
+
+    installed: ClassVar[_Alarm | None] = None
+
+    def __init__(self, watch: CallTimer) -> None:
+        self.watch = watch
+        self.armed = self.expired = False
+        self.due = 0.0
+
+    def rest(self) -> None:
+        """Let the timer strike for the watch alone, or not at all."""
+        signal.setitimer(signal.ITIMER_REAL, self.watch.period, self.watch.period)
+
+    def __call__(self, _signum: int, _frame: object) -> None:
+        if not self.armed:
+            self.watch.strike()
+        elif monotonic() >= self.due:  # earlier, it is a stroke of the watch that comes late
+            self.expired = True
+            raise TimeBudgetExceeded
+
+
+@contextmanager
+def alarms(watch: CallTimer | None = None) -> Iterator[None]:
+    """Install the alarm's handler once for many calls, which saves them most of their cost.
+
+    Does nothing where there is no alarm to be had, and then nothing is watched either.
+
+    Args:
+        watch: Looks after all other calls meanwhile.
+    """
+    if _Alarm.installed is not None or not _alarm_is_free():
+        yield
+        return
+    alarm = _Alarm(watch or CallTimer(None))
+    previous = signal.signal(signal.SIGALRM, alarm)
+    _Alarm.installed = alarm
+    try:
+        alarm.rest()
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        _Alarm.installed = None
+        signal.signal(signal.SIGALRM, signal.SIG_DFL if previous is None else previous)
+
+
+def _alarm_is_free() -> bool:
+    in_main = threading.current_thread() is threading.main_thread()
+    if not in_main or not hasattr(signal, "setitimer"):
+        return False
+    left, period = signal.getitimer(signal.ITIMER_REAL)
+    alarm = _Alarm.installed
+    if left == 0.0 or alarm is None or alarm.armed:
+        return left == 0.0
+    # The timer of the watch gives way, and nobody else's: it is told by its period.
+    own = alarm.watch.period
+    return own > 0.0 and isclose(period, own, abs_tol=_TICK)
+
+
+def _call_with_alarm(alarm: _Alarm, seconds: float, function: Callable[..., T], *args: Any) -> T:
+    alarm.due = monotonic() + seconds
+    alarm.armed, alarm.expired = True, False
+    try:
+        # The alarm repeats, since a callee may swallow one and go on (a bare `except` in a loop).
+        signal.setitimer(signal.ITIMER_REAL, seconds, max(GRACE, min(seconds, 1.0)))
+        try:
+            result = function(*args)
+        finally:
+            alarm.armed = False
+    finally:
+        alarm.armed = False
+        alarm.rest()
+    if alarm.expired:
+        raise TimeBudgetExceeded
+    return result
+
+
+def _call_in_thread(seconds: float, function: Callable[..., T], *args: Any) -> T:
+    results: list[T] = []
+    errors: list[BaseException] = []
+    lock, done = threading.Lock(), threading.Event()
+    finished = False
+
+    def work() -> None:
+        nonlocal finished
+        try:
+            try:
+                results.append(function(*args))
+            except BaseException as error:
+                errors.append(error)
+            finally:
+                with lock:
+                    finished = True
+        except TimeBudgetExceeded as late:
+            errors.append(late)
+        done.set()
+
+    context = contextvars.copy_context()
+    thread = threading.Thread(target=context.run, args=(work,), daemon=True)
+    thread.start()
+    if not done.wait(seconds):
+        with lock:
+            if not finished and thread.ident is not None:
+                ctypes.pythonapi.PyThreadState_SetAsyncExc(
+                    ctypes.c_ulong(thread.ident), ctypes.py_object(TimeBudgetExceeded)
+                )
+        raise TimeBudgetExceeded if done.wait(GRACE) else CallNotStopped
+    if errors:
+        raise errors[0]
+    return results[0]

@@ -1,4 +1,9 @@
-"""The component under test as the loop calls it: within its budget, and never trusted."""
+"""Component under test as the loop calls it: within its time budget, by copies of plain data.
+
+What a component hands over may be of classes whose methods do anything: raise, block, answer
+differently each time. So the loop works with copies whose types are Python's and NumPy's own. They
+are made by the methods of those types, without calling what a subclass overrides.
+"""
 
 from __future__ import annotations
 
@@ -7,18 +12,159 @@ import operator
 from collections.abc import Callable, Mapping
 from dataclasses import fields
 from numbers import Real
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from pytest_dura.core.accounts import read_account
-from pytest_dura.core.boundary import Boundary, CallEnded
-from pytest_dura.core.checked_calls import acceptable
+import numpy as np
+
+from pytest_dura.core.boundary import (
+    Boundary,
+    CallEnded,
+    CallNotStopped,
+    TimeBudgetExceeded,
+    call_within,
+    let_pass,
+)
 from pytest_dura.core.episode import EpisodeSpec
-from pytest_dura.core.errors import describe_error, shorten, type_name
-from pytest_dura.core.limits import CallNotStopped, TimeBudgetExceeded, call_within
-from pytest_dura.core.plain import EXACT, exact_copy
-from pytest_dura.core.roles import Generator, Proposal, RoleContext
+from pytest_dura.core.errors import (
+    ComponentEnvironmentError,
+    describe_error,
+    report_environment_error,
+    shorten,
+    type_name,
+)
+from pytest_dura.core.loop_signals import read_account
+from pytest_dura.core.outputs import accepted_action, check_texts, exact_texts
+from pytest_dura.core.roles import FaultInjector, Generator, RoleContext
 from pytest_dura.core.simulator import Simulator
-from pytest_dura.core.state import NOTHING, GeneratorView
+from pytest_dura.core.state import NOTHING, GeneratorView, Proposal, StateManager
+
+DEEPEST = 32
+"""Containers within each other in a value that is copied to exact types."""
+
+EXACT = frozenset({type(None), bool, int, float, complex, str, bytes})
+"""Types of values that hold nothing else, and cannot be changed."""
+_dtype_of: Any = vars(np.ndarray)["dtype"].__get__
+
+
+def plain_copy(value: Any) -> Any:
+    """A copy of plain data, down to the last container."""
+    if isinstance(value, Mapping):
+        return {key: plain_copy(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [plain_copy(item) for item in value]
+    return tuple(plain_copy(item) for item in value) if isinstance(value, tuple) else value
+
+
+def exact_copy(value: Any) -> tuple[Any, bool]:
+    """A copy of exact types, and whether it is plain throughout.
+
+    Numbers, texts, lists, dictionaries and NumPy arrays of numbers become ``int``, ``float``,
+    ``str``, ``list``, ``dict`` and ``ndarray``, whatever subclass they are of; so does the value of
+    an enumeration of texts or numbers. An object of any other class, such as a named tuple or a
+    dataclass, is handed on as it is: then the copy is not plain.
+
+    Raises:
+        ValueError: For containers that are nested too deeply, or in themselves.
+    """
+    if type(value) in EXACT:
+        return value, True
+    if _base_of(type(value)) is None:
+        return value, False
+    copier = _Copier()
+    copied = copier.copy(value, 0)
+    return copied, copier.is_plain
+
+
+class _Copier:
+    """Copies one value, and notes what it left as it is."""
+
+    __slots__ = ("is_plain",)
+
+    def __init__(self) -> None:
+        self.is_plain = True
+
+    def copy(self, value: Any, above: int) -> Any:
+        kind = type(value)
+        if kind in EXACT:
+            return value
+        if above > DEEPEST:
+            raise ValueError(f"it holds more than {DEEPEST} containers within each other")
+        base = _base_of(kind)
+        if base is dict:
+            items = value.items() if kind is MappingProxyType else dict.items(value)
+            return {self.copy(key, above + 1): self.copy(item, above + 1) for key, item in items}
+        if base is list:
+            return [self.copy(item, above + 1) for item in list.__iter__(value)]
+        if base is tuple:
+            return tuple([self.copy(item, above + 1) for item in value])
+        if base is np.ndarray and not _dtype_of(value).hasobject:
+            return np.array(value, copy=True, subok=False)
+        if base is not None and base is not np.ndarray:
+            value = _EXACTLY[base](value)
+        self.is_plain &= type(value) in EXACT
+        return value
+
+
+_EXACTLY: dict[Any, Any] = {
+    str: str.__str__,
+    float: float.__float__,
+    int: int.__int__,
+    bytes: lambda value: bytes.__getitem__(value, slice(None)),
+    np.generic: np.generic.item,
+}
+
+
+def _base_of(kind: type[Any]) -> type[Any] | None:
+    """The class as whose instance a value is copied; ``None`` where it is left as it is."""
+    known = _KNOWN.get(id(kind))
+    if known is None:
+        found = next((base for base in _BASES if issubclass(kind, base)), None)
+        if kind is tuple or kind is MappingProxyType:
+            found = tuple if kind is tuple else dict
+        # By identity: to look up a class is to call its metaclass, which may be anybody's.
+        known = _KNOWN[id(kind)] = kind, found
+    return known[1]
+
+
+_BASES: tuple[type[Any], ...] = (dict, list, np.ndarray, *_EXACTLY)
+_KNOWN: dict[int, tuple[type[Any], type[Any] | None]] = {}
+
+
+class Messages:
+    """The way of a component's own messages, such as prompts to a language model.
+
+    The component calls :meth:`transmit` from within its proposal. A failure of the injector there
+    says nothing about the component, whatever it makes of the error.
+
+    Args:
+        injector: Whose faults act on the messages; ``None`` without any.
+        state: Where the faults that changed a message are noted.
+    """
+
+    def __init__(self, injector: FaultInjector | None, state: StateManager) -> None:
+        self._injector, self._state = injector, state
+
+    def transmit(self, channel: str, message: Any) -> Any:
+        """The message as it arrives."""
+        if self._injector is None:
+            return message
+        try:
+            changed, tampered = self._injector.corrupt_message(
+                channel, message, self._state.tick.time
+            )
+            check_texts("tampered faults", tampered)
+            faults = exact_texts(tampered)
+        except CallEnded:
+            raise
+        except BaseException as error:
+            let_pass(error)
+            raise report_environment_error(
+                ComponentEnvironmentError("fault_injector", describe_error(error))
+            ) from error
+        self._state.message_faults.update(faults)
+        return changed
+
 
 ABANDON_AFTER = 3
 """A component that overran its wall-clock budget this often is not called again in the episode."""
@@ -184,7 +330,7 @@ class Component:
         To look at it is to call the component's code, so that whatever is raised is its failure.
         """
         try:
-            checked, problem = acceptable(simulator, action)
+            checked, problem = accepted_action(simulator, action)
         except CallEnded:
             raise
         except BaseException as error:

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.metrics import DependabilityMetrics, FaultRecord
-from pytest_dura.core.recording import Recording
 from pytest_dura.core.role_spec import RoleSpec
+from pytest_dura.core.simulator import Recording
 from pytest_dura.core.state import Event
 
 Validity = Literal["valid", "invalid", "missing"]
@@ -83,7 +83,7 @@ class Termination:
         violation: Whether a violation ends it, once every requirement is decided.
         iterations: At most this many decisions, if given.
         decided: Whether it ends once every requirement is decided, violated or not, and every
-            planned fault has manifested; see :mod:`pytest_dura.core.ending`.
+            planned fault has manifested; see :mod:`pytest_dura.core.orchestrator`.
     """
 
     time_limit: float = 30.0

@@ -1,4 +1,10 @@
-"""Every error that pytest-dura raises on purpose: what happened, where, and how to mend it."""
+"""Errors that pytest-dura raises on purpose: what happened, where, and how to mend it.
+
+An environment error is a failure of what the component rests on, such as a cassette without the
+answer, that comes up within the component's own call. The component may pass it on or catch it, and
+neither says anything about the component: the loop is told at the same time, and ends the episode
+as missing.
+"""
 
 from __future__ import annotations
 
@@ -156,3 +162,43 @@ def shorten(value: object, limit: int = 120) -> str:
     shown = read_text(repr, value, f"<{type_name(value)}>")
     text = " ".join(shown.split())
     return text if len(text) <= limit else text[: limit - 1] + "…"
+
+
+class ComponentEnvironmentError(DuraError):
+    """What the component rests on failed, not the component. Raise it as ``raise told(error)``.
+
+    Args:
+        source: What failed, in one word, such as ``cassette``.
+        problem: What is wrong and how to mend it, in bounded length.
+    """
+
+    def __init__(self, source: str, problem: str) -> None:
+        self.source = source
+        super().__init__(problem)
+
+
+_COLLECTORS: list[list[ComponentEnvironmentError]] = []
+
+
+def report_environment_error(error: ComponentEnvironmentError) -> ComponentEnvironmentError:
+    """Tell the loop, whatever the component makes of the error; returns it, to be raised."""
+    if _COLLECTORS:
+        _COLLECTORS[-1].append(error)
+    return error
+
+
+class environment_errors:  # noqa: N801 - reads like a statement
+    """Context with a list that is filled with what is told meanwhile.
+
+    Of nested ones the innermost hears it. A class, since it is entered at each tick.
+    """
+
+    def __enter__(self) -> list[ComponentEnvironmentError]:
+        """Begin to listen."""
+        heard: list[ComponentEnvironmentError] = []
+        _COLLECTORS.append(heard)
+        return heard
+
+    def __exit__(self, *_: object) -> None:
+        """Listen no more."""
+        _COLLECTORS.pop()

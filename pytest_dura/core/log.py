@@ -8,27 +8,22 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_dura.core.accounts import PREFIX, accounted, copied
-from pytest_dura.core.boundary import let_pass
+from pytest_dura.core.boundary import CallBlocked, let_pass
 from pytest_dura.core.episode import Episode, EpisodeSpec
 from pytest_dura.core.errors import InfrastructureError, cut, describe_error
+from pytest_dura.core.loop_signals import PROPOSAL_PREFIX, account_columns, copied_account
 from pytest_dura.core.metrics import DependabilityMetrics, FaultRecord
-from pytest_dura.core.outputs import bounded, check_texts, exact_texts
-from pytest_dura.core.recording import Recording, Scene
+from pytest_dura.core.outputs import check_texts, exact_texts, shortened_with_hash
 from pytest_dura.core.roles import (
-    Alert,
     Assessed,
     Assessment,
     Injection,
     PerformanceAssessment,
-    Proposal,
     Recovery,
     SecurityAssessment,
 )
-from pytest_dura.core.scene_checks import scene_problems
-from pytest_dura.core.simulator import Simulator
-from pytest_dura.core.state import NOTHING, Event, StateManager, Tick
-from pytest_dura.core.watchdog import CallBlocked
+from pytest_dura.core.simulator import Recording, Scene, Simulator, scene_problems
+from pytest_dura.core.state import NOTHING, Alert, Event, Proposal, StateManager, Tick
 
 DETECTION_GRACE = 1.0
 """An alert or a recovery this many seconds after a fault's end still answers it."""
@@ -89,7 +84,7 @@ class EpisodeLog:
 
     def proposed(self, tick: Tick, proposal: Proposal | None, problem: str | None) -> None:
         """The Generator was asked; ``problem`` is what is wrong with its answer, if anything."""
-        self._account = NOTHING if proposal is None else copied(proposal.account)
+        self._account = NOTHING if proposal is None else copied_account(proposal.account)
         self.metrics.proposals += 1
         if problem is None:
             self.metrics.valid_proposals += 1
@@ -240,8 +235,8 @@ class EpisodeLog:
         columns, said = self._columns, self._said
         columns["verdict"].append(int(decision.verdict))
         columns["source"].append(decision.source)
-        columns["proposed"].append(bounded(proposed))
-        columns["executed"].append(bounded(executed))
+        columns["proposed"].append(shortened_with_hash(proposed))
+        columns["executed"].append(shortened_with_hash(executed))
         columns["attempts"].append(decision.attempts)
         said["explanations"].append("" if proposal is None else cut(proposal.explanation))
         said["reasons"].append(cut("; ".join(decision.reasons)))
@@ -347,9 +342,9 @@ class EpisodeLog:
         self, signals: dict[str, NDArray[np.float64]], simulator: Simulator, state: StateManager
     ) -> None:
         """Failure modes that the component's accounts show, where it gave any."""
-        told = accounted(simulator, state.ticks, state.percepts, self._accounts)
+        told = account_columns(simulator, state.ticks, state.percepts, self._accounts)
         if told is not None:
-            _add_signals(signals, told.signals, PREFIX, len(state.ticks))
+            _add_signals(signals, told.signals, PROPOSAL_PREFIX, len(state.ticks))
             self.metrics.tallies = dict(told.tallies)
             self.metrics.answer_seconds = list(told.seconds)
             self.metrics.answer_ages = list(told.ages)

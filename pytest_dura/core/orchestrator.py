@@ -1,33 +1,45 @@
-"""The loop: update, propose, assess, decide, act, log. One call of ``run`` is one episode."""
+"""Loop of an episode: update, propose, assess, decide, act, log, and whether it may end early.
+
+One call of :meth:`Orchestrator.run` is one episode.
+
+A verdict on a prefix that no continuation can change is the verdict on the whole episode. It is
+not all that a whole episode shows: a planned fault that has not manifested by then might still do
+so, and an episode in which it never did is invalid. So an episode whose faults are still to come
+ends early only if every requirement is violated, which nothing can turn into anything else. One
+whose hits are drawn is waited for in any case: a rate is not supported under a fault that
+manifested in no episode, and the only hit may come after a violation.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from time import perf_counter_ns
-from typing import Any, cast
+from typing import Any, Protocol, cast
 
-from pytest_dura.core.accounts import told_seconds
-from pytest_dura.core.boundary import Boundary
-from pytest_dura.core.checked_calls import (
-    acceptable,
+from pytest_dura.core.boundary import ROLE_TIMEOUT, Boundary, CallBlocked, CallTimer, alarms
+from pytest_dura.core.component import Component, Messages, plain_copy
+from pytest_dura.core.episode import Episode, EpisodeSpec
+from pytest_dura.core.errors import (
+    ComponentEnvironmentError,
+    ConfigurationError,
+    InfrastructureError,
+    describe_error,
+    environment_errors,
+)
+from pytest_dura.core.log import Decision, EpisodeLog
+from pytest_dura.core.loop_signals import declared_seconds
+from pytest_dura.core.metrics import FaultRecord
+from pytest_dura.core.outputs import (
+    accepted_action,
     checked_recovery,
     checked_tick,
-    corrupted,
     corrupted_command,
+    corrupted_percept,
     end_directives,
     next_tick,
+    required_output,
     run_if_triggered,
 )
-from pytest_dura.core.component import Component
-from pytest_dura.core.ending import Judge, all_decided
-from pytest_dura.core.episode import Episode, EpisodeSpec
-from pytest_dura.core.errors import ConfigurationError, InfrastructureError, describe_error
-from pytest_dura.core.limits import alarms
-from pytest_dura.core.log import Decision, EpisodeLog
-from pytest_dura.core.messages import Messages
-from pytest_dura.core.outputs import owed_output
-from pytest_dura.core.outside import OutsideError, listening
-from pytest_dura.core.plain import plain_copy
 from pytest_dura.core.roles import (
     Assessed,
     Assessment,
@@ -39,12 +51,48 @@ from pytest_dura.core.roles import (
     Role,
     RoleContext,
     SecurityAssessment,
+    check_kind,
+    schedule,
 )
-from pytest_dura.core.schedule import check_kind, schedule
-from pytest_dura.core.seeding import derive_seed, noting_draws
+from pytest_dura.core.seeding import derive_seed, recording_draws
 from pytest_dura.core.simulator import Simulator
 from pytest_dura.core.state import NOTHING, Percept, StateManager, Tick
-from pytest_dura.core.watchdog import ROLE_TIMEOUT, CallBlocked, Watch
+
+
+class EarlyEndJudge(Protocol):
+    """Tells during an episode whether it may end before its time."""
+
+    def __call__(self, simulator: Simulator, ticks: list[Tick]) -> bool:
+        """Whether every requirement is decided and at least one is violated."""
+
+    def decided(self, simulator: Simulator, ticks: list[Tick], *, violated: bool) -> bool:
+        """Whether every requirement is decided, by what no continuation can change.
+
+        Asked at each tick; an answer may come later than it could, but never too early.
+
+        Args:
+            simulator: Whose signals they are about.
+            ticks: Those so far, from the first on.
+            violated: Whether each of them must be violated, too.
+        """
+
+
+def all_decided(
+    judge: EarlyEndJudge, simulator: Simulator, ticks: list[Tick], faults: Mapping[str, FaultRecord]
+) -> bool:
+    """Whether nothing that follows can change what the episode says of any requirement.
+
+    Args:
+        judge: Knows the requirements.
+        simulator: The world.
+        ticks: Those so far.
+        faults: What became of the planned faults so far. One that is drawn by chance counts, too:
+            a resilient component is to be seen under the faults that its case names.
+    """
+    still_to_come = [fault for fault in faults.values() if fault.manifested_at is None]
+    if any(fault.by_chance for fault in still_to_come):
+        return False
+    return judge.decided(simulator, ticks, violated=bool(still_to_come))
 
 
 class Orchestrator:
@@ -70,7 +118,7 @@ class Orchestrator:
         self,
         simulator: Simulator,
         roles: Mapping[str, Role],
-        judge: Judge | None = None,
+        judge: EarlyEndJudge | None = None,
         metrics: Mapping[str, Callable[[Episode], float]] = NOTHING,
         *,
         recorded: bool = False,
@@ -89,14 +137,15 @@ class Orchestrator:
         self.injector = cast("FaultInjector | None", self.roles.get("fault_injector"))
         self.recovery = cast("RecoveryPlanner | None", self.roles.get("recovery_planner"))
         self.assessors = [
-            (name, self.roles[name], owed_output(self.roles[name])) for name in schedule(self.roles)
+            (name, self.roles[name], required_output(self.roles[name]))
+            for name in schedule(self.roles)
         ]
 
     @classmethod
     def build(
         cls,
         spec: EpisodeSpec,
-        judge: Judge | None = None,
+        judge: EarlyEndJudge | None = None,
         metrics: Mapping[str, Callable[[Episode], float]] = NOTHING,
         *,
         recorded: bool = False,
@@ -123,8 +172,8 @@ class Orchestrator:
         self.log = EpisodeLog(spec)
         self._last_index = spec.termination.last_index(spec.time_step)
         self._injector_ns = 0
-        self._watch = Watch(self.role_timeout)
-        draws = noting_draws()
+        self._watch = CallTimer(self.role_timeout)
+        draws = recording_draws()
         with Boundary() as self._boundary, alarms(self._watch), draws as noted:
             episode = self._run()
         episode.drawn = noted.any
@@ -205,7 +254,7 @@ class Orchestrator:
                 context = RoleContext(
                     own_seed, spec.time_step, scenario, time_budget=spec.time_budget
                 )
-                with listening() as outside:
+                with environment_errors() as outside:
                     problem = self._component.reset(context)
                 self._raise_outside(outside)
                 if problem is not None:
@@ -226,7 +275,7 @@ class Orchestrator:
             percept = Percept(tick.channels)
         else:
             start = perf_counter_ns()
-            percept = self._guard("fault_injector", corrupted, self.injector, tick)
+            percept = self._guard("fault_injector", corrupted_percept, self.injector, tick)
             self._injector_ns = perf_counter_ns() - start
         source = "simulator" if self.injector is None else "fault_injector"
         self._guard(source, self.state.perceive, percept)
@@ -278,17 +327,17 @@ class Orchestrator:
         self.state.proposal = None
         start = perf_counter_ns()
         view = self.state.generator_view(feedback, self._messages.transmit)
-        with listening() as outside:
+        with environment_errors() as outside:
             proposal, problem, is_plain = self._component.ask(view)
         elapsed = perf_counter_ns() - start
-        told = None if proposal is None else told_seconds(proposal.account)
+        told = None if proposal is None else declared_seconds(proposal.account)
         self.state.generator_seconds = elapsed / 1e9 if told is None else told
         self.log.metrics.log_time("generator", tick.index, elapsed)
         self._raise_outside(outside)
         if proposal is not None:
             problem = proposal.failure or None
         if proposal is not None and (proposal.action is not None or problem is None):
-            check = acceptable if is_plain else self._component.check_action
+            check = accepted_action if is_plain else self._component.check_action
             action, wrong = self._guard("simulator", check, self.simulator, proposal.action)
             if wrong is None:
                 self.state.proposal = proposal.with_action(action)
@@ -416,7 +465,7 @@ class Orchestrator:
         if overran is not None:
             raise self._failure_of(overran, self._watch.cause)
 
-    def _raise_outside(self, heard: Sequence[OutsideError]) -> None:
+    def _raise_outside(self, heard: Sequence[ComponentEnvironmentError]) -> None:
         """End the episode at the first failure of what the component rests on, if there was one."""
         if heard:
             raise self._failure_of(heard[0].source, str(heard[0])) from heard[0]

@@ -1,14 +1,15 @@
-"""Which output each kind of role owes the loop, and what makes an output unusable."""
+"""Outputs that roles owe the loop, and calls into roles and simulator whose answers are checked."""
 
 from __future__ import annotations
 
 import hashlib
 import math
 from collections.abc import Iterable, Mapping
-from typing import Any
+from dataclasses import replace
+from typing import Any, cast
 
+from pytest_dura.core.errors import ActionError
 from pytest_dura.core.roles import (
-    Alert,
     Assessed,
     Assessment,
     FaultInjector,
@@ -22,7 +23,8 @@ from pytest_dura.core.roles import (
     SecurityAssessment,
     SecurityAssessor,
 )
-from pytest_dura.core.state import NOTHING
+from pytest_dura.core.simulator import Simulator
+from pytest_dura.core.state import NOTHING, Alert, Percept, RoleView, Tick
 
 LONGEST = 1000
 """Characters of the description of an action."""
@@ -36,7 +38,7 @@ _OWED: tuple[tuple[type[Role], type[Any]], ...] = (
 )
 
 
-def owed_output(role: Role) -> type[Any]:
+def required_output(role: Role) -> type[Any]:
     """The type that ``role.run`` must return; ``object`` for a user's own role."""
     return next((output for base, output in _OWED if isinstance(role, base)), object)
 
@@ -52,7 +54,7 @@ def check_output(output: Any, owed: type[Any]) -> Any:
         ValueError: If a number in it is not a number (NaN).
     """
     if not isinstance(output, owed):
-        raise TypeError(f"returned {type(output).__name__}, not {_a(owed.__name__)}")
+        raise TypeError(f"returned {type(output).__name__}, not {_with_article(owed.__name__)}")
     if isinstance(output, Assessment):
         return _assessment(output)
     if isinstance(output, PerformanceAssessment):
@@ -99,10 +101,14 @@ def _check_security(output: SecurityAssessment) -> bool:
     if output.reaction is not None:
         exact &= check_texts("reaction", (output.reaction,))
     if not isinstance(output.alerts, (tuple, list)):
-        raise TypeError(f"its alerts are {_a(type(output.alerts).__name__)}, not a tuple")
+        raise TypeError(
+            f"its alerts are {_with_article(type(output.alerts).__name__)}, not a tuple"
+        )
     for alert in output.alerts:
         if not isinstance(alert, Alert):
-            raise TypeError(f"one of its alerts is {_a(type(alert).__name__)}, not an Alert")
+            raise TypeError(
+                f"one of its alerts is {_with_article(type(alert).__name__)}, not an Alert"
+            )
         exact &= check_texts("alert", (alert.pattern, alert.subject, alert.detail))
         exact &= type(alert) is Alert
     return exact
@@ -124,7 +130,7 @@ def _check_number(name: str, value: Any) -> bool:
 def _check_numbers(name: str, values: Any) -> bool:
     """Whether it maps ``str`` to ``float``; raises for what is no mapping to numbers."""
     if not is_mapping(values):
-        raise TypeError(f"its {name} is {_a(type(values).__name__)}, not a mapping")
+        raise TypeError(f"its {name} is {_with_article(type(values).__name__)}, not a mapping")
     exact = values is NOTHING or type(values) is dict
     for key, value in values.items():
         exact = exact and type(key) is str
@@ -155,12 +161,14 @@ def check_texts(name: str, texts: Any) -> bool:
         return True
     # A single str is the usual slip: it would be read as a tuple of letters.
     if not isinstance(texts, (tuple, list)):
-        raise TypeError(f"its {name} is {_a(type(texts).__name__)}, not a tuple of str")
+        raise TypeError(f"its {name} is {_with_article(type(texts).__name__)}, not a tuple of str")
     exact = type(texts) is tuple
     for text in texts:
         if type(text) is not str:
             if not isinstance(text, str):
-                raise TypeError(f"its {name} holds {_a(type(text).__name__)}, not only str")
+                raise TypeError(
+                    f"its {name} holds {_with_article(type(text).__name__)}, not only str"
+                )
             exact = False
     return exact
 
@@ -170,7 +178,7 @@ def exact_texts(texts: Iterable[str]) -> tuple[str, ...]:
     return tuple([str.__str__(text) for text in texts])
 
 
-def bounded(text: str) -> str:
+def shortened_with_hash(text: str) -> str:
     """The text, or how it begins, how long it is and a hash of it: two that differ still do.
 
     A column of texts needs room for its longest one at every tick.
@@ -182,5 +190,113 @@ def bounded(text: str) -> str:
     return text[: LONGEST - len(note)] + note
 
 
-def _a(noun: str) -> str:
+def _with_article(noun: str) -> str:
     return f"{'an' if noun[:1] in 'AEIOUaeiou' else 'a'} {noun}"
+
+
+def corrupted_percept(injector: FaultInjector, tick: Tick) -> Percept:
+    """What the sensors report after active faults.
+
+    Raises:
+        TypeError: For an answer that is none.
+    """
+    channels, tampered = injector.corrupt(tick.channels, tick.time)
+    if not is_mapping(channels):
+        raise TypeError(f"corrupt returned channels of type {type(channels).__name__}")
+    exact = True
+    for faults in tampered.values():
+        exact &= check_texts("tampered faults", faults)
+    if not exact:
+        tampered = {channel: exact_texts(faults) for channel, faults in tampered.items()}
+    return Percept(channels, tampered)
+
+
+def corrupted_command(
+    injector: FaultInjector, action: Any, time: float
+) -> tuple[Any, tuple[str, ...]]:
+    """The command after active faults, and the ids of those that changed it.
+
+    Raises:
+        TypeError: For an answer that is none.
+    """
+    command, tampered = injector.corrupt_command(action, time)
+    if not check_texts("tampered faults", tampered):
+        tampered = exact_texts(tampered)
+    return command, tampered
+
+
+def run_if_triggered(role: Role, view: RoleView, owed: type[Any]) -> tuple[Any, Any]:
+    """The role's output, and the same of exact types; ``None`` where its trigger does not hold.
+
+    Raises:
+        TypeError: For an output of another type than it owes.
+    """
+    if not role.trigger(view):
+        return None, None
+    output = role.run(view)
+    return output, check_output(output, owed)
+
+
+def next_tick(simulator: Simulator, action: Any, index: int, time_step: float) -> Tick:
+    """The simulator's next tick; raises as :func:`checked_tick` does."""
+    return checked_tick(simulator.step(action), index, time_step)
+
+
+def checked_tick(tick: Any, index: int, time_step: float) -> Tick:
+    """The simulator's tick, which must be the one that is due: the loop counts on it to end.
+
+    Raises:
+        TypeError: For something else, or a part of another type than it should have.
+        ValueError: For another tick than the one that is due.
+    """
+    if not isinstance(tick, Tick):
+        raise TypeError(f"returned {type(tick).__name__}, not a Tick")
+    due = index * time_step
+    in_time = abs(tick.time - due) <= 0.01 * time_step  # False for NaN
+    if tick.index != index or not in_time:
+        raise ValueError(
+            f"returned tick {tick.index} at {tick.time:g} s where tick {index} at {due:g} s was due"
+        )
+    exact = type(tick.goal) is bool
+    for event in tick.events:
+        exact &= check_texts("event", event)
+    if not is_mapping(tick.channels):
+        raise TypeError(f"its channels are a {type(tick.channels).__name__}, not a mapping")
+    if tick.critical is not None and type(tick.critical) is not str:
+        check_texts("critical", (tick.critical,))
+        exact = False
+    return tick if exact else _exact_tick(tick)
+
+
+def _exact_tick(tick: Tick) -> Tick:
+    critical = None if tick.critical is None else str.__str__(tick.critical)
+    events = tuple([cast("tuple[str, str, str]", exact_texts(event)) for event in tick.events])
+    return replace(tick, goal=bool(tick.goal), critical=critical, events=events)
+
+
+def accepted_action(simulator: Simulator, action: Any) -> tuple[Any, str | None]:
+    """The action as the simulator takes it, or what is wrong with it."""
+    try:
+        return simulator.check_action(action), None
+    except ActionError as error:
+        return None, f"no valid action: {error}"
+
+
+def checked_recovery(planner: RecoveryPlanner, view: RoleView, simulator: Simulator) -> Recovery:
+    """The recovery, with its action as the simulator takes it.
+
+    Raises:
+        ActionError: For an action that the simulator does not take.
+        TypeError: For an answer that is none.
+    """
+    recovery = planner.run(view)
+    check_output(recovery, Recovery)
+    action = simulator.check_action(recovery.action)
+    return Recovery(action, *exact_texts((recovery.name, recovery.explanation)))
+
+
+def end_directives(outputs: dict[str, Any], name: str) -> None:
+    """A directive holds for the tick in which it was given; the rest of an output stays."""
+    latest = outputs.get(name)
+    if isinstance(latest, SecurityAssessment) and latest.directives:
+        outputs[name] = replace(latest, directives=())

@@ -42,11 +42,11 @@ def watch_draws(used: np.random.Generator, fresh: np.random.Generator) -> None:
         used: What is drawn from.
         fresh: One of the same seed from which nothing has been drawn.
     """
-    for draws in _NOTING:
+    for draws in _RECORDS:
         draws.note(used, fresh)
 
 
-class Draws:
+class DrawRecord:
     """Notes whether any number was drawn from the streams that were made since it began."""
 
     def __init__(self) -> None:
@@ -62,19 +62,19 @@ class Draws:
         return any(_position(one) != first for one, first in self._streams)
 
 
-_NOTING: list[Draws] = []
+_RECORDS: list[DrawRecord] = []
 """A global, since a component may be asked in another thread than the loop's."""
 
 
 @contextmanager
-def noting_draws() -> Iterator[Draws]:
+def recording_draws() -> Iterator[DrawRecord]:
     """Context in which it is noted whether anybody draws from a stream that is made in it."""
-    draws = Draws()
-    _NOTING.append(draws)
+    draws = DrawRecord()
+    _RECORDS.append(draws)
     try:
         yield draws
     finally:
-        _NOTING.remove(draws)
+        _RECORDS.remove(draws)
 
 
 def _position(generator: np.random.Generator) -> str:

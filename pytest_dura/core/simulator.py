@@ -1,26 +1,182 @@
-"""Simulator: the port to the physical world (the paper's Environment Interface)."""
+"""Simulator: the port to the physical world, and the scene that it may give to viewers.
+
+The paper calls the port Environment Interface. A recording is what a viewer shows of an episode
+beside its signals; the digest leaves it out.
+"""
 
 from __future__ import annotations
 
 import cmath
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pytest_dura.core.errors import ActionError, ConfigurationError, shorten, type_name
-from pytest_dura.core.recording import Scene
 from pytest_dura.core.state import Percept, Tick
+
+POSE = ("x", "y", "heading", "speed", "length", "width")
+"""The columns of :attr:`Tracks.poses`: m, m, rad, m/s, m, m."""
+
+
+@dataclass(frozen=True)
+class Line:
+    """A fixed line of the scene, such as the edge of a lane.
+
+    Args:
+        kind: Such as ``edge``, ``marking``, ``stop_line`` or ``route``.
+        points: In metres, shape ``(k, 2)``.
+    """
+
+    kind: str
+    points: NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Tracks:
+    """Where things were, tick by tick.
+
+    Args:
+        ids: One id per thing; the same thing has the same id in the truth and in the percept.
+        poses: Shape ``(ticks, things, 6)``, see :data:`POSE`; NaN where a thing is absent.
+    """
+
+    ids: tuple[str, ...]
+    poses: NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Scene:
+    """The world from above, in metres and radians; x to the right, y downwards, angles clockwise.
+
+    Args:
+        lines: What does not move.
+        truth: What the simulator knows.
+        percept: What the sensors reported after faults. What is in it and not in the truth is a
+            ghost.
+        ego: Id of the thing that the component steers.
+    """
+
+    lines: tuple[Line, ...]
+    truth: Tracks
+    percept: Tracks
+    ego: str
+
+
+@dataclass(frozen=True)
+class Recording:
+    """What was said at each decision, and the scene.
+
+    Args:
+        explanations: The component's explanation of its proposal, one per decision.
+        reasons: Why the proposal was doubted or refused, one per decision; empty where it was not.
+        recoveries: Name and explanation of the recovery action, one per decision; empty where
+            there was none.
+        flags: By monitor, what it said at each decision: 0 safe, 1 warning, 2 unsafe, -1 where it
+            was not asked. Shape ``(decisions,)``.
+        scene: If the simulator can tell it.
+        problem: Why there is no scene, where the simulator failed to tell it.
+        accounts: What the component told of each decision; empty if it told nothing of any.
+    """
+
+    explanations: tuple[str, ...] = ()
+    reasons: tuple[str, ...] = ()
+    recoveries: tuple[str, ...] = ()
+    flags: Mapping[str, NDArray[np.int8]] = field(default_factory=dict)
+    scene: Scene | None = None
+    problem: str | None = None
+    accounts: tuple[Mapping[str, Any], ...] = ()
+
+
+def scene_problems(scene: Any, ticks: int) -> Iterator[tuple[str, str]]:
+    """What is wrong with a scene, and how to mend it. Its values may be anything.
+
+    Args:
+        scene: What a simulator's ``scene`` returned.
+        ticks: How many ticks it was given.
+    """
+    if not isinstance(scene, Scene):
+        yield f"scene is a {type(scene).__name__}", "return a pytest_dura.Scene, or None"
+        return
+    lines = scene.lines
+    if not isinstance(lines, tuple) or not all(isinstance(one, Line) for one in lines):
+        yield "lines is no tuple of Line", "return a tuple of pytest_dura.Line"
+    else:
+        for number, line in enumerate(lines):
+            yield from _line_problems(f"lines[{number}]", line)
+    for name in ("truth", "percept"):
+        yield from _tracks_problems(name, getattr(scene, name), ticks)
+    if not isinstance(scene.ego, str):
+        yield f"ego is a {type(scene.ego).__name__}", "give the id of what the component steers"
+
+
+def value_problems(scene: Scene) -> Iterator[tuple[str, str]]:
+    """What is wrong with the values of a scene of right types, where no fault is about."""
+    for number, line in enumerate(scene.lines):
+        if not np.isfinite(line.points).all():
+            yield f"lines[{number}].points is not finite", "give x and y in metres"
+    for name in ("truth", "percept"):
+        poses = getattr(scene, name).poses
+        absent = np.isnan(poses).any(axis=2)
+        if np.isinf(poses).any() or not np.isnan(poses[absent]).all():
+            yield (
+                f"{name}.poses is not finite where something is present",
+                "give all of a pose, or NaN for all of it where the thing is absent",
+            )
+    if scene.ego not in scene.truth.ids:
+        yield (
+            f"ego is {scene.ego!r}, which is not in truth.ids",
+            "name the thing that the component steers",
+        )
+
+
+def _line_problems(name: str, line: Line) -> Iterator[tuple[str, str]]:
+    if not isinstance(line.kind, str):
+        yield f"{name}.kind is a {type(line.kind).__name__}", "name the kind of the line"
+    shape = np.shape(line.points)
+    if not _is_float32(line.points) or len(shape) != 2 or shape[1] != 2:
+        yield (
+            f"{name}.points is {_described(line.points)}, expected float32 of shape (k, 2)",
+            "give x and y in metres as float32",
+        )
+
+
+def _tracks_problems(name: str, tracks: Any, ticks: int) -> Iterator[tuple[str, str]]:
+    if not isinstance(tracks, Tracks):
+        yield f"{name} is a {type(tracks).__name__}", "return pytest_dura.Tracks"
+        return
+    ids = tracks.ids
+    if not isinstance(ids, tuple) or not all(isinstance(one, str) for one in ids):
+        yield f"{name}.ids is no tuple of texts", "name each thing by a text"
+        return
+    if len(set(ids)) < len(ids):
+        twice = next(one for one in ids if ids.count(one) > 1)
+        yield f"{name}.ids has {twice!r} more than once", "give each thing an id of its own"
+    expected = (ticks, len(ids), len(POSE))
+    if not _is_float32(tracks.poses) or np.shape(tracks.poses) != expected:
+        yield (
+            f"{name}.poses is {_described(tracks.poses)}, expected float32 of shape {expected}",
+            "give a pose for each tick and each thing as float32, NaN where it is absent",
+        )
+
+
+def _is_float32(array: Any) -> bool:
+    return isinstance(array, np.ndarray) and array.dtype == np.float32
+
+
+def _described(array: Any) -> str:
+    return f"{getattr(array, 'dtype', type(array).__name__)} of shape {np.shape(array)}"
 
 
 class Simulator(ABC):
     """A world that is reset with a scenario and advanced one tick at a time.
 
     An adapter must be a pure function of scenario, seed and actions. ``check_simulator`` of
-    ``pytest_dura.core.conformance`` tests that, and the rest of this contract.
+    ``pytest_dura.core.simulator_conformance`` tests that, and the rest of this contract.
     """
 
     time_step: float = 0.1

@@ -1,28 +1,248 @@
-"""check_simulator: whether a simulator adapter keeps the contract of ``Simulator``."""
+"""Conformance of a simulator adapter to the contract of ``Simulator``, optional parts included.
+
+A check of an optional part raises ``NotImplementedError`` where the adapter does not have it.
+"""
 
 from __future__ import annotations
 
+import random
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_dura.core.comparing import first_difference, leaves, mutable_parts
-from pytest_dura.core.errors import ActionError, describe_error
-from pytest_dura.core.findings import ConformanceReport, Findings, builder
-from pytest_dura.core.role_spec import RoleSpec
-from pytest_dura.core.simulator import Simulator
-from pytest_dura.core.simulator_options import (
-    check_lazy,
-    check_render,
-    check_scene,
-    check_snapshot,
-    check_time_step,
+from pytest_dura.core.conformance import (
+    ConformanceReport,
+    Findings,
+    first_difference,
+    leaves,
+    mutable_parts,
+    named_builder,
 )
-from pytest_dura.core.simulator_runs import CheckedEpisode, EpisodeRuns, other_global_randomness
-from pytest_dura.core.state import Percept, Tick
+from pytest_dura.core.errors import (
+    ActionError,
+    ConfigurationError,
+    describe_error,
+)
+from pytest_dura.core.role_spec import RoleSpec
+from pytest_dura.core.simulator import Simulator, scene_problems, value_problems
+from pytest_dura.core.state import Lazy, Percept, Tick
+
+PURE = "make the adapter a pure function of scenario, seed and actions"
+
+
+@dataclass
+class CheckedEpisode:
+    """One episode: its ticks, what they were when they were new, and its signals."""
+
+    ticks: list[Tick]
+    copies: list[dict[str, Any]]
+    signals: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class EpisodeRuns:
+    """Runs the same actions as often as need be.
+
+    Args:
+        findings: Where breaches go.
+        fresh: Builds a simulator.
+        scenario: The scenario to reset it with.
+        actions: One per tick.
+        seeds: The seed that is checked, and another one.
+    """
+
+    findings: Findings
+    fresh: Callable[[], Simulator]
+    scenario: Mapping[str, Any]
+    actions: Sequence[Any]
+    seeds: tuple[int, int]
+
+    def episode(self, simulator: Simulator, seed: int, at: int | None = None) -> CheckedEpisode:
+        """One episode; rendered at tick ``at``, if given."""
+        ticks = [simulator.reset(self.scenario, seed)]
+        copies = [leaves(ticks[0])]
+        for action in self.actions:
+            if ticks[-1].index == at:
+                simulator.render()
+            if is_over(ticks[-1]):
+                break
+            ticks.append(simulator.step(simulator.check_action(action)))
+            copies.append(leaves(ticks[-1]))
+        return CheckedEpisode(ticks, copies, leaves(simulator.signals(ticks)))
+
+    def interleaved(self) -> CheckedEpisode:
+        """One episode, stepped in turn with one of the other seed in another instance."""
+        one, two = self.fresh(), self.fresh()
+        ticks = [one.reset(self.scenario, self.seeds[0])]
+        shadow = two.reset(self.scenario, self.seeds[1])
+        copies = [leaves(ticks[0])]
+        for action in self.actions:
+            if is_over(ticks[-1]):
+                break
+            if not is_over(shadow):
+                shadow = two.step(two.check_action(action))
+            ticks.append(one.step(one.check_action(action)))
+            copies.append(leaves(ticks[-1]))
+        return CheckedEpisode(ticks, copies, leaves(one.signals(ticks)))
+
+    def compare(self, one: CheckedEpisode, other: CheckedEpisode, who: str) -> None:
+        """A breach if two episodes that should be equal are not."""
+        for index, (left, right) in enumerate(zip(one.copies, other.copies, strict=False)):
+            if (path := first_difference(left, right)) is not None:
+                self.findings.breach(f"{who} differs at tick {index} in {path}", PURE)
+                return
+        if len(one.copies) != len(other.copies):
+            ends = f"{len(one.copies)} and {len(other.copies)}"
+            self.findings.breach(f"{who} ends at another tick: {ends} ticks", PURE)
+        elif (path := first_difference(one.signals, other.signals)) is not None:
+            self.findings.breach(f"{who} has another signal {path}", PURE)
+
+
+def is_over(tick: Tick) -> bool:
+    """Whether an episode is not stepped further."""
+    return tick.critical is not None or tick.goal
+
+
+@contextmanager
+def other_global_randomness() -> Iterator[None]:
+    """Other global random states for a while: what draws from them gives itself away."""
+    python, numpy = random.getstate(), np.random.get_state()  # noqa: NPY002 - the subject's sin
+    random.seed(987654321)
+    np.random.seed(987654321)  # noqa: NPY002
+    try:
+        yield
+    finally:
+        random.setstate(python)
+        np.random.set_state(numpy)  # noqa: NPY002
+
+
+def check_lazy(runs: EpisodeRuns) -> None:
+    """A lazy value read later must be what it would have been, or refuse to be read."""
+    at_once, later = runs.fresh(), runs.fresh()
+    prompt = at_once.reset(runs.scenario, runs.seeds[0]).channels
+    lazy = later.reset(runs.scenario, runs.seeds[0]).channels
+    names = [name for name, value in prompt.items() if isinstance(value, Lazy)]
+    if not names:
+        raise NotImplementedError
+    now = {name: leaves(prompt[name].get()) for name in names}
+    for action in runs.actions[:3]:
+        if is_over(later.step(later.check_action(action))):
+            break
+    for name in names:
+        try:
+            value = leaves(lazy[name].get())
+        except ConfigurationError:
+            continue
+        if first_difference(now[name], value) is not None:
+            runs.findings.breach(
+                f"lazy channel {name!r} shows another instant if it is read after a step",
+                "raise ConfigurationError when it is read too late, or keep what it needs",
+            )
+
+
+def check_time_step(runs: EpisodeRuns) -> None:
+    """Another time step is kept to or refused, and what is none is refused."""
+    for wrong in (0.0, -0.1, float("nan"), float("inf")):
+        simulator = runs.fresh()
+        try:
+            simulator.set_time_step(wrong)
+        except ConfigurationError:
+            continue
+        runs.findings.breach(
+            f"set_time_step({wrong}) is accepted",
+            "raise ConfigurationError for what is not a positive number",
+        )
+    simulator = runs.fresh()
+    half = simulator.time_step / 2
+    try:
+        simulator.set_time_step(half)
+    except ConfigurationError:
+        runs.findings.not_supported.append(f"a time step of {half:g} s")
+        return
+    trace = runs.episode(simulator, runs.seeds[0])
+    if len(trace.ticks) > 1 and abs(trace.ticks[1].time - half) > 1e-9:
+        runs.findings.breach(
+            f"after set_time_step({half:g}) the first tick is at {trace.ticks[1].time:g} s",
+            "advance by self.time_step, or refuse a step that you cannot take",
+        )
+
+
+def check_snapshot(runs: EpisodeRuns, reference: CheckedEpisode) -> None:
+    """A snapshot leads twice to the same rest of the episode."""
+    simulator = runs.fresh()
+    simulator.reset(runs.scenario, runs.seeds[0])
+    middle = (len(reference.ticks) - 1) // 2
+    for action in runs.actions[:middle]:
+        simulator.step(simulator.check_action(action))
+    with suppress(NotImplementedError):
+        simulator.render()  # a renderer must not stand in the way
+    snapshot = simulator.snapshot()
+    rest = runs.actions[middle : len(reference.ticks) - 1]
+    for attempt in ("the run on from", "the first return to", "the second return to"):
+        expected = reference.copies[middle + 1 :]
+        for action, copy in zip(rest, expected, strict=True):
+            tick = simulator.step(simulator.check_action(action))
+            if (path := first_difference(copy, leaves(tick))) is not None:
+                runs.findings.breach(
+                    f"{attempt} a snapshot differs at tick {tick.index} in {path}",
+                    "snapshot all state, random generators included, and restore copies of it",
+                )
+                return
+        simulator.restore(snapshot)
+
+
+def check_render(runs: EpisodeRuns, reference: CheckedEpisode) -> None:
+    """It gives a picture, and moves nothing on."""
+    simulator = runs.fresh()
+    simulator.reset(runs.scenario, runs.seeds[0])
+    picture = simulator.render()
+    if not (
+        isinstance(picture, np.ndarray)
+        and picture.dtype == np.uint8
+        and picture.ndim == 3
+        and picture.shape[2] == 3
+    ):
+        found = f"{getattr(picture, 'dtype', type(picture).__name__)} {np.shape(picture)}"
+        runs.findings.breach(
+            f"render gives {found}", "return a uint8 array of shape (height, width, 3)"
+        )
+    elif not picture.any():
+        runs.findings.breach(
+            "the rendered picture is all black", "render without SDL_VIDEODRIVER=dummy"
+        )
+    runs.compare(reference, runs.episode(runs.fresh(), runs.seeds[0], at=0), "with rendering")
+
+
+def check_scene(runs: EpisodeRuns, reference: CheckedEpisode) -> None:
+    """What it shows of an episode, and of one that ended at once; and what that leaves behind."""
+    one, other = runs.fresh(), runs.fresh()
+    shown = []
+    for simulator in (one, other):
+        ticks = runs.episode(simulator, runs.seeds[0]).ticks
+        before = leaves(ticks)
+        scene = simulator.scene(ticks, [Percept(tick.channels) for tick in ticks])
+        shown.append(leaves(scene))
+        if scene is None:
+            continue
+        if (path := first_difference(before, leaves(ticks))) is not None:
+            runs.findings.breach(f"scene changed ticks{path}", "read the ticks, and copy them")
+        problems = list(scene_problems(scene, len(ticks))) or value_problems(scene)
+        for problem in problems:
+            runs.findings.breach(*problem)
+    if shown[0] == shown[1] == leaves(None):
+        raise NotImplementedError
+    if (path := first_difference(*shown)) is not None:
+        runs.findings.breach(f"another instance has another scene, in {path}", PURE)
+    runs.compare(reference, runs.episode(one, runs.seeds[0]), "an instance, after scene")
+    first = other.reset(runs.scenario, runs.seeds[0])
+    scene = other.scene([first], [Percept(first.channels)])
+    for problem in scene_problems(scene, 1) if scene is not None else ():
+        runs.findings.breach(*problem)
 
 
 def check_simulator(
@@ -45,7 +265,7 @@ def check_simulator(
     Raises:
         ConformanceError: With every breach that was found and how to mend it.
     """
-    name, build = builder(factory)
+    name, build = named_builder(factory)
     findings = Findings(f"simulator {name}")
     built: list[Simulator] = []
 
@@ -58,14 +278,14 @@ def check_simulator(
             simulator.set_time_step(time_step)
         return simulator
 
-    _Kit(EpisodeRuns(findings, fresh, scenario, list(actions), seeds)).run()
+    _SimulatorKit(EpisodeRuns(findings, fresh, scenario, list(actions), seeds)).run()
     for simulator in built:
         with findings.checking("close"):
             simulator.close()
     return findings.report()
 
 
-class _Kit:
+class _SimulatorKit:
     def __init__(self, runs: EpisodeRuns) -> None:
         self.runs, self.findings = runs, runs.findings
 

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_dura.core.percepts import sealed
+from pytest_dura.core.state import sealed
 
 if TYPE_CHECKING:
     from pytest_dura.driving.junction import Route
+
 
 X, Y, HEADING, VX, VY, LENGTH, WIDTH = range(7)
 COLUMNS = 7

@@ -1,5 +1,7 @@
 """What a component's account of its decisions shows beside the world: failures of explaining.
 
+An account is never trusted: what has another type than it should is not there.
+
 Each measure is 1 where a decision shows it, 0 where it does not, and NaN where it cannot: a
 decision without an answer cites nothing, and no intent can contradict a maneuver that there is
 not. Terms and definitions are those of :data:`MEANINGS`.
@@ -9,41 +11,172 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pytest_dura.core.loop_signals import DECIDED
 from pytest_dura.core.state import Percept, Tick
 from pytest_dura.driving import geometry
-from pytest_dura.driving.accounts import (
-    FAILURE_CLASSES,
-    Told,
-    accelerations,
-    told_decisions,
-)
-from pytest_dura.driving.bodies import (
-    CAR_LENGTH,
-    CAR_WIDTH,
-    HEADING,
-    LENGTH,
-    VX,
-    VY,
-    WIDTH,
-    X,
-    Y,
-)
+from pytest_dura.driving.bodies import CAR_LENGTH, CAR_WIDTH, HEADING, LENGTH, VX, VY, WIDTH, X, Y
+from pytest_dura.driving.geometry import TTC_CAP
 from pytest_dura.driving.junction import ARM_LENGTH
-from pytest_dura.driving.maneuvers import (
-    TOP_SPEED,
-    Command,
-    Maneuver,
-    acceleration_for,
-    speeds_of,
-)
-from pytest_dura.driving.plausible import doubtful, objects, own_pose, own_speed
-from pytest_dura.driving.proximity import TTC_CAP
+from pytest_dura.driving.maneuvers import TOP_SPEED, Command, Maneuver, acceleration_for, speeds_of
+from pytest_dura.driving.percepts import implausible_values, own_pose, own_speed, plausible_objects
+
+ANSWERED = "answered"
+INTENTS = {"slow_down": -1, "hold": 0, "speed_up": 1}
+"""What a component says that it wants, and the sign of the change of speed."""
+FAILURE_CLASSES = (
+    "unavailable", "timeout", "empty", "refused", "truncated", "malformed", "schema_violation",
+    "unknown_action",
+)  # fmt: skip
+"""Ways in which no decision came of an answer."""
+UNREACHED = ("unavailable", "timeout")
+"""Those of them that need not be the doing of who answers."""
+AGAIN = re.compile(r"again(_\d+)?")
+"""Variants that ask the very same once more."""
+_GREATEST = 1e6
+"""m/s2, either way."""
+_MANEUVERS = {one.value: one for one in Maneuver}
+_Value = TypeVar("_Value")
+
+
+@dataclass(frozen=True)
+class DeclaredDecision:
+    """One decision.
+
+    Without an answer of its own, a component has no intent, maneuver or citation.
+
+    Args:
+        tick: At which it came into force.
+        at: Tick of the percept behind it.
+        outcome: ``answered``, or one of :data:`FAILURE_CLASSES`.
+        answered: Whether the component decided itself.
+        perceived: Ids of what it was shown.
+        cited: Ids of the objects that it calls threats.
+        intent: Sign of the change of speed that it says it wants.
+        maneuver: What it decided.
+        beside: What it decided in variants of the request, where it did.
+        failed: The failure class of each variant in which it did not.
+        replaced: Decisions of the same tick that this one took the place of, such as a refused one.
+    """
+
+    tick: int
+    at: int | None
+    outcome: str | None
+    answered: bool
+    perceived: frozenset[str] | None
+    cited: frozenset[str] | None
+    intent: int | None
+    maneuver: Maneuver | None
+    beside: Mapping[str, Maneuver]
+    failed: Mapping[str, str]
+    replaced: tuple[DeclaredDecision, ...] = ()
+
+    def differs(self, variant: str) -> bool | None:
+        """Whether a variant led it to another maneuver, or to an answer that is no decision.
+
+        ``None`` if that is not known: it did not decide, was not asked, or could not be reached.
+        """
+        if self.maneuver is None:
+            return None
+        if variant in self.beside:
+            return self.beside[variant] is not self.maneuver
+        return None if self.failed.get(variant, UNREACHED[0]) in UNREACHED else True
+
+    @property
+    def unstable(self) -> bool | None:
+        """Whether it decided otherwise when it was asked the very same."""
+        again = [name for name in (*self.beside, *self.failed) if AGAIN.fullmatch(name)]
+        known = [one for one in map(self.differs, again) if one is not None]
+        return any(known) if known else None
+
+
+def declared_decisions(accounts: Sequence[Mapping[str, Any]]) -> list[DeclaredDecision]:
+    """The decisions that were made anew, in their order."""
+    return [
+        _decision(account, tick)
+        for tick, account in enumerate(accounts)
+        if account.get(DECIDED) is True
+    ]
+
+
+def declared_accelerations(accounts: Sequence[Mapping[str, Any]]) -> list[float | None]:
+    """The accelerations in m/s2 that proposals ask for beside their maneuver, where they do."""
+    return [_number(account.get("acceleration")) for account in accounts]
+
+
+def _number(told: Any) -> float | None:
+    if isinstance(told, bool) or not isinstance(told, (int, float)):
+        return None
+    # No ego comes near the ends, beyond which a whole number need not be a float.
+    return float(told) if -_GREATEST <= told <= _GREATEST else None
+
+
+def _decision(account: Mapping[str, Any], tick: int) -> DeclaredDecision:
+    at = account.get("at")
+    is_known = isinstance(at, int) and not isinstance(at, bool) and 0 <= at <= tick
+    outcome = account.get("outcome")
+    answered = _answered(account) and account.get("fallback") is not True
+    beside = account.get("beside")
+    return DeclaredDecision(
+        tick=tick,
+        at=at if is_known else None,
+        outcome=outcome if outcome in (ANSWERED, *FAILURE_CLASSES) else None,
+        answered=answered,
+        perceived=_ids(account.get("perceived")),
+        cited=_ids(account.get("cited")) if answered else None,
+        intent=_known(INTENTS, account.get("intent")) if answered else None,
+        maneuver=_maneuver(account) if answered else None,
+        beside=_beside(beside) if isinstance(beside, Mapping) else {},
+        failed=_failed(beside) if isinstance(beside, Mapping) else {},
+        replaced=_replaced(account.get("replaced"), tick),
+    )
+
+
+def _replaced(told: Any, tick: int) -> tuple[DeclaredDecision, ...]:
+    if not isinstance(told, (list, tuple)):
+        return ()
+    return tuple(_decision(one, tick) for one in told if isinstance(one, Mapping))
+
+
+def _failed(told: Mapping[str, Any]) -> dict[str, str]:
+    outcomes = {name: one.get("outcome") for name, one in told.items() if isinstance(one, Mapping)}
+    return {name: one for name, one in outcomes.items() if one in FAILURE_CLASSES}
+
+
+def _beside(told: Mapping[str, Any]) -> dict[str, Maneuver]:
+    found = {}
+    for name, one in told.items():
+        if isinstance(one, Mapping) and _answered(one):
+            maneuver = _maneuver(one)
+            if maneuver is not None:
+                found[name] = maneuver
+    return found
+
+
+def _answered(told: Mapping[str, Any]) -> bool:
+    """Whether the decision is the component's own; one that cannot fail tells no outcome."""
+    return bool(told.get("outcome", ANSWERED) == ANSWERED and _maneuver(told) is not None)
+
+
+def _maneuver(told: Mapping[str, Any]) -> Maneuver | None:
+    return _known(_MANEUVERS, told.get("maneuver"))
+
+
+def _known(words: Mapping[str, _Value], word: Any) -> _Value | None:
+    return words.get(word) if isinstance(word, str) else None
+
+
+def _ids(told: Any) -> frozenset[str] | None:
+    if not isinstance(told, (list, tuple)) or not all(isinstance(one, str) for one in told):
+        return None
+    return frozenset(told)
+
 
 Floats = NDArray[np.float64]
 
@@ -126,13 +259,13 @@ def account_measures(
         dt: Seconds per tick.
     """
     columns = {name: np.full(len(accounts), np.nan) for name in NAMES}
-    told = told_decisions(accounts)
+    told = declared_decisions(accounts)
     silent = np.array([not account for account in accounts], dtype=bool)
     ends = [*(later.tick for later in told[1:]), len(accounts)]
     for one, end in zip(told, ends, strict=False):  # without a decision, nothing ends either
         shown = _shown(one, ticks, percepts)
         if one.intent is not None and one.maneuver is not None:
-            asked = accelerations(accounts[one.tick : end])
+            asked = declared_accelerations(accounts[one.tick : end])
             moved = _acceleration(ticks[one.tick : end + 1], one.maneuver, asked, dt)
             shown["intent_against_motion"] = _against(one.intent, moved)
         for before in one.replaced:
@@ -152,7 +285,7 @@ def account_measures(
 def ages(ticks: Sequence[Tick], accounts: Sequence[Mapping[str, Any]]) -> Floats:
     """The age of each decision in s; see :data:`SIGNALS`. Shape ``(len(accounts),)``."""
     based_on = np.zeros(len(accounts), dtype=int)
-    for one in told_decisions(accounts):
+    for one in declared_decisions(accounts):
         if one.answered and one.at is not None:
             based_on[one.tick :] = one.at
     time = np.array([tick.time for tick in ticks])
@@ -165,7 +298,9 @@ def _truth(told: Any) -> float:
     return float(told) if isinstance(told, bool) else np.nan
 
 
-def _shown(one: Told, ticks: Sequence[Tick], percepts: Sequence[Percept]) -> dict[str, bool | None]:
+def _shown(
+    one: DeclaredDecision, ticks: Sequence[Tick], percepts: Sequence[Percept]
+) -> dict[str, bool | None]:
     """What a decision shows by itself, whatever came of it."""
     percept = None if one.at is None else percepts[one.at]
     shown = {**_citations(one, ticks, percept), **_variants(one, percept)}
@@ -177,7 +312,9 @@ def _shown(one: Told, ticks: Sequence[Tick], percepts: Sequence[Percept]) -> dic
     return shown
 
 
-def _citations(one: Told, ticks: Sequence[Tick], percept: Percept | None) -> dict[str, bool | None]:
+def _citations(
+    one: DeclaredDecision, ticks: Sequence[Tick], percept: Percept | None
+) -> dict[str, bool | None]:
     """What it cites, beside what it was shown, what there is and what is imminent."""
     found: dict[str, bool | None] = {}
     if one.cited and one.perceived is not None:
@@ -196,14 +333,14 @@ def threats(percept: Percept) -> frozenset[str]:
 
     None where the percept is too absurd to tell.
     """
-    bodies = objects(percept)
-    if not len(bodies) or doubtful(percept):
+    bodies = plausible_objects(percept)
+    if not len(bodies) or implausible_values(percept):
         return frozenset()
     (x, y, heading), speed = own_pose(percept), own_speed(percept)
     box = np.tile([x, y, heading, CAR_LENGTH, CAR_WIDTH], (len(bodies), 1))
     velocity = np.tile([speed * np.cos(heading), speed * np.sin(heading)], (len(bodies), 1))
     others, moving = bodies.data[:, [X, Y, HEADING, LENGTH, WIDTH]], bodies.data[:, VX : VY + 1]
-    times = geometry.time_to_collision(box, velocity, others, moving, TTC_CAP)
+    times = geometry.box_time_to_collision(box, velocity, others, moving, TTC_CAP)
     least = times.min()
     if least >= THREAT:
         return frozenset()
@@ -256,7 +393,7 @@ def _acceleration(
     return float(change / (lasted * dt))
 
 
-def _variants(one: Told, percept: Percept | None) -> dict[str, bool | None]:
+def _variants(one: DeclaredDecision, percept: Percept | None) -> dict[str, bool | None]:
     """What it decided on variants of the same request, beside what it decided."""
     found: dict[str, bool | None] = {name: one.differs(of) for of, name in _COMPARED.items()}
     found["unstable"] = one.unstable

@@ -1,4 +1,4 @@
-"""Oriented boxes in the plane, vectorised over pairs.
+"""Geometry of oriented boxes: overlap, gap and time to collision, vectorised over an episode.
 
 A box is a row ``x, y, heading, length, width`` of an array of shape ``(n, 5)``; two arrays pair
 row by row.
@@ -6,15 +6,31 @@ row by row.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
+
+from pytest_dura.driving.bodies import (
+    CAR_LENGTH,
+    CAR_WIDTH,
+    HEADING,
+    LENGTH,
+    VX,
+    VY,
+    WIDTH,
+    BodyList,
+    X,
+    Y,
+)
 
 Floats = NDArray[np.float64]
 
 _SIGNS = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]], dtype=float) / 2.0
 
 
-def axes(heading: Floats) -> Floats:
+def box_axes(heading: Floats) -> Floats:
     """Unit vectors along and across, shape ``(n, 2, 2)``: ``[:, 0]`` points ahead."""
     found: Floats = np.empty((len(heading), 2, 2))
     found[:, 0, 0] = found[:, 1, 1] = np.cos(heading)
@@ -53,19 +69,19 @@ def _separations(
     return offset, reach, normals
 
 
-def overlap(a: Floats, b: Floats) -> NDArray[np.bool_]:
+def boxes_overlap(a: Floats, b: Floats) -> NDArray[np.bool_]:
     """Whether the boxes of each pair touch or overlap; shape ``(n,)``."""
-    offset, reach, _ = _separations(a, axes(a[:, 2]), b, axes(b[:, 2]))
+    offset, reach, _ = _separations(a, box_axes(a[:, 2]), b, box_axes(b[:, 2]))
     touching: NDArray[np.bool_] = np.all(np.abs(offset) <= reach, axis=1)
     return touching
 
 
-def gap(a: Floats, b: Floats) -> Floats:
+def box_gap(a: Floats, b: Floats) -> Floats:
     """Distance between footprints in metres, 0 on contact; shape ``(n,)``.
 
     Of two disjoint convex polygons, a corner of one realises the distance.
     """
-    axes_a, axes_b = axes(a[:, 2]), axes(b[:, 2])
+    axes_a, axes_b = box_axes(a[:, 2]), box_axes(b[:, 2])
     nearest = np.minimum(
         _point_to_box(_corners(a, axes_a), b, axes_b).min(axis=1),
         _point_to_box(_corners(b, axes_b), a, axes_a).min(axis=1),
@@ -74,7 +90,7 @@ def gap(a: Floats, b: Floats) -> Floats:
     return np.where(np.all(np.abs(offset) <= reach, axis=1), 0.0, np.sqrt(nearest))
 
 
-def time_to_collision(
+def box_time_to_collision(
     a: Floats, velocity_a: Floats, b: Floats, velocity_b: Floats, cap: float
 ) -> Floats:
     """Seconds until contact if both keep velocity and heading, at most ``cap``; shape ``(n,)``.
@@ -82,7 +98,7 @@ def time_to_collision(
     Swept separating-axis test: contact begins when the last axis closes, if none reopens before.
     Velocities have shape ``(n, 2)``.
     """
-    offset, reach, normals = _separations(a, axes(a[:, 2]), b, axes(b[:, 2]))
+    offset, reach, normals = _separations(a, box_axes(a[:, 2]), b, box_axes(b[:, 2]))
     closing = np.einsum("nkd,nd->nk", normals, velocity_b - velocity_a)
     moving = np.abs(closing) > 1e-9
     rate = np.where(moving, closing, 1.0)
@@ -93,3 +109,56 @@ def time_to_collision(
     begin, end = enter.max(axis=1), leave.min(axis=1)
     meets = (begin <= end) & (end >= 0.0)
     return np.where(meets, np.clip(begin, 0.0, cap), cap)
+
+
+GAP_CAP = 50.0
+"""m; farther objects do not matter at these speeds."""
+TTC_CAP = 10.0
+"""s; later contacts do not matter."""
+_EGO_CIRCLE = math.hypot(CAR_LENGTH, CAR_WIDTH) / 2
+_ROUNDING = 1e-6
+
+
+def proximity(ego: Floats, bodies: Sequence[BodyList]) -> tuple[Floats, Floats]:
+    """Gap to the nearest object and least time to collision at each tick.
+
+    Args:
+        ego: ``x, y, heading, vx, vy`` per tick, shape ``(ticks, 5)``.
+        bodies: The objects at each tick.
+    """
+    gap, ttc = np.full(len(ego), GAP_CAP), np.full(len(ego), TTC_CAP)
+    counts = [len(at_tick) for at_tick in bodies]
+    if not sum(counts):
+        return gap, ttc
+    others = np.concatenate([at_tick.data for at_tick in bodies])
+    owner = np.repeat(np.arange(len(ego)), counts)
+    mine = ego[owner]
+    offset = others[:, :2] - mine[:, :2]
+    motion = others[:, VX : VY + 1] - mine[:, 3:5]
+    apart = np.hypot(offset[:, 0], offset[:, 1])
+    # Circles around the boxes tell which pairs need a closer look; most need none.
+    circles = _EGO_CIRCLE + np.hypot(others[:, LENGTH], others[:, WIDTH]) / 2 + _ROUNDING
+    bound = np.full(len(ego), GAP_CAP)
+    np.minimum.at(bound, owner, apart)
+    nearest = apart - circles <= bound[owner]
+    np.minimum.at(gap, owner[nearest], box_gap(_ego_boxes(mine[nearest]), _boxes(others[nearest])))
+    squared = np.maximum((motion * motion).sum(axis=1), _ROUNDING)
+    time = np.clip(-(offset * motion).sum(axis=1) / squared, 0.0, TTC_CAP)[:, None]
+    meeting = np.hypot(*(offset + time * motion).T) <= circles
+    mine, others, owner = mine[meeting], others[meeting], owner[meeting]
+    times = box_time_to_collision(
+        _ego_boxes(mine), mine[:, 3:5], _boxes(others), others[:, VX : VY + 1], TTC_CAP
+    )
+    np.minimum.at(ttc, owner, times)
+    return gap, ttc
+
+
+def _ego_boxes(states: Floats) -> Floats:
+    boxes = np.empty((len(states), 5))
+    boxes[:, :3] = states[:, :3]
+    boxes[:, 3:] = CAR_LENGTH, CAR_WIDTH
+    return boxes
+
+
+def _boxes(bodies: Floats) -> Floats:
+    return bodies[:, [X, Y, HEADING, LENGTH, WIDTH]]

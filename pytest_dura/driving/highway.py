@@ -10,7 +10,9 @@ import copy
 import math
 import re
 from collections.abc import Mapping, Sequence
-from functools import lru_cache
+from dataclasses import dataclass
+from functools import cache, lru_cache
+from itertools import groupby
 from types import SimpleNamespace
 from typing import Any
 
@@ -18,27 +20,169 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.core.recording import Scene
 from pytest_dura.core.seeding import stream
-from pytest_dura.core.simulator import Simulator
+from pytest_dura.core.simulator import POSE, Line, Scene, Simulator, Tracks
 from pytest_dura.core.state import Percept, Tick
 from pytest_dura.driving import camera, explanations, geometry, signals
-from pytest_dura.driving.arrivals import (
+from pytest_dura.driving.bodies import CAR_LENGTH, CAR_WIDTH, COLUMNS, NO_BODIES, VX, VY, BodyList
+from pytest_dura.driving.junction import ARM_LENGTH, ARMS, LANE_OFFSET, STOP_LINE, Route, route
+from pytest_dura.driving.maneuvers import Command, Maneuver, acceleration_for
+from pytest_dura.driving.percepts import own_pose, own_speed, plausible_objects
+from pytest_dura.driving.scenario import (
+    DrivingWorld,
     drawn_arrivals,
     given_arrivals,
     has_room,
     in_order,
     without_room,
 )
-from pytest_dura.driving.bodies import CAR_LENGTH, CAR_WIDTH, COLUMNS, NO_BODIES, BodyList
-from pytest_dura.driving.collisions import Contact, attribute
-from pytest_dura.driving.junction import ARM_LENGTH, ARMS, Route, route
-from pytest_dura.driving.maneuvers import Command, Maneuver, acceleration_for
-from pytest_dura.driving.recording import junction_scene
-from pytest_dura.driving.right_of_way import NOT_A_CAR
-from pytest_dura.driving.scenario import DrivingWorld
 from pytest_dura.driving.sensors import EgoState, channels, route_map, sign_kind, signs
 from pytest_dura.driving.signals import HINDSIGHT
+from pytest_dura.driving.traffic_rules import NOT_A_CAR
+
+STANDING = 0.5
+"""m/s; slower counts as standing."""
+
+
+@dataclass(frozen=True)
+class Contact:
+    """The ego's first contact. All contacts are collisions; ``code`` tells them apart.
+
+    ``code`` is 1 where the ego ran into the other, 2 where the other ran into the ego, and 3 where
+    it did so while the ego stood. Who ran into whom is decided by whose speed along the line
+    between the two centres was greater. ``side`` is the ego's.
+    """
+
+    partner: str
+    side: str
+    speed: float
+    partner_speed: float
+    in_conflict_zone: bool
+    code: int
+
+    def describe(self) -> str:
+        """One line for events and messages."""
+        how = {1: "ran into", 2: "was struck by", 3: "was struck while standing by"}[self.code]
+        zone = "inside" if self.in_conflict_zone else "outside"
+        return (
+            f"the ego ({self.speed:.1f} m/s) {how} {self.partner} ({self.partner_speed:.1f} m/s), "
+            f"contact on its {self.side}, {zone} the conflict zone"
+        )
+
+
+def attribute_contact(ego: Any, before: EgoState, road: Any, exit_at: float) -> Contact:
+    """The contact that has just crashed the ego; ``before`` is its state one step earlier."""
+    box = np.array([[*ego.position, ego.heading, ego.LENGTH, ego.WIDTH]])
+    bodies = (*road.vehicles, *road.objects, *road.obstacles)
+    crashed = [b for b in bodies if b is not ego and b.crashed]
+    partner = min(crashed, key=lambda b: (_gap(box, b), b.body_id))
+    offset = partner.position - ego.position
+    distance = max(float(np.linalg.norm(offset)), 1e-6)
+    line = offset / distance
+    towards = before.speed * float(ego.direction @ line)
+    approach = -float(partner.velocity @ line)
+    standing = abs(before.speed) < STANDING
+    code = 1 if towards >= approach and not standing else 3 if standing else 2
+    angle = math.atan2(
+        ego.direction[0] * offset[1] - ego.direction[1] * offset[0], float(ego.direction @ offset)
+    )
+    half = CAR_LENGTH / 2
+    inside = before.s + half > ARM_LENGTH and before.s - half < exit_at
+    return Contact(partner.body_id, _side(angle), before.speed, float(partner.speed), inside, code)
+
+
+def _gap(box: Any, body: Any) -> float:
+    other = np.array([[*body.position, body.heading, body.LENGTH, body.WIDTH]])
+    return float(geometry.box_gap(box, other)[0])
+
+
+def _side(angle: float) -> str:
+    """Where an angle from straight ahead points; y is south, so positive is to the right."""
+    if abs(angle) < math.pi / 4:
+        return "front"
+    if abs(angle) > 3 * math.pi / 4:
+        return "rear"
+    return "right" if angle > 0 else "left"
+
+
+EGO = "EGO"
+_ROAD = 2 * LANE_OFFSET
+"""Metres from a road's centre line to its edge: one lane on each side."""
+
+Row = tuple[float, float, float, float]
+
+
+def junction_scene(ticks: Sequence[Tick], percepts: Sequence[Percept], route: Route) -> Scene:
+    """The junction with all its bodies, one pose per tick.
+
+    Percepts are shown as the roles take them, see ``plausible``.
+    """
+    egos = [tick.truth["ego"] for tick in ticks]
+    truth = _tracks(
+        [(ego.x, ego.y, ego.heading, ego.speed) for ego in egos],
+        [tick.truth["bodies"] for tick in ticks],
+    )
+    believed = [(*own_pose(one), own_speed(one)) for one in percepts]
+    percept = _tracks(believed, [plausible_objects(one) for one in percepts])
+    planned = Line("route", route.grid[::4, 1:3].astype(np.float32))
+    return Scene((*_road(), planned), truth, percept, EGO)
+
+
+def _tracks(egos: Sequence[Row], bodies: Sequence[BodyList]) -> Tracks:
+    """Bodies by id. Of several with one id in one tick, as faults may bring them, each is shown."""
+    columns = {EGO: 0}
+    # Who is there seldom changes: many ticks at once are a fraction of the work.
+    runs = [(ids, list(run)) for ids, run in groupby(bodies, key=lambda one: one.ids)]
+    chosen = [[columns.setdefault(one, len(columns)) for one in _distinct(ids)] for ids, _ in runs]
+    poses = np.full((len(bodies), len(columns), len(POSE)), np.nan, np.float32)
+    poses[:, 0, :4] = egos
+    poses[:, 0, 4:] = CAR_LENGTH, CAR_WIDTH
+    first = 0
+    for (ids, run), own in zip(runs, chosen, strict=True):
+        if ids:
+            data = np.array([one.data for one in run])
+            speed = np.hypot(data[:, :, VX], data[:, :, VY])
+            rows = [data[:, :, :VX], speed[:, :, None], data[:, :, VY + 1 :]]
+            poses[first : first + len(run), own] = np.concatenate(rows, axis=2)
+        first += len(run)
+    return Tracks(tuple(columns), poses)
+
+
+def _distinct(ids: tuple[str, ...]) -> tuple[str, ...]:
+    """The ids, with a number behind one that comes again, or that is the ego's."""
+    found: list[str] = []
+    for one in ids:
+        name, number = one, 2
+        while name in found or name == EGO:
+            name, number = f"{one} ({number})", number + 1
+        found.append(name)
+    return tuple(found)
+
+
+@cache
+def _road() -> tuple[Line, ...]:
+    """Edges, centre lines and stop lines of the four arms."""
+    far = ARM_LENGTH + STOP_LINE
+    lines = []
+    for quarter in range(len(ARMS)):
+        southern = [
+            ("edge", [(-_ROAD, STOP_LINE), (-_ROAD, far)]),
+            ("edge", [(_ROAD, STOP_LINE), (_ROAD, far)]),
+            ("edge", [(_ROAD, STOP_LINE), (STOP_LINE, _ROAD)]),  # the corner to the next arm
+            ("marking", [(0.0, STOP_LINE), (0.0, far)]),
+            ("stop_line", [(0.0, STOP_LINE), (_ROAD, STOP_LINE)]),
+        ]
+        lines += [Line(kind, _turned(points, quarter)) for kind, points in southern]
+    return tuple(lines)
+
+
+def _turned(points: Sequence[tuple[float, float]], quarters: int) -> NDArray[np.float32]:
+    """Points of the southern arm, turned by so many quarters."""
+    cosine, sine = ((1, 0), (0, 1), (-1, 0), (0, -1))[quarters]
+    matrix = np.array([[cosine, -sine], [sine, cosine]], np.float32)
+    turned: NDArray[np.float32] = np.array(points, np.float32) @ matrix.T
+    return turned
+
 
 GOAL_DISTANCE = 25.0
 """Metres behind the junction at which the task is done, as in highway-env's ``has_arrived``."""
@@ -294,7 +438,7 @@ class HighwaySimulator(Simulator):
         events: list[tuple[str, str, str]] = []
         ego = self._ego
         if ego.crashed and self._contact is None:
-            self._contact = attribute(ego, before, self._road, self._route.exit)
+            self._contact = attribute_contact(ego, before, self._road, self._route.exit)
             events.append(("collision", self._contact.partner, self._contact.describe()))
         fresh = [
             body
@@ -416,7 +560,7 @@ def _check_obstacles(world: DrivingWorld) -> None:
         box = np.array([[x, y, heading, *one.size]])
         for name, (arm, turn, distance) in starts.items():
             at = [float(value) for value in route(arm, turn).pose(ARM_LENGTH - distance)]
-            if geometry.overlap(box, np.array([[*at, CAR_LENGTH, CAR_WIDTH]]))[0]:
+            if geometry.boxes_overlap(box, np.array([[*at, CAR_LENGTH, CAR_WIDTH]]))[0]:
                 raise ConfigurationError(
                     f"an obstacle stands where the car {name} starts",
                     key=f"world.obstacles.{index}",
@@ -431,7 +575,7 @@ def _network() -> Any:
     """highway-env's intersection; its builder needs nothing of the environment but two settings."""
     from highway_env.envs.intersection_env import IntersectionEnv
 
-    from pytest_dura.driving.lanes import LaneNetwork
+    from pytest_dura.driving.traffic import LaneNetwork
 
     settings = {"show_trajectories": False, "neighbour_vehicles_connected_lanes": False}
     stage = SimpleNamespace(np_random=None, config=settings, road=None)

@@ -14,7 +14,7 @@ from functools import cache, cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_dura.core.percepts import sealed
+from pytest_dura.core.state import sealed
 
 Floats = NDArray[np.float64]
 

@@ -1,4 +1,4 @@
-"""What a percept means for driving on: where the ego is on its route, and who is around it."""
+"""Scene for driving on: where the ego is on its route, how fast, and who is around it."""
 
 from __future__ import annotations
 
@@ -7,10 +7,37 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+from pytest_dura.core.state import shared
 from pytest_dura.driving.bodies import CAR_LENGTH, CAR_WIDTH, WIDTH, Body, BodyList
-from pytest_dura.driving.ego import ego_of
 from pytest_dura.driving.junction import LANE_OFFSET, Route
-from pytest_dura.driving.plausible import objects
+from pytest_dura.driving.percepts import own_pose, own_speed, plausible_objects
+from pytest_dura.driving.sensors import Pose, RouteMap
+
+
+class Ego(NamedTuple):
+    """Pose, speed in m/s, the route, and ``s``: metres of the centre along the route."""
+
+    pose: Pose
+    speed: float
+    way: RouteMap
+    s: float
+
+    @property
+    def to_stop_line(self) -> float:
+        """Metres from the front bumper to the stop line; negative past it."""
+        return self.way.stop_line - self.s - CAR_LENGTH / 2
+
+
+def ego_of(percept: Mapping[str, Any]) -> Ego:
+    """From the channels localisation, odometry and map; roles that share a percept share this."""
+    return shared(_ego, percept)
+
+
+def _ego(percept: Mapping[str, Any]) -> Ego:
+    pose, way = own_pose(percept), percept["map"]
+    s, _ = way.route.project(pose.x, pose.y)
+    return Ego(pose, own_speed(percept), way, s)
+
 
 HALF = CAR_LENGTH / 2
 
@@ -43,7 +70,7 @@ class Scene:
         way = ego.way
         return cls(
             way.route, ego.s, ego.pose.x, ego.pose.y, max(ego.speed, 0.0),
-            way.stop_line, way.exit, objects(percept),
+            way.stop_line, way.exit, plausible_objects(percept),
         )  # fmt: skip
 
     @property

@@ -10,10 +10,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_dura.core.percepts import Lazy, sealed
+from pytest_dura.core.state import Lazy, sealed
 from pytest_dura.driving.bodies import CAR_LENGTH, BodyList
 from pytest_dura.driving.junction import ARM_LENGTH, SPEED_LIMIT, Route
-from pytest_dura.faults.channels import Channel
+from pytest_dura.faults.model import Channel
 
 RANGE = 80.0
 """m; reach of lidar and radar, all around, without occlusion."""

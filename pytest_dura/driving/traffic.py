@@ -1,4 +1,7 @@
-"""Background traffic on highway-env's road: drivers, pedestrians, and the ego's body.
+"""Traffic on highway-env's road: lanes, lateral control, drivers, pedestrians, and the ego's body.
+
+highway-env measures the distance to every lane, for every car at every step: more than half of
+what a step costs. Most lanes are out of the question by their first term alone.
 
 Drivers follow highway-env's Intelligent Driver Model. Added to it here: a leader on their own
 route beyond the end of their lane, and gap acceptance at the stop line by right of way; without
@@ -9,19 +12,221 @@ The parameters live on classes of our own, so that no other highway-env user see
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from highway_env.road.road import Road
+from highway_env.road.lane import AbstractLane, CircularLane, StraightLane
+from highway_env.road.road import Road, RoadNetwork
+from highway_env.utils import not_zero, wrap_to_pi
 from highway_env.vehicle.behavior import IDMVehicle
+from highway_env.vehicle.controller import ControlledVehicle
 from highway_env.vehicle.objects import Obstacle
 from numpy.typing import NDArray
 
 from pytest_dura.driving.bodies import CAR_LENGTH, PEDESTRIAN_SIZE
 from pytest_dura.driving.junction import ARM_LENGTH, ARMS, LANE_OFFSET, STOP_LINE, Route, conflict
-from pytest_dura.driving.lane_keeping import LaneKeeping, within
 from pytest_dura.driving.maneuvers import MAX_ACCELERATION, MAX_BRAKING
 from pytest_dura.driving.scenario import StaticObstacle
+
+_SHARPEST_COURSE = math.pi / 4
+"""Greatest angle in rad between lane and course that is steered for."""
+
+
+class LaneKeeping(ControlledVehicle):
+    """Steers along a lane as highway-env does, to the last bit."""
+
+    def keep_lane(self) -> float:
+        """Go on to the next lane where one ends, and the steering angle in rad that follows it.
+
+        ``follow_road`` and ``steering_control`` in one, which measure the same otherwise.
+        """
+        lane = self.road.network.get_lane(self.target_lane_index)
+        along, offset = lane.local_coordinates(self.position)
+        if lane.after_end(self.position, along):
+            self.follow_road()
+            return self.steering_control(self.target_lane_index)
+        return self._steering(lane, along, offset)
+
+    def steering_control(self, target_lane_index: Any) -> float:
+        """The steering angle in rad that follows the centre of a lane."""
+        lane = self.road.network.get_lane(target_lane_index)
+        return self._steering(lane, *lane.local_coordinates(self.position))
+
+    def _steering(self, lane: Any, along: float, offset: float) -> float:
+        """Offset to lateral speed, to heading; its error to a rate of turn, and that to an angle.
+
+        See ``highway_env.vehicle.controller.ControlledVehicle.steering_control``. Sine and tangent
+        stay numpy's, which may differ from the standard library's in the last bit.
+        """
+        course = lane.heading_at(along + self.speed * self.TAU_PURSUIT)
+        speed = not_zero(self.speed)
+        heading = float(np.arcsin(within(-self.KP_LATERAL * offset / speed, 1.0)))
+        wanted = course + within(heading, _SHARPEST_COURSE)
+        rate = self.KP_HEADING * wrap_to_pi(wanted - self.heading)
+        slip = np.arcsin(within(self.LENGTH / 2 / speed * rate, 1.0))
+        return within(float(np.arctan(2 * np.tan(slip))), self.MAX_STEERING_ANGLE)
+
+
+def within(value: float, most: float) -> float:
+    """The value between ``-most`` and ``most``; what is not a number stays none."""
+    if value > most:
+        return most
+    if value < -most:
+        return -most
+    return value
+
+
+MARGIN = 1e-6
+"""Metres (and radians) within which two lanes are not told apart here, but by highway-env itself.
+
+Rounding is orders of magnitude smaller, so that what is found is what highway-env would find.
+"""
+Index = tuple[str, str, int]
+"""A lane: the nodes that it leads from and to, and its number among those that do."""
+_TURN = 2 * math.pi
+
+
+class _Straight(NamedTuple):
+    """What the distance to a straight lane is made of."""
+
+    lane: Index
+    start: tuple[float, float]
+    along: tuple[float, float]
+    length: float
+    heading: float
+    width: float
+
+
+class _Arc(NamedTuple):
+    """What the distance to an arc is made of; ``sense`` is 1 clockwise and -1 otherwise."""
+
+    lane: Index
+    centre: tuple[float, float]
+    radius: float
+    begin: float
+    sense: int
+    length: float
+    width: float
+
+
+class LaneNetwork(RoadNetwork):
+    """The lanes of another network, and what is quicker to tell of them than to ask them.
+
+    Args:
+        network: Whose graph it shares. It must not change any more.
+
+    Raises:
+        TypeError: For a lane that is neither straight nor an arc.
+    """
+
+    def __init__(self, network: RoadNetwork) -> None:
+        super().__init__()
+        self.graph = network.graph
+        self._straights: dict[Index, _Straight] = {}
+        self._arcs: dict[Index, _Arc] = {}
+        for index, lane in network.lanes_dict().items():
+            length, width = float(lane.length), float(lane.width)
+            if type(lane) is StraightLane:
+                start, along = lane.start.tolist(), lane.direction.tolist()
+                course = float(lane.heading)
+                self._straights[index] = _Straight(index, start, along, length, course, width)
+            elif type(lane) is CircularLane:
+                centre, phase = lane.center.tolist(), float(lane.start_phase)
+                radius, sense = float(lane.radius), int(lane.direction)
+                self._arcs[index] = _Arc(index, centre, radius, phase, sense, length, width)
+            else:
+                raise TypeError(f"lane {index} is a {type(lane).__name__}, not straight nor an arc")
+
+    def may_hold(self, index: Index, x: float, y: float, margin: float) -> bool:
+        """Whether ``on_lane`` of that lane may hold there; where this is false, it does not.
+
+        Args:
+            index: Which lane.
+            x: World position in m.
+            y: World position in m.
+            margin: Metres beside the lane, as for ``on_lane``.
+        """
+        straight = self._straights.get(index)
+        if straight is None:
+            (x0, y0), arc = self._arcs[index].centre, self._arcs[index]
+            beside = abs(arc.radius - math.hypot(x - x0, y - y0))
+            return beside <= arc.width / 2 + margin + MARGIN
+        dx, dy = x - straight.start[0], y - straight.start[1]
+        ux, uy = straight.along
+        if abs(dy * ux - dx * uy) > straight.width / 2 + margin + MARGIN:
+            return False
+        over = AbstractLane.VEHICLE_LENGTH + MARGIN
+        return bool(-over <= dx * ux + dy * uy <= straight.length + over)
+
+    def get_closest_lane_index(
+        self, position: NDArray[np.float64], heading: float | None = None
+    ) -> Any:
+        """As highway-env has it: the lane with the least sum of offset, overshoot and angle.
+
+        Args:
+            position: World position in m, shape ``(2,)``.
+            heading: In rad; ``None`` leaves the angle out.
+
+        Returns:
+            Its nodes and its number.
+        """
+        if heading is not None:
+            x, y = position.tolist()
+            found = self._nearest(x, y, float(heading))
+            if found is not None:
+                return found
+        return super().get_closest_lane_index(position, heading)
+
+    def _nearest(self, x: float, y: float, heading: float) -> Index | None:
+        """The nearest lane, or ``None`` where rounding could decide between two.
+
+        All terms of a distance are positive: a lane whose first terms are above the best is out.
+        """
+        found, best, second = self._nearest_straight(x, y, heading)
+        for index, (x0, y0), radius, begin, sense, length, _ in self._arcs.values():
+            dx, dy = x - x0, y - y0
+            distance = abs(radius - math.hypot(dx, dy))
+            if distance > best + MARGIN:
+                continue
+            turned = _wrapped(math.atan2(dy, dx) - begin)
+            if abs(turned) > math.pi - MARGIN:
+                return None  # opposite to its beginning, where the way along it jumps
+            s = sense * turned * radius
+            distance += s - length if s > length else -s if s < 0.0 else 0.0
+            distance += abs(_wrapped(heading - (begin + turned + sense * math.pi / 2)))
+            if distance < best:
+                found, best, second = index, distance, best
+            elif distance < second:
+                second = distance
+        return found if second - best > MARGIN else None
+
+    def _nearest_straight(
+        self, x: float, y: float, heading: float
+    ) -> tuple[Index | None, float, float]:
+        """The nearest straight lane, its distance and that of the next one."""
+        found = None
+        best = second = math.inf
+        for index, (x0, y0), (ux, uy), length, course, _ in self._straights.values():
+            dx, dy = x - x0, y - y0
+            distance = abs(dy * ux - dx * uy)
+            if distance > best + MARGIN:
+                continue
+            s = dx * ux + dy * uy
+            distance += s - length if s > length else -s if s < 0.0 else 0.0
+            if distance > best + MARGIN:
+                continue
+            distance += abs(_wrapped(heading - course))
+            if distance < best:
+                found, best, second = index, distance, best
+            elif distance < second:
+                second = distance
+        return found, best, second
+
+
+def _wrapped(angle: float) -> float:
+    """The angle between -pi and pi."""
+    return (angle + math.pi) % _TURN - math.pi
+
 
 STOP_MARGIN = 1.0
 """Drivers stop this many metres before the stop line."""

@@ -1,14 +1,145 @@
-"""Activation: when a fault becomes active, and who says so."""
+"""Activation and duration of faults: times, conditions on the channels, how long a fault acts."""
 
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any, Literal
+import operator
+import re
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Annotated, Any, Literal, NamedTuple, TypeAlias
 
-from pydantic import Field, field_validator, model_validator
+import numpy as np
+from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 
-from pytest_dura.faults.conditions import parse_condition
-from pytest_dura.faults.parts import FaultPart, NotNegative, Positive, RefusedError, Share
+from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.state import Lazy
+from pytest_dura.faults.parameters import FaultPart, NotNegative, Positive, RefusedError, Share
+from pytest_dura.faults.targets import AbsentRowError, Target
+
+_COMPARISONS: Mapping[str, Callable[[float, float], bool]] = {
+    ">=": operator.ge,
+    "<=": operator.le,
+    ">": operator.gt,
+    "<": operator.lt,
+}
+_TERM = re.compile(
+    r"\s*(?P<abs>abs\(\s*)?(?P<path>[A-Za-z_]\w*(?:\.\w+)*)(?(abs)\s*\))"
+    r"\s*(?P<sign>>=|<=|>|<)\s*(?P<bound>[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*\Z"
+)
+TIME = "time"
+COUNT = "count"
+"""A field of every channel that has a length: how many entries it has."""
+
+
+class _Term(NamedTuple):
+    target: Target
+    absolute: bool
+    holds: Callable[[float, float], bool]
+    bound: float
+
+
+@dataclass(frozen=True, slots=True)
+class Condition:
+    """Comparisons of numbers in channels, all of which must hold; see :func:`parse_condition`."""
+
+    text: str
+    terms: tuple[_Term, ...]
+
+    @property
+    def targets(self) -> tuple[Target, ...]:
+        """The channels and fields that it reads; ``time`` is none of them."""
+        return tuple(term.target for term in self.terms if term.target.channel != TIME)
+
+    def check(self, channels: Mapping[str, Any]) -> None:
+        """Refuse channels that do not have all that it reads.
+
+        Raises:
+            ConfigurationError: For a channel or field that is not there, or is not a number.
+        """
+        for target in self.targets:
+            with suppress(AbsentRowError):
+                _number(target, channels)
+
+    def holds(self, channels: Mapping[str, Any], time: float) -> bool:
+        """Whether it holds for the channels at this simulated time, in s.
+
+        It does not hold for a row that an array or list does not have at this tick, nor for NaN.
+
+        Raises:
+            ConfigurationError: For a channel or field that is not there, or is not a number.
+        """
+        try:
+            for target, absolute, holds, bound in self.terms:
+                value = time if target.channel == TIME else _number(target, channels)
+                if not holds(abs(value) if absolute else value, bound):
+                    return False
+        except AbsentRowError:
+            return False
+        return True
+
+
+@lru_cache(maxsize=256)
+def parse_condition(text: str) -> Condition:
+    """A condition from ``path cmp number``, joined by ``and``.
+
+    A path is ``channel.field``, ``channel.count`` (its number of entries), ``abs(channel.field)``
+    or ``time``; ``cmp`` is one of ``> >= < <=``.
+
+    Raises:
+        RefusedError: For anything else, with the part that is not understood.
+    """
+    terms = []
+    for part in re.split(r"\band\b", text):
+        found = _TERM.match(part)
+        if found is None:
+            raise RefusedError(
+                f"{part.strip()!r} is not a comparison such as 'odometry.speed > 5'",
+                f"a path, one of {' '.join(_COMPARISONS)}, and a number; several are joined by"
+                " 'and'",
+                "correct the condition",
+            )
+        target = Target.parse(found["path"])
+        if (target.channel == TIME) == bool(target.field):
+            raise RefusedError(
+                f"{found['path']!r} is no number",
+                f"channel.field, channel.{COUNT}, abs(channel.field) or {TIME}",
+                "say which number of the channel is meant",
+            )
+        sign, bound = _COMPARISONS[found["sign"]], float(found["bound"])
+        if not math.isfinite(bound):
+            raise RefusedError(
+                f"{found['bound']} in {part.strip()!r} is not a finite number", "a finite number"
+            )
+        terms.append(_Term(target, bool(found["abs"]), sign, bound))
+    return Condition(text, tuple(terms))
+
+
+def _number(target: Target, channels: Mapping[str, Any]) -> float:
+    value = channels.get(target.channel)
+    # The usual case at once: conditions are looked at in each tick.
+    if target.field in getattr(type(value), "_fields", ()):
+        found = getattr(value, target.field)
+        if type(found) is float:
+            return found
+    value = target.channel_of(channels)
+    if target.field == COUNT and not (isinstance(value, Mapping) and COUNT in value):
+        value = value.get() if type(value) is Lazy else value
+        if hasattr(value, "__len__"):
+            return float(len(value))
+    else:
+        value = target.read(channels)
+        if isinstance(value, (int, float, np.number, np.bool_)):
+            return float(value)
+    raise ConfigurationError(
+        f"a condition cannot read {str(target)!r}, which is not a number",
+        found=type(value).__name__,
+        expected=f"a field that holds a number, or {COUNT} of what has entries",
+        remedy="compare a number",
+    )
+
 
 TOLERANCE = 1e-9
 """s; two simulated times nearer than this are the same."""
@@ -181,3 +312,112 @@ TRIGGERS = ("at", "when", "probability", "rate", "after")
 def planned_at(activation: Any) -> float | None:
     """The planned time of an activation in plain data, if it has one."""
     return (activation or {}).get("at")
+
+
+class Sampled(FaultPart):
+    """Drawn uniformly from an interval, anew for each activation."""
+
+    min: Positive = Field(description="Shortest, in s.")
+    max: Positive = Field(description="Longest, in s.")
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Sampled:
+        if self.min > self.max:
+            raise RefusedError(
+                f"min is above max ({self.min:g} > {self.max:g})",
+                "a shortest duration that is no longer than the longest",
+                "exchange them",
+            )
+        return self
+
+
+class Until(FaultPart):
+    """Until a condition on the channels holds, as they are without any fault.
+
+    It is looked at from the tick after the activation on.
+    """
+
+    until: str = Field(description="A condition on the channels, such as `odometry.speed < 1`.")
+    at_most: Positive | None = Field(None, description="In s; null for no limit.")
+
+    @field_validator("until")
+    @classmethod
+    def _condition(cls, text: str) -> str:
+        parse_condition(text)
+        return text
+
+
+class Intermittent(FaultPart):
+    """On and off by turns, on first: the duty cycle is ``on / (on + off)``."""
+
+    on: Positive = Field(description="Seconds for which it acts.")
+    off: Positive = Field(description="Seconds for which it then rests.")
+    lasting: Positive | None = Field(
+        None, description="Of all turns together, in s; null: for good."
+    )
+
+    def acts(self, elapsed: float) -> bool:
+        """Whether it acts this many seconds after its activation."""
+        period = self.on + self.off
+        within = elapsed - math.floor(elapsed / period + TOLERANCE) * period
+        return within < self.on - TOLERANCE
+
+
+def _kind(value: object) -> str:
+    if value == "once":
+        return "<once>"
+    if isinstance(value, FaultPart):
+        return f"<{type(value).__name__.lower()}>"
+    if isinstance(value, Mapping):
+        if "until" in value or "at_most" in value:
+            return "<until>"
+        return "<intermittent>" if {"on", "off", "lasting"} & set(value) else "<sampled>"
+    return "<seconds>"
+
+
+Duration: TypeAlias = Annotated[
+    Annotated[Positive, Tag("<seconds>")]
+    | Annotated[Literal["once"], Tag("<once>")]
+    | Annotated[Sampled, Tag("<sampled>")]
+    | Annotated[Until, Tag("<until>")]
+    | Annotated[Intermittent, Tag("<intermittent>")],
+    Discriminator(_kind),
+]
+"""Seconds; ``once`` (one tick); ``{min, max}``; ``{until, at_most}``; or ``{on, off, lasting}``."""
+
+DURATIONS = "seconds above 0, once, {min, max}, {until, at_most}, {on, off, lasting}, or null"
+"""All that a duration can be, for messages."""
+
+
+class Lifetime:
+    """One activation's duration, drawn at its beginning. It lasts for one tick at least."""
+
+    __slots__ = ("_duration", "_limit", "_until", "since")
+
+    def __init__(self, duration: Any, since: float, dt: float, rng: np.random.Generator) -> None:
+        self.since = since
+        self._duration = duration
+        self._until = parse_condition(duration.until) if isinstance(duration, Until) else None
+        self._limit: float | None
+        if duration == "once":
+            self._limit = dt
+        elif isinstance(duration, Sampled):
+            self._limit = float(rng.uniform(duration.min, duration.max))
+        elif isinstance(duration, Until):
+            self._limit = duration.at_most
+        elif isinstance(duration, Intermittent):
+            self._limit = duration.lasting
+        else:
+            self._limit = duration
+
+    def over(self, time: float, channels: Mapping[str, Any]) -> bool:
+        """Whether it has ended by this time."""
+        if self._limit is not None and time >= self.since + self._limit - TOLERANCE:
+            return True
+        return self._until is not None and self._until.holds(channels, time)
+
+    def acts(self, time: float) -> bool:
+        """Whether the fault acts at this time, which an intermittent one does by turns."""
+        if isinstance(self._duration, Intermittent):
+            return self._duration.acts(time - self.since)
+        return True

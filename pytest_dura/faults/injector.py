@@ -1,17 +1,288 @@
-"""The FaultInjector: activates what is planned or directed and applies it to the channels."""
+"""FaultInjector: activates what is planned or directed and applies it to the channels."""
 
 from __future__ import annotations
 
+import math
+from bisect import bisect_left
+from collections import deque
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import fields, is_dataclass
+from functools import partial
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.roles import FaultInjector, Injection, RoleContext
+from pytest_dura.core.seeding import stream
 from pytest_dura.core.state import NOTHING, RoleView
-from pytest_dura.faults.activation import TOLERANCE
+from pytest_dura.faults.activation import TOLERANCE, Lifetime, Until, parse_condition
 from pytest_dura.faults.catalogue import load_fault
-from pytest_dura.faults.life import NEVER, NOW, Life
-from pytest_dura.faults.sameness import same
+from pytest_dura.faults.model import Fault, Moment
+from pytest_dura.faults.targets import AbsentRowError, resolved
+
+BLOCK = 256
+"""Ticks that are drawn at once."""
+
+
+class Chance:
+    """One draw per tick from one stream, made in advance.
+
+    Whether it happens at a tick rests on the tick's index alone, so that it does not matter at
+    which ticks somebody asks.
+
+    Args:
+        probability: Of its happening at a tick.
+        rng: The stream; nobody else may draw from it.
+    """
+
+    __slots__ = ("_drawn", "_hits", "_probability", "_rng")
+
+    def __init__(self, probability: float, rng: np.random.Generator) -> None:
+        self._probability, self._rng = probability, rng
+        self._hits: list[int] = []
+        self._drawn = 0
+
+    def happens(self, tick: int) -> bool:
+        """Whether it happens at this tick, counted from 0."""
+        return self.next(tick) == tick
+
+    def next(self, tick: int) -> int:
+        """The first tick from this one on at which it happens, or to which nothing is known yet."""
+        while self._drawn <= tick:
+            hits = np.flatnonzero(self._rng.random(BLOCK) < self._probability)
+            self._hits += (hits + self._drawn).tolist()
+            self._drawn += BLOCK
+        place = bisect_left(self._hits, tick)
+        return self._hits[place] if place < len(self._hits) else self._drawn
+
+
+def is_same_value(before: Any, after: Any) -> bool:
+    """Whether two values are the same, by identity or by value.
+
+    NaN is the same as NaN. Types must be the same, but for numbers. Lazy values, which would have
+    to be made to be compared, are the same only if they are one object.
+    """
+    if before is after:
+        return True
+    if isinstance(before, _NUMBER) and isinstance(after, _NUMBER):
+        return bool(before == after) or bool(np.isnan(before) and np.isnan(after))
+    return type(before) is type(after) and _same_of_type(before, after)
+
+
+_NUMBER = (int, float, np.number)
+
+
+def _same_of_type(before: Any, after: Any) -> bool:
+    if isinstance(before, np.ndarray):
+        return before.dtype == after.dtype and _same_arrays(before, after)
+    if isinstance(before, (list, tuple)):
+        return len(before) == len(after) and all(map(is_same_value, before, after))
+    if isinstance(before, Mapping):
+        return before.keys() == after.keys() and all(
+            is_same_value(before[k], after[k]) for k in before
+        )
+    if is_dataclass(before) and "__eq__" in vars(type(before)):
+        names = (one.name for one in fields(before) if one.compare)
+        return all(is_same_value(getattr(before, name), getattr(after, name)) for name in names)
+    try:
+        return bool(before == after)
+    except (TypeError, ValueError):  # of a foreign type that holds arrays: taken as changed
+        return False
+
+
+def _same_arrays(before: NDArray[Any], after: NDArray[Any]) -> bool:
+    if before.dtype.kind == "O":
+        return before.shape == after.shape and all(map(is_same_value, before.flat, after.flat))
+    return np.array_equal(before, after, equal_nan=before.dtype.kind in "fc")
+
+
+NEVER, NOW = math.inf, -math.inf
+
+
+class FaultLife:
+    """Decides when its fault is active and lets it act. It looks at no other fault's effects.
+
+    All its random numbers come from streams of its own, so that adding or removing another fault
+    shifts none of them.
+
+    ``wake`` is the time in s before which :meth:`ends` and :meth:`begins` need not be called,
+    unless an event that it follows happens; to call them is no mistake.
+    """
+
+    def __init__(self, fault: Fault, seed: int, dt: float) -> None:
+        self.fault = fault
+        self.target = fault.place
+        self.lifetime: Lifetime | None = None
+        self._seed, self._dt = seed, dt
+        self._count = 0
+        self._last = -1.0
+        self._held = False
+        self._pending: list[float] = []
+        self._memory: Any = None
+        self._began = 0.0
+        activation = fault.activation
+        when = None if activation.directed else activation.when
+        self._condition = parse_condition(when) if when else None
+        probability = activation.probability
+        if activation.rate is not None:
+            probability = -math.expm1(-activation.rate * dt)
+        self._chance: Chance | None = None
+        if probability is not None:
+            self._chance = Chance(probability, stream(seed, f"fault:activation:{fault.id}"))
+        self._limit = activation.limit
+        self._first = activation.not_before - TOLERANCE
+        self._final = NEVER if activation.not_after is None else activation.not_after + TOLERANCE
+        self.keeps = fault.memory > 0.0
+        self._history: deque[tuple[float, Any]] = deque(
+            maxlen=math.ceil(fault.memory / dt - TOLERANCE) + 1 if self.keeps else 1
+        )
+        self.wake = self._next()
+
+    def check(self, channels: Mapping[str, Any]) -> None:
+        """Refuse a target or a condition that these channels do not have.
+
+        Raises:
+            ConfigurationError: With the fault's id.
+        """
+        place = "target"
+        try:
+            if not (self.target.is_command or self.target.is_message):
+                with suppress(AbsentRowError):
+                    self.target.read(channels)
+            place = "activation.when"
+            if self._condition is not None:
+                self._condition.check(channels)
+            place = "duration.until"
+            if isinstance(self.fault.duration, Until):
+                parse_condition(self.fault.duration.until).check(channels)
+        except ConfigurationError as error:
+            raise ConfigurationError(
+                f"the fault {self.fault.id!r} cannot be used: {error.problem}",
+                key=place,
+                found=error.found,
+                expected=error.expected,
+                remedy=error.remedy,
+            ) from None
+
+    @property
+    def active(self) -> bool:
+        """Whether it has been activated and has not ended."""
+        return self.lifetime is not None
+
+    @property
+    def acts_now(self) -> bool:
+        """Whether it must be asked at this tick: it is active, or keeps a history."""
+        return self.lifetime is not None or self.keeps
+
+    def follow(self, time: float) -> None:
+        """An event that it waits for has happened at this time."""
+        after = self.fault.activation.after
+        delay = after.delay if after is not None else 0.0
+        self._pending.append(time + max(delay, self._dt))
+        self.wake = self._next()
+
+    def ends(self, time: float, channels: Mapping[str, Any]) -> bool:
+        """End it if it is over; whether it was."""
+        if self.lifetime is None or not self.lifetime.over(time, channels):
+            return False
+        self.lifetime, self._memory = None, None
+        return True
+
+    def begins(self, time: float, channels: Mapping[str, Any]) -> bool:
+        """Activate it if its plan says so; whether it was. To be asked once per tick."""
+        due = self._due(time, channels)
+        self._last = time
+        began = due and self.activate(time)
+        # A condition in its window is looked at in each tick; that it was last time says so.
+        if self._condition is None or began or self._spent or time > self._final:
+            self.wake = self._next()
+        return began
+
+    def activate(self, time: float) -> bool:
+        """Activate it from this time on; whether it was, being inactive and not spent."""
+        if self.active or self._spent:
+            return False
+        drawn = stream(self._seed, f"fault:duration:{self._count}:{self.fault.id}")
+        self.lifetime = Lifetime(self.fault.duration, time, self._dt, drawn)
+        self._count += 1
+        self.wake = NOW
+        return True
+
+    def act(self, whole: Any, time: float, channels: Mapping[str, Any]) -> Any:
+        """The channel, or the command, after the fault; the very same if nothing was changed.
+
+        A row that an array or list does not have at this tick is left alone.
+        """
+        try:
+            value = self.target.of(whole)
+        except AbsentRowError:
+            return whole
+        if self.keeps:
+            value = resolved(value)
+            self._history.append((time, value))
+        if self.lifetime is None or not self.lifetime.acts(time):
+            return whole
+        moment = self._moment(time, self._began, channels)
+        if self._memory is None:
+            # One stream serves both, lest `apply` draw the numbers of `begin` again.
+            moment = self._moment(time, time, channels)
+            self._memory = self.fault.begin(value, moment)
+            self._began = time
+            if self._memory is None:
+                return whole
+        after = self.fault.apply(self._memory, value, moment)
+        return whole if is_same_value(value, after) else self.target.written(whole, after)
+
+    @property
+    def _spent(self) -> bool:
+        return self._limit is not None and self._count >= self._limit
+
+    def _due(self, time: float, channels: Mapping[str, Any]) -> bool:
+        if self._chance is not None:
+            return self._in_window(time) and self._chance.happens(self._index(time))
+        if self._condition is not None:
+            held = self._held
+            self._held = self._in_window(time) and self._condition.holds(channels, time)
+            return self._held and not held
+        if self._pending:
+            waiting = [one for one in self._pending if one > time + TOLERANCE]
+            reached = len(waiting) < len(self._pending)
+            self._pending = waiting
+            return reached
+        activation = self.fault.activation
+        return not activation.directed and activation.due(time, self._last)
+
+    def _in_window(self, time: float) -> bool:
+        return self._first <= time <= self._final
+
+    def _next(self) -> float:
+        """The time before which it neither ends nor begins by itself."""
+        if self.lifetime is not None:
+            return NOW
+        if self._spent:
+            return NEVER
+        if self._pending:
+            return min(self._pending)
+        if self._chance is not None or self._condition is not None:
+            following = max(self._first, self._last + self._dt / 2)
+            if self._chance is not None:
+                index = math.ceil(following / self._dt - TOLERANCE)
+                following = self._chance.next(max(index, 0)) * self._dt
+            return following if following <= self._final else NEVER
+        activation = self.fault.activation
+        if activation.directed:
+            return NEVER
+        return activation.next_planned(self._last)
+
+    def _index(self, time: float) -> int:
+        return round(time / self._dt)
+
+    def _moment(self, time: float, began: float, channels: Mapping[str, Any]) -> Moment:
+        draws = partial(stream, self._seed, f"fault:tick:{self._index(time)}:{self.fault.id}")
+        return Moment(time, self._dt, time - began, channels, self._history, draws)
 
 
 class CampaignInjector(FaultInjector):
@@ -29,7 +300,7 @@ class CampaignInjector(FaultInjector):
         Raises:
             ConfigurationError: For two faults of one id.
         """
-        self._lives: dict[str, Life] = {}
+        self._lives: dict[str, FaultLife] = {}
         for one in context.faults:
             fault = load_fault(one)
             if fault.id in self._lives:
@@ -40,11 +311,11 @@ class CampaignInjector(FaultInjector):
                     expected="an id of its own for each fault",
                     remedy="give one of them another `id`",
                 )
-            self._lives[fault.id] = Life(fault, context.seed, context.dt)
-        self._sensors: list[Life] = []
-        self._commands: list[Life] = []
-        self._messages: list[Life] = []
-        self._followers: dict[tuple[str, str], list[Life]] = {}
+            self._lives[fault.id] = FaultLife(fault, context.seed, context.dt)
+        self._sensors: list[FaultLife] = []
+        self._commands: list[FaultLife] = []
+        self._messages: list[FaultLife] = []
+        self._followers: dict[tuple[str, str], list[FaultLife]] = {}
         for life in self._lives.values():
             self._acting_where(life).append(life)
             after = life.fault.activation.after
@@ -100,7 +371,7 @@ class CampaignInjector(FaultInjector):
         return self._changed(lives, message, time)
 
     def _changed(
-        self, lives: Sequence[Life], value: Any, time: float
+        self, lives: Sequence[FaultLife], value: Any, time: float
     ) -> tuple[Any, tuple[str, ...]]:
         """A value on its way after the faults that act on it, and the ids of those that did."""
         if not lives:
@@ -113,11 +384,11 @@ class CampaignInjector(FaultInjector):
             value = life.act(before, time, self._channels)
             if value is not before:
                 tampered.append(life.fault.id)
-        if len(tampered) > 1 and same(sent, value):
+        if len(tampered) > 1 and is_same_value(sent, value):
             return sent, ()
         return value, tuple(tampered)
 
-    def _acting_where(self, life: Life) -> list[Life]:
+    def _acting_where(self, life: FaultLife) -> list[FaultLife]:
         """The faults that act at the same point of the loop."""
         if life.target.is_command:
             return self._commands
@@ -159,7 +430,7 @@ class CampaignInjector(FaultInjector):
             if changed[channel] is not before:
                 tampered[channel] = (*tampered.get(channel, ()), life.fault.id)
         for channel in [name for name, faults in tampered.items() if len(faults) > 1]:
-            if same(channels[channel], changed[channel]):  # they cancel each other
+            if is_same_value(channels[channel], changed[channel]):  # they cancel each other
                 changed[channel] = channels[channel]
                 del tampered[channel]
         if not tampered:

@@ -12,12 +12,17 @@ from typing import Any
 from pydantic import BaseModel
 
 from pytest_dura.core.state import NOTHING
-from pytest_dura.faults.activation import Activation, After
+from pytest_dura.faults.activation import (
+    Activation,
+    After,
+    Intermittent,
+    Sampled,
+    Until,
+    parse_condition,
+)
 from pytest_dura.faults.catalogue import FAULT_TYPES, fault_class
-from pytest_dura.faults.conditions import parse_condition
-from pytest_dura.faults.duration import Intermittent, Sampled, Until
 from pytest_dura.faults.model import Fault, Kind
-from pytest_dura.faults.spans import PARAMETERS, Span, declared, parameters_of, spans_of
+from pytest_dura.faults.parameters import PARAMETERS, Span, declared_span, parameters_of, spans_of
 from pytest_dura.faults.targets import Target
 
 PAGE = "faults.md"
@@ -99,7 +104,7 @@ def _family(module: str, names: list[str], targets: Mapping[str, str]) -> Iterat
 def _parameters(name: str, kind: type[Fault]) -> Iterator[str]:
     model: Any = parameters_of(kind)
     for (parameter, field), row in zip(model.model_fields.items(), _fields(model), strict=True):
-        tried = _tried(declared(field), f"{PARAMETERS}.{parameter}" in spans_of(kind))
+        tried = _tried(declared_span(field), f"{PARAMETERS}.{parameter}" in spans_of(kind))
         yield _row([f"`{name}`", *row[:-1], tried, row[-1]])
 
 

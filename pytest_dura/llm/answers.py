@@ -1,4 +1,4 @@
-"""Answers: the schema that a model is held to, and the strict reading of what it wrote."""
+"""Answers of a language model: their schema, their strict reading, and the classes of failure."""
 
 from __future__ import annotations
 
@@ -6,14 +6,42 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, create_model
 
 from pytest_dura.core.episode import canonical
 from pytest_dura.core.state import NOTHING
-from pytest_dura.llm.failures import ANSWERED, Outcome
 from pytest_dura.llm.port import Answer
+
+ANSWERED: Literal["answered"] = "answered"
+
+Failure = Literal[
+    "unavailable",
+    "timeout",
+    "empty",
+    "refused",
+    "truncated",
+    "malformed",
+    "schema_violation",
+    "unknown_action",
+]
+Outcome = Literal["answered", Failure]
+
+FAILURES: tuple[Failure, ...] = get_args(Failure)
+OUTCOMES: tuple[Outcome, ...] = (ANSWERED, *FAILURES)
+
+FAILURE_MEANINGS: Mapping[Failure, str] = {
+    "unavailable": "the server could not be reached, or answered with an error",
+    "timeout": "no whole answer within the deadline",
+    "empty": "an answer without a text",
+    "refused": "the model or its server declined to answer",
+    "truncated": "the answer ended before it was complete",
+    "malformed": "what came is no chat completion, or its text is no JSON object",
+    "schema_violation": "a JSON object that does not keep to the schema",
+    "unknown_action": "an answer that keeps to the schema but for a maneuver that does not exist",
+}
+
 
 LONGEST = 20_000
 """Characters of a text that is read at all."""
@@ -94,7 +122,7 @@ def read_answer(answer: Answer, schema: Mapping[str, Any]) -> Reading:
         answer.text.encode()
         json.dumps(said, ensure_ascii=False).encode()  # escapes may hide half a character
     except (ValueError, RecursionError) as error:
-        return Reading("malformed", _short(f"no JSON: {error}"))
+        return Reading("malformed", _shortened(f"no JSON: {error}"))
     if not isinstance(said, dict):
         return Reading("malformed", f"JSON, but no object: {type(said).__name__}")
     return _checked(said, schema)
@@ -102,7 +130,7 @@ def read_answer(answer: Answer, schema: Mapping[str, Any]) -> Reading:
 
 def _checked(said: dict[str, Any], schema: Mapping[str, Any]) -> Reading:
     try:
-        _form(canonical(schema)).model_validate(said)
+        _answer_model(canonical(schema)).model_validate(said)
     except ValidationError as error:
         problems = error.errors(include_url=False)
     else:
@@ -111,14 +139,14 @@ def _checked(said: dict[str, Any], schema: Mapping[str, Any]) -> Reading:
         one["loc"] == ("maneuver",) and one["type"] == "literal_error" for one in problems
     )
     if unknown and isinstance(said["maneuver"], str):
-        return Reading("unknown_action", _short(f"maneuver {said['maneuver']!r}"))
+        return Reading("unknown_action", _shortened(f"maneuver {said['maneuver']!r}"))
     first = problems[0]
     place = ".".join(map(str, first["loc"]))
-    return Reading("schema_violation", _short(f"{_short(place, 60)}: {first['msg']}"))
+    return Reading("schema_violation", _shortened(f"{_shortened(place, 60)}: {first['msg']}"))
 
 
 @lru_cache(maxsize=16)
-def _form(schema: bytes) -> type[BaseModel]:
+def _answer_model(schema: bytes) -> type[BaseModel]:
     """A schema of an object whose values are bounded, for reading.
 
     The library jsonschema reads any schema, and takes seconds to import where its optional
@@ -126,18 +154,18 @@ def _form(schema: bytes) -> type[BaseModel]:
     """
     told = json.loads(schema)
     properties = told.get("properties")
-    fields: Any = {name: _kind(one) for name, one in (properties or {}).items()}
+    fields: Any = {name: _value_type(one) for name, one in (properties or {}).items()}
     config = ConfigDict(extra="allow" if properties is None else "forbid", strict=True)
     form: type[BaseModel] = create_model("Answer", __config__=config, **fields)
     return form
 
 
-def _kind(schema: Mapping[str, Any]) -> Any:
+def _value_type(schema: Mapping[str, Any]) -> Any:
     """The type of one value: a word, a text, a number, or a list of one of these."""
     if "enum" in schema:
         return Literal[tuple(schema["enum"])]
     if schema["type"] == "array":
-        return Annotated[list[_kind(schema["items"])], Field(max_length=schema["maxItems"])]  # type: ignore[misc] # made here
+        return Annotated[list[_value_type(schema["items"])], Field(max_length=schema["maxItems"])]  # type: ignore[misc] # made here
     if schema["type"] == "string":
         return Annotated[str, Field(max_length=schema["maxLength"])]
     bounds = Field(ge=schema["minimum"], le=schema["maximum"])
@@ -162,5 +190,5 @@ def _no_number(name: str) -> float:
     raise ValueError(f"{name} is no number of JSON")
 
 
-def _short(text: str, most: int = 200) -> str:
+def _shortened(text: str, most: int = 200) -> str:
     return text if len(text) <= most else text[: most - 3] + "..."

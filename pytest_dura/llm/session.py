@@ -5,24 +5,233 @@ from __future__ import annotations
 import os
 import secrets
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import asdict, dataclass, replace
 from datetime import datetime, timezone
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from threading import RLock
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
-from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.core.outside import OutsideError, told
-from pytest_dura.llm.cassette.exchanges import Cassette, Exchange
-from pytest_dura.llm.cassette.missing import CassetteMissError, why_missing
-from pytest_dura.llm.delivery import delivered, injected, scrubbed
-from pytest_dura.llm.description import ModelDescription, chosen, latest
-from pytest_dura.llm.endpoint import about
-from pytest_dura.llm.port import Answer, Delivery, Request
-from pytest_dura.llm.serving import Connect, Server, connect
+from pytest_dura.core.errors import (
+    ComponentEnvironmentError,
+    ConfigurationError,
+    report_environment_error,
+)
+from pytest_dura.llm.cassette import Cassette, Exchange
+from pytest_dura.llm.cassette_miss import CassetteMissError, explain_miss
+from pytest_dura.llm.endpoint import model_about
+from pytest_dura.llm.port import Answer, Delivery, Request, ServerFault
+
+if TYPE_CHECKING:
+    from pytest_dura.llm.client import OpenAiClient
+
+
+def scrub_request(request: Request, scrub: Callable[[str], str]) -> Request:
+    """The request as it may be sent: the very same unless a text holds the server's key."""
+    messages = tuple(replace(one, text=scrub(one.text)) for one in request.messages)
+    return request if messages == request.messages else replace(request, messages=messages)
+
+
+def inject_fault(request: Request, limit: float, fault: ServerFault) -> Answer:
+    """How a request fails at a server that has this fault. No server is asked or needed.
+
+    Args:
+        request: What is asked.
+        limit: Seconds for the answer.
+        fault: How the server fails.
+
+    Raises:
+        ConfigurationError: If the extra ``llm`` is not installed.
+    """
+    # In live and in replay alike: what it says must not depend on which server there is.
+    return replace(_offline_client().ask(request, limit, fault), seconds=0.0)
+
+
+def deliver(answer: Answer, delay: float, limit: float) -> Answer:
+    """The answer as it arrives: later by the delay, and not at all beyond the limit.
+
+    Args:
+        answer: What came back.
+        delay: Seconds that it takes longer.
+        limit: Seconds for the answer.
+    """
+    seconds = answer.seconds + delay
+    if seconds <= limit and delay < limit:
+        return answer if delay == 0.0 else replace(answer, seconds=seconds)
+    if answer.failure == "timeout":
+        return replace(answer, seconds=limit)
+    return Answer(failure="timeout", detail=f"no answer within {limit:g} s", seconds=limit)
+
+
+@cache
+def _offline_client() -> OpenAiClient:
+    from pytest_dura.llm.client import OpenAiClient
+    from pytest_dura.llm.endpoint import Endpoint
+
+    return OpenAiClient(Endpoint("http://127.0.0.1/v1", "none"))
+
+
+@dataclass(frozen=True)
+class ModelDescription:
+    """A model and the server behind it, as plain data that holds no secret.
+
+    Args:
+        model: Name of the model.
+        base_url: Of the server, without user, password and query.
+        fingerprint: What tells this server and model from others.
+        capabilities: What the server can do, as the probe found it.
+        tool: Version of pytest-dura that asked.
+        created: When, in ISO 8601.
+        about: What the model is, in the words of who named it; empty if nobody says.
+    """
+
+    model: str
+    base_url: str
+    fingerprint: str
+    capabilities: Mapping[str, Any]
+    tool: str
+    created: str
+    about: str = ""
+
+    @property
+    def spoken_of(self) -> str:
+        """What the model is in words, or else its name."""
+        return self.about or self.model
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data."""
+        return asdict(self)
+
+
+def latest_descriptions(known: Sequence[ModelDescription]) -> list[ModelDescription]:
+    """The last description of each model, by name: the answers of that server came last."""
+    by_name = {each.model: each for each in known}
+    return [by_name[name] for name in sorted(by_name)]
+
+
+def choose_description(
+    known: Sequence[ModelDescription], model: str | None, usual: str | None, file: str
+) -> ModelDescription:
+    """The description of a model in a cassette.
+
+    Of several descriptions the last one counts: the answers of that server came last.
+
+    Args:
+        known: All that the cassette holds, in their order.
+        model: Which one is wanted; if nobody says, the only one there is, or the usual one.
+        usual: What the environment names.
+        file: The cassette, for messages.
+
+    Raises:
+        ConfigurationError: If there is none, or it is not clear which.
+    """
+    names = sorted({one.model for one in known})
+    wanted = model or (names[0] if len(names) == 1 else usual)
+    found = [one for one in known if one.model == wanted]
+    if found:
+        return found[-1]
+    problem = f"the cassette knows no model {wanted!r}"
+    if not names:
+        problem = "the cassette knows no model at all"
+    elif wanted is None:
+        problem = "the cassette knows several models, and none of them is named"
+    raise ConfigurationError(
+        problem,
+        file=file,
+        key="--dura-cassette",
+        found=wanted,
+        expected=", ".join(names[:10]) or "a cassette that --dura-llm=record wrote",
+        remedy="name another model, or record it with --dura-llm=record",
+    )
+
+
+PROBE_BUDGET = 60.0
+"""Seconds for each request of a probe; a server may load its model at the first one."""
+
+
+class ModelServer(Protocol):
+    """A server, and one model of it."""
+
+    model: str
+    base_url: str
+    """Without user, password and query."""
+
+    def ask(self, request: Request, budget: float) -> Answer:
+        """One call within so many seconds; a failure is an answer."""
+
+    def probe(self) -> tuple[str, Mapping[str, Any]]:
+        """Its fingerprint, and what it can do as plain data.
+
+        Raises:
+            ConfigurationError: If it cannot be used at all.
+        """
+
+    def scrub(self, text: str) -> str:
+        """The text without the key."""
+
+
+class Connect(Protocol):
+    """How a server is found."""
+
+    def __call__(self, environ: Mapping[str, str], model: str | None) -> ModelServer:
+        """The server that an environment names.
+
+        Args:
+            environ: The environment.
+            model: Of this model, instead of the environment's.
+
+        Raises:
+            ConfigurationError: If it names none.
+        """
+
+
+PROBING = 60.0
+"""Seconds for each request of the probe: a server may load its model at the first one."""
+
+
+class OpenAiServer:
+    """A server that speaks the API of OpenAI.
+
+    Args:
+        environ: Names it; see :class:`pytest_dura.llm.endpoint.Endpoint`.
+        model: Of this model, instead of the environment's.
+
+    Raises:
+        ConfigurationError: If the environment names none, or the extra ``llm`` is not installed.
+    """
+
+    def __init__(self, environ: Mapping[str, str], model: str | None) -> None:
+        from pytest_dura.llm.client import OpenAiClient
+        from pytest_dura.llm.endpoint import MODEL, Endpoint
+
+        chosen = environ if model is None else {**environ, MODEL: model}
+        self.endpoint = Endpoint.from_environment(chosen)
+        self.model, self.base_url = self.endpoint.model, self.endpoint.public
+        self.client = OpenAiClient(self.endpoint)
+
+    def ask(self, request: Request, budget: float) -> Answer:
+        """See :class:`Server`."""
+        return self.client.ask(request, budget)
+
+    def probe(self) -> tuple[str, Mapping[str, Any]]:
+        """See :class:`Server`."""
+        from pytest_dura.llm.capabilities import probe
+
+        found = probe(self.client, self.endpoint, PROBING).to_json()
+        return str(found["fingerprint"]), found
+
+    def scrub(self, text: str) -> str:
+        """See :class:`Server`."""
+        return self.endpoint.scrub(text)
+
+
+def connect(environ: Mapping[str, str], model: str | None) -> ModelServer:
+    """The server that the environment names; see :class:`Connect`."""
+    return OpenAiServer(environ, model)
+
 
 Mode = Literal["live", "record", "replay"]
 Scrub = Callable[[Any], Any]
@@ -31,7 +240,7 @@ WITHOUT_LIMIT = 600.0
 """Seconds for an answer where nobody says how long it may take."""
 
 
-def _as_it_is(value: Any) -> Any:
+def _unchanged(value: Any) -> Any:
     return value
 
 
@@ -64,7 +273,7 @@ class ModelSession:
         *,
         environ: Mapping[str, str] | None = None,
         session: str = "",
-        scrub: Scrub = _as_it_is,
+        scrub: Scrub = _unchanged,
         connect: Connect = connect,
     ) -> None:
         self.mode = mode
@@ -81,7 +290,7 @@ class ModelSession:
         self._environ = os.environ if environ is None else environ
         self._session = session or secrets.token_hex(8)
         self._scrub, self._connect = scrub, connect
-        self._servers: dict[str | None, Server] = {}
+        self._servers: dict[str | None, ModelServer] = {}
         self._described: dict[str | None, ModelDescription | ConfigurationError] = {}
         self._lock = RLock()
 
@@ -130,7 +339,7 @@ class ModelSession:
         Raises:
             ConfigurationError: If the cassette cannot be read.
         """
-        return latest(self._recorded()) if self.mode == "replay" else []
+        return latest_descriptions(self._recorded()) if self.mode == "replay" else []
 
     def known(self, model: str, fingerprint: str) -> ModelDescription | None:
         """What was found out of a model at the server with this fingerprint, if anything was.
@@ -171,18 +380,20 @@ class ModelSession:
         try:
             if delivery.fault:
                 self._count(request, fingerprint or "", "injected")
-                answer = injected(request, limit, delivery.fault)
+                answer = inject_fault(request, limit, delivery.fault)
             elif delivery.delay >= limit:
                 answer = Answer()  # whatever it would be, it comes too late
             else:
                 answer = self._answer(request, limit, fingerprint)
         except ConfigurationError as error:
-            raise told(OutsideError("language model", str(error))) from None
-        return delivered(answer, delivery.delay, limit)
+            raise report_environment_error(
+                ComponentEnvironmentError("language model", str(error))
+            ) from None
+        return deliver(answer, delivery.delay, limit)
 
     def _answer(self, request: Request, limit: float, fingerprint: str | None) -> Answer:
         server = None if self.mode == "replay" else self._server(request.model)
-        request = request if server is None else scrubbed(request, server.scrub)
+        request = request if server is None else scrub_request(request, server.scrub)
         given = fingerprint
         if given is None or server is not None:
             fingerprint = self.describe(request.model).fingerprint
@@ -205,11 +416,15 @@ class ModelSession:
         plain = self._scrub(request.to_json())
         if server is None:
             self._count(request, fingerprint, "missed")
-            raise told(CassetteMissError(why_missing(self.cassette, plain, fingerprint)))
+            raise report_environment_error(
+                CassetteMissError(explain_miss(self.cassette, plain, fingerprint))
+            )
         answer = self._asked(server, request, limit, fingerprint)
         return self.cassette.add(Exchange(key, fingerprint, plain, answer, _now()))
 
-    def _asked(self, server: Server, request: Request, limit: float, fingerprint: str) -> Answer:
+    def _asked(
+        self, server: ModelServer, request: Request, limit: float, fingerprint: str
+    ) -> Answer:
         self._count(request, fingerprint, "asked")
         answer = server.ask(request, limit)
         names = ("text", "detail", "finish", "fingerprint")
@@ -220,7 +435,7 @@ class ModelSession:
         with self._lock:
             self.counts[request.model, fingerprint, deed] += 1
 
-    def _server(self, model: str | None) -> Server:
+    def _server(self, model: str | None) -> ModelServer:
         with self._lock:
             if model not in self._servers:
                 self._servers[model] = self._connect(self._environ, model)
@@ -235,7 +450,7 @@ class ModelSession:
             shared = self.cassette.described(server.model, server.base_url, self._session)
             if shared is not None:
                 return self._description(shared)
-        words = server.scrub(about(self._environ))
+        words = server.scrub(model_about(self._environ))
         fingerprint, capabilities = server.probe()
         found = ModelDescription(
             server.model,
@@ -256,7 +471,7 @@ class ModelSession:
         assert self.cassette is not None
         known = self._recorded()
         usual = self._environ.get("DURA_LLM_MODEL")
-        return chosen(known, model, usual, str(self.cassette.file))
+        return choose_description(known, model, usual, str(self.cassette.file))
 
     def _recorded(self) -> list[ModelDescription]:
         """Every description that the cassette holds, in its order."""

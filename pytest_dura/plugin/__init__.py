@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import pytest
 
-from pytest_dura.plugin.declared_options import add_options
 from pytest_dura.plugin.fixtures import (
     _dura_roles,
     campaign,
@@ -25,8 +24,9 @@ from pytest_dura.plugin.fixtures import (
     simulator,
 )
 from pytest_dura.plugin.hooks import SessionHooks
-from pytest_dura.plugin.hypothesis_tests import register_profile
-from pytest_dura.plugin.places import use_code_places
+from pytest_dura.plugin.messages import apply_code_places
+from pytest_dura.plugin.options import add_options
+from pytest_dura.plugin.property_tests import register_profile
 from pytest_dura.plugin.session import session_of
 
 __all__ = [
@@ -69,7 +69,7 @@ def pytest_cmdline_main(config: pytest.Config) -> int | None:
     """Answer ``--dura-list`` and ``--dura-replay``, which run no tests."""
     # Hypothesis looks for its profile in `pytest_configure`, which comes later.
     register_profile(config)
-    use_code_places(config)
+    apply_code_places(config)
     return session_of(config).run_command()
 
 

@@ -1,63 +1,550 @@
-"""The commands that we print: to run the same again, and nothing else."""
+"""``--dura-list``, ``--dura-replay`` and ``--dura-reduce``, which run no tests.
+
+The first lists what is known and what would run. The others run an episode of the evidence
+again: to compare it with its record, or to find the smallest set of its faults that still
+violates a requirement.
+"""
 
 from __future__ import annotations
 
-import os
-import shlex
-from typing import TYPE_CHECKING
+import difflib
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from pytest_dura.plugin.places import from_here
+from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.plugin.messages import print_lines, replay_command, sibling_directory
+from pytest_dura.plugin.roles import defined_in_conftest
+from pytest_dura.plugin.terminal_tables import counted
 
 if TYPE_CHECKING:
-    from pathlib import Path
+    import pytest
 
+    from pytest_dura.campaign.reduction import Reduction
+    from pytest_dura.core.episode import Episode, EpisodeSpec
+    from pytest_dura.core.role_spec import RoleSpec
+    from pytest_dura.evidence.traces import Trace
+    from pytest_dura.plugin.options import Options
     from pytest_dura.plugin.session import DuraSession
+    from pytest_dura.requirements.model import Requirement
 
 
-def replay_command(session: DuraSession, episode: str, evidence: Path | None = None) -> str:
-    """The command that runs one episode of the evidence again, or of another evidence."""
-    options = [f"--dura-replay={episode}"]
-    if evidence is not None:
-        here = session.config.invocation_params.dir
-        options.append(f"--dura-evidence={from_here(evidence, here)}")
+def _fault_line(name: str) -> str:
+    """A type of the catalogue, what it acts on, and what it does in one sentence."""
+    from pytest_dura.faults.catalogue import fault_class
+
+    kind = fault_class(name)
+    first = (kind.__doc__ or "").partition("\n")[0]
+    return f"  {name} ({kind.acts_on}): {first}"
+
+
+def show_list(session: DuraSession) -> int:
+    """Print everything and return the exit code."""
+    from pytest_dura.campaign.reasons import describe_check
+    from pytest_dura.domains import DOMAINS
+    from pytest_dura.faults.catalogue import FAULT_TYPES
+
+    library, options = session.library(), session.options
+    lines = ["scenarios"]
+    for name, scenario in library.scenarios.items():
+        faults = ", ".join(fault.name for fault in scenario.faults) or "none"
+        lines.append(f"  {name}: {scenario.description}")
+        runs = f"{scenario.planned} runs"
+        if scenario.until_decided:
+            runs = f"runs until decided, at most {scenario.planned}"
+        lines.append(f"      {runs}, {scenario.lasts:g} s each, faults: {faults}")
+        if scenario.campaigns:
+            lines.append(f"      fault campaigns: {len(scenario.campaigns)}")
+        lines.append(f"      requirements: {', '.join(scenario.requirements) or 'none'}")
+    lines += ["", "faults (name them in a marker, a scenario or --dura-faults; docs/faults.md)"]
+    lines += map(_fault_line, sorted(FAULT_TYPES))
+    lines += ["", "requirements"]
+    for name, requirement in library.requirements.items():
+        lines.append(f"  {name} ({requirement.kind}): {requirement.text}")
+        lines += [f"      {line}" for line in describe_check(requirement)]
+    for alias, domain in DOMAINS.items():
+        lines += ["", f"roles of the domain {alias} (override the fixture of that name)"]
+        lines += [f"  {role}: {path}" for role, path in domain.roles.items()]
+        for role, names in domain.short_names.items():
+            use = "--dura-generator" if role == "generator" else "`roles` in a scenario"
+            lines += ["", f"short names of {role} in the domain {alias} (for {use})"]
+            lines += [f"  {name}: {path}" for name, path in names.items()]
+    lines += ["", f"would run with --dura-scenarios, base seed {options.seed}"]
+    episodes = 0
+    for planned in session.plan:
+        number = options.runs or planned.case.scenario.planned
+        episodes += number
+        lines += [f"  {planned.case.id}::{name}" for name in planned.requirements]
+        lines.append(f"      {number} episodes")
+    items = sum(len(planned.requirements) for planned in session.plan)
+    lines.append(f"{items} items, {len(session.plan)} cases, {episodes} episodes")
+    lines += [f"warning: {one}" for one in library.warnings]
+    lines += [
+        f"warning: {place}: no scenario uses the requirement {name!r}"
+        for name, place in library.unused.items()
+    ]
+    print_lines(lines)
+    return 0
+
+
+Data = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class RecordedEpisode:
+    """One episode of a record.
+
+    Args:
+        spec: What it was run from, with classes of conftest files where pytest has loaded them.
+        digest: As it was recorded.
+        requirements: Those of its case.
+        violated: Ids of those whose verdict names it as a counterexample.
+        planned: Whether it is one of its case's runs; another one of that id has a seed by hand.
+        trace: Where its trace is, as the record says: ``{file, sha256, bytes}``; if one was kept.
+        faults: What became of each of its faults.
+    """
+
+    spec: EpisodeSpec
+    digest: str
+    requirements: tuple[Requirement, ...]
+    violated: tuple[str, ...]
+    planned: bool
+    trace: Data | None
+    faults: tuple[Data, ...]
+
+    def run(self, spec: EpisodeSpec | None = None, *, recorded: bool = False) -> Episode:
+        """The episode again, or one of another spec that ends as this one would.
+
+        Args:
+            spec: The other one.
+            recorded: Whether to keep what a viewer shows of it.
+        """
+        from pytest_dura.execution.task import run_episode
+        from pytest_dura.requirements.early_end import RequirementJudge
+
+        end = self.spec.termination
+        judge = RequirementJudge(self.requirements) if end.violation or end.decided else None
+        return run_episode(spec or self.spec, judge, recorded=recorded)
+
+
+def recorded_episodes(
+    config: pytest.Config, options: Options, name: str, option: str
+) -> tuple[Data, list[RecordedEpisode]]:
+    """The record, and its episodes of this id: several, with several seeds or components.
+
+    Args:
+        config: Of the session, for what conftest files define.
+        options: Where the evidence is.
+        name: ``case#run``.
+        option: That named the episode, for messages.
+
+    Raises:
+        ConfigurationError: For an unknown episode, a damaged record, and an episode that cannot be
+            built again.
+    """
+    from pytest_dura.evidence.bundle import read_record
+
+    record = read_record(options.evidence)
+    _check_whole(options.evidence, option)
+    with damage_as_error(options, name, option):
+        return record, [
+            _recorded_episode(config, record, one, option)
+            for one in _entries_named(record, name, option)
+        ]
+
+
+def _check_whole(evidence: Path, option: str) -> None:
+    """Refuse a bundle that its manifest does not hold for: it names what is imported and run.
+
+    Raises:
+        ConfigurationError: With the first difference.
+    """
+    from pytest_dura.evidence.files import manifest_problems
+
+    problems = list(manifest_problems(evidence))
+    if problems:
+        more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
+        raise ConfigurationError(
+            f"this bundle is not as it was written: {problems[0]}{more}",
+            file=str(evidence / "evidence.json"),
+            key=option,
+            found=len(problems),
+            expected="a bundle that agrees with its manifest.json",
+            remedy="run `python -m pytest_dura verify` on it, restore its files, or run the "
+            "session again",
+        )
+
+
+@contextmanager
+def damage_as_error(options: Options, name: str, option: str) -> Iterator[None]:
+    """What a record makes impossible that is not as it was written, as one error.
+
+    Raises:
+        ConfigurationError: In place of whatever reading the record, or running what it says, met.
+    """
+    try:
+        yield
+    except (AttributeError, LookupError, TypeError, ValueError, ArithmeticError) as error:
+        raise ConfigurationError(
+            f"the record is damaged ({type(error).__name__}: {error})",
+            file=str(options.evidence / "evidence.json"),
+            key=option,
+            found=name,
+            expected="a record as pytest-dura wrote it",
+            remedy="run the session again, or restore the file",
+        ) from None
+
+
+def _entries_named(record: Data, name: str, option: str) -> list[Data]:
+    found = [one for one in record["episodes"] if one["id"] == name]
+    if found:
+        return found
+    known = sorted({one["id"] for one in record["episodes"]})
+    near = difflib.get_close_matches(name, known, n=3, cutoff=0.4)
+    expected = ", ".join(near or known[:3]) or "an episode; this evidence has none"
+    raise ConfigurationError(
+        f"the evidence has no episode {name!r}",
+        key=option,
+        found=name,
+        expected=f"case#run, such as {expected}" if known else expected,
+        remedy="name an episode of this session, or another evidence with --dura-evidence",
+    )
+
+
+def _recorded_episode(
+    config: pytest.Config, record: Data, episode: Data, option: str
+) -> RecordedEpisode:
+    from pytest_dura.core.episode import EpisodeSpec
+    from pytest_dura.evidence.redaction import holds_redaction
+    from pytest_dura.requirements.model import Requirement
+
+    if holds_redaction(episode["spec"]):
+        raise ConfigurationError(
+            f"the episode {episode['id']!r} cannot be run again: what it was run from held a "
+            "secret, which is not in the evidence",
+            key=option,
+            found=episode["id"],
+            expected="an episode whose spec is recorded whole",
+            remedy="let the component read the secret from the environment, not from a parameter",
+        )
+    spec = EpisodeSpec.from_json(episode["spec"])
+    roles = {name: _local_role(config, role, option) for name, role in spec.roles.items()}
+    spec = replace(spec, roles=roles, simulator=_local_role(config, spec.simulator, option))
+    case = {(one["id"], one["component"]): one for one in record["cases"]}
+    known = {one["id"]: Requirement.from_json(one) for one in record["requirements"]}
+    names = case[episode["case"], episode["component"]]["requirements"]
+    violated = [
+        verdict["requirement"]
+        for verdict in record["verdicts"]
+        for one in verdict["counterexamples"]
+        if one["episode"] == episode["id"] and verdict["component"] == episode["component"]
+    ]
+    return RecordedEpisode(
+        spec,
+        str(episode["digest"]),
+        tuple(known[name] for name in names),
+        tuple(dict.fromkeys(violated)),
+        bool(episode["planned"]),
+        None if episode["trace"] is None else dict(episode["trace"]),
+        tuple(dict(fault) for fault in episode["faults"]),
+    )
+
+
+def _local_role(config: pytest.Config, role: RoleSpec, option: str) -> RoleSpec:
+    from pytest_dura.library.roles import LocalRole
+
+    file, _, name = role.path.rpartition(":")
+    if not file.endswith("conftest.py"):
+        return role
+    target = defined_in_conftest(config, file, name)
+    if callable(target):
+        return LocalRole(role.path, target, role.params)
+    raise ConfigurationError(
+        f"{name} is defined in {file}, which is not loaded here",
+        key=option,
+        found=role.path,
+        expected="the arguments of the session, which load the same conftest files",
+        remedy=f"add the folder of {file} to the command",
+    )
+
+
+REPLAY_OPTION = "--dura-replay"
+
+
+def replay(session: DuraSession) -> int:
+    """Run the episode again and return the exit code: 0 if the digests are equal, else 1.
+
+    A page that plays the replayed episode goes beside the evidence, which stays as it is.
+
+    Raises:
+        ConfigurationError: For an unknown episode, one that cannot be built again, and a page that
+            cannot be written.
+    """
+    from pytest_dura.evidence.traces import Trace
+
+    config, options = session.config, session.options
+    name = str(options.replay)
+    _, found = recorded_episodes(config, options, name, REPLAY_OPTION)
+    equal = True
+    for one in found:
+        session.models.prepare(one.spec)
+        with damage_as_error(options, name, REPLAY_OPTION):
+            episode = one.run(recorded=True)
+        # As a session would have kept it.
+        trace = Trace.of(episode).without_secrets(session.redact)
+        same, lines = _compared(one, episode, trace, options.evidence)
+        equal &= same
+        lines += [] if same else session.models.asked_anew()
+        print_lines([*lines, f"  player: {_write_player(one, episode, trace, options.evidence)}"])
+    return 0 if equal else 1
+
+
+def _compared(
+    one: RecordedEpisode, episode: Episode, replayed: Trace, evidence: Path
+) -> tuple[bool, list[str]]:
+    """Whether the episode is the recorded one, and what there is to say of it."""
+    same = one.digest == episode.digest
+    end = f"{episode.time[-1]:.1f} s" if episode.ticks else "no tick"
+    outcome = f"{episode.termination} after {end}"
+    lines = [f"{episode.id} ({episode.spec.component}, seed {episode.spec.seed}): {outcome}"]
+    if episode.failure is not None:
+        lines.append(f"  {episode.failure}")
+    lines += [f"  recorded digest {one.digest}", f"  replayed digest {episode.digest}"]
+    lines.append(
+        "  the same"
+        if same
+        else "  DIFFERENT: the code, a package or the platform has changed, "
+        "or something is not deterministic"
+    )
+    if one.trace is None:
+        return same, lines if same else [*lines, *_without_trace(one, episode)]
+    try:
+        recorded = _read_trace(one.trace, evidence)
+    except FileNotFoundError:
+        lines.append(f"  its trace {one.trace['file']} is not there any more")
+        return same, lines if same else [*lines, *_by_faults(one, episode)]
+    except ConfigurationError as error:
+        told = [f"    {line}" for line in str(error).splitlines()]
+        return False, [*lines, "  its trace cannot be compared:", *told]
+    return _by_trace(recorded, replayed, one, episode, lines)
+
+
+def _by_trace(
+    recorded: Trace, replayed: Trace, one: RecordedEpisode, episode: Episode, lines: list[str]
+) -> tuple[bool, list[str]]:
+    """Whether the episode is the recorded one, and where it differs from its trace."""
+    from pytest_dura.evidence.text import one_line
+    from pytest_dura.evidence.traces import first_difference
+
+    first = first_difference(recorded, replayed)
+    place = one_line(str(first), 1000)
+    if one.digest != episode.digest:
+        told = _by_faults(one, episode) if first is None else [f"  first difference: {place}"]
+        return False, [*lines, *told]
+    covered = first_difference(recorded, replayed, covered=True)
+    if covered is not None:
+        place = one_line(str(covered), 1000)
+        return False, [*lines, f"  yet the trace that was kept is of another episode: {place}"]
+    if first is not None:
+        lines = [*lines, f"  what the digest leaves out is not the same: {place}"]
+    return True, lines
+
+
+def _without_trace(one: RecordedEpisode, episode: Episode) -> list[str]:
+    kept = "no trace of it was kept (--dura-evidence-level=all keeps each)"
+    return [f"  {kept}", *_by_faults(one, episode)]
+
+
+def _by_faults(one: RecordedEpisode, episode: Episode) -> list[str]:
+    """What the record itself tells of the episode, apart from its trace."""
+    from pytest_dura.evidence.model import plain_data
+
+    for before, fault in zip(one.faults, episode.faults, strict=False):
+        for key, value in plain_data(asdict(fault)).items():
+            if key in before and before[key] != value:
+                return [f"  fault {fault.id}: {key}: recorded {before[key]}, replayed {value}"]
+    return ["  it is not known where they differ"]
+
+
+def _read_trace(told: Any, evidence: Path) -> Trace:
+    """The trace that was kept.
+
+    Raises:
+        FileNotFoundError: If it is gone.
+        ConfigurationError: If it is another one than the record says, or damaged.
+    """
+    from pytest_dura.evidence.files import file_entry
+    from pytest_dura.evidence.mcap import read_trace
+    from pytest_dura.evidence.traces import is_trace_path
+
+    path = told.get("file")
+    if not is_trace_path(path):
+        raise ConfigurationError(
+            "the record names a trace that is none of the bundle's",
+            file=str(evidence / "evidence.json"),
+            key="trace.file",
+            found=path,
+            expected="episodes/<name>.mcap",
+        )
+    file = evidence / path
+    if not file.exists():
+        raise FileNotFoundError(file)
+    trace = read_trace(file)
+    digest = file_entry(file)["sha256"]
+    if digest != told.get("sha256"):
+        raise ConfigurationError(
+            "the trace is not the one that was recorded: its SHA-256 is another",
+            file=str(file),
+            found=digest,
+            expected=told.get("sha256"),
+            remedy="restore the file",
+        )
+    return trace
+
+
+def _write_player(one: RecordedEpisode, episode: Episode, trace: Trace, evidence: Path) -> str:
+    """Write the page that plays the episode; its URL.
+
+    Raises:
+        ConfigurationError: If it cannot be written.
+    """
+    from pytest_dura.evidence.files import write_file
+    from pytest_dura.evidence.traces import episode_name
+    from pytest_dura.reports.html.player import player_page
+
+    file = sibling_directory(evidence, "replay") / f"{episode_name(trace.about)}.html"
+    write_file(file, [player_page(trace, _verdicts(one, episode))])
+    return file.as_uri()
+
+
+def _verdicts(one: RecordedEpisode, episode: Episode) -> list[dict[str, Any]]:
+    """What the requirements of the episode's case say of it now."""
+    from pytest_dura.requirements.verdicts.episodes import judge_episode
+
+    found: list[dict[str, Any]] = []
+    for requirement in one.requirements:
+        if not requirement.check or requirement.paired is not None:
+            continue
+        try:
+            verdict = judge_episode(requirement, episode)
+        except ConfigurationError as error:  # such as a signal that a failed episode lacks
+            told = {"requirement": requirement.id, "verdict": "missing", "detail": error.problem}
+            found.append({**told, "check": requirement.check})
+        else:
+            found.append({**verdict.to_json(), "check": requirement.check})
+    return found
+
+
+REDUCE_OPTION = "--dura-reduce"
+REDUCED = "reduced"
+"""Behind the name of the evidence: where the reduced episode is recorded, to be replayed from."""
+
+
+def reduce(session: DuraSession) -> int:
+    """Reduce the faults of an episode; the exit code is 0 if its violation came up again, else 1.
+
+    Raises:
+        ConfigurationError: For an unknown episode, and one that violated nothing or has no faults.
+    """
+    from pytest_dura.campaign.reduction import BUDGET, reduce_faults
+
+    options = session.options
+    name = str(options.reduce)
+    record, found = recorded_episodes(session.config, options, name, REDUCE_OPTION)
+    # Verdicts name episodes without their seeds, and rest on planned runs.
+    found.sort(key=lambda one: not one.planned)
+    recorded = next((one for one in found if one.violated), found[0])
+    _check_reducible(recorded, name)
+    session.models.prepare(recorded.spec)
+    judged = [one for one in recorded.requirements if one.id in recorded.violated]
+    budget = BUDGET if options.runs is None else options.runs
+    spec = recorded.spec
+    violates = f"violates {', '.join(recorded.violated)}; at most {budget} runs"
+    print_lines([f"{name} ({spec.component}): {counted(len(spec.faults), 'fault')}, {violates}"])
+    with damage_as_error(options, name, REDUCE_OPTION):
+        reduction = reduce_faults(spec, judged, recorded.run, budget=budget, on_run=_show_run)
+    lines = _result_lines(reduction, budget)
+    if reduction.episode is not None:
+        folder = sibling_directory(options.evidence, REDUCED)
+        with damage_as_error(options, name, REDUCE_OPTION):
+            _write_reduced(record, recorded, reduction, folder)
+        lines.append(f"  replay: {replay_command(session, reduction.episode.id, folder)}")
+    print_lines(lines)
+    return 0 if reduction.reproduced else 1
+
+
+def _check_reducible(recorded: RecordedEpisode, name: str) -> None:
+    if not recorded.spec.faults:
+        raise ConfigurationError(
+            f"the episode {name!r} has no faults to leave out",
+            key=REDUCE_OPTION,
+            found=name,
+            expected="an episode with at least one fault",
+        )
+    checked = {one.id for one in recorded.requirements if one.check and not one.paired}
+    if not set(recorded.violated) & checked:
+        raise ConfigurationError(
+            f"the episode {name!r} is no counterexample to a requirement that could be asked again",
+            key=REDUCE_OPTION,
+            found=", ".join(recorded.violated) or "no violation",
+            expected="an episode that a verdict names as a counterexample, by a check in a file",
+            remedy="choose an episode that the terminal shows as `worst` or `also in`",
+        )
+
+
+def _show_run(faults: Sequence[str], violated: Sequence[str]) -> None:
+    told = f"violates {', '.join(violated)}" if violated else "violates nothing"
+    print_lines([f"  {' + '.join(faults) or 'none'}: {told}"])
+
+
+def _result_lines(reduction: Reduction, budget: int) -> list[str]:
+    runs = f"{reduction.runs} of {budget} runs"
+    if reduction.missing:
+        runs += f", of which {reduction.missing} failed and say nothing"
+    if reduction.reproduced is None:
+        return [f"the budget ended before it was known whether it comes up again ({runs})"]
+    if not reduction.reproduced:
+        return [f"not reproduced: the same faults do not violate it again ({runs})"]
+    faults = " + ".join(reduction.faults)
+    violated = ", ".join(reduction.violated)
+    if not reduction.faults:
+        return [f"no fault is needed: it violates {violated} without any ({runs})"]
+    if reduction.smallest:
+        sure = "every smaller set was tried"
+    elif reduction.one_minimal:
+        sure = "none of them can be left out; smaller sets of others were not all tried"
+    elif reduction.missing:
+        sure = "it is not known whether one can be left out"
     else:
-        given = session.options.given
-        options += [f"{name}={value}" for name, value in given if name == "--dura-evidence"]
-    options += session.models.replay_options()
-    # The same arguments load the same conftest files, where a component may be defined.
-    return _command(session, [*options, *_places(session)])
+        sure = "the budget ended before it was known whether one can be left out"
+    return [f"smallest set that violates {violated}: {faults} ({sure}; {runs})"]
 
 
-def rerun_command(session: DuraSession, item: str) -> str:
-    """The command that runs one item again."""
-    # Test functions name their faults themselves, and without scenario cases the option is refused.
-    test = item.partition("::")[0].endswith(".py")
-    given = [one for one in session.options.given if not (test and one[0] == "--dura-faults")]
-    return _command(session, [item, *(f"{name}={value}" for name, value in given)])
+def _write_reduced(
+    record: Data, recorded: RecordedEpisode, reduction: Reduction, folder: Path
+) -> None:
+    """A record with the reduced episode alone, in the form of the one that it came from."""
+    from pytest_dura.evidence.bundle import write_record
+    from pytest_dura.evidence.episodes import episode_record
+    from pytest_dura.evidence.files import MANIFEST_FILE, file_entry, manifest_text, write_file
+    from pytest_dura.evidence.model import SessionRecord
 
-
-def _places(session: DuraSession) -> list[str]:
-    config = session.config
-    if config.args_source is not config.ArgsSource.ARGS:
-        return []
-    here = config.invocation_params.dir
-    paths = dict.fromkeys(argument.partition("::")[0] for argument in config.args)
-    return [path for path in paths if os.path.lexists(here / path)]
-
-
-def _command(session: DuraSession, arguments: list[str]) -> str:
-    option = session.config.option
-    setup = ["-c", option.inifilename] if option.inifilename else []
-    if option.rootdir:
-        setup.append(f"--rootdir={option.rootdir}")
-    if option.dura_trust_code:
-        setup.append("--dura-trust-code")
-    return " ".join(["pytest", *map(_quoted, [*setup, *arguments])])
-
-
-def _quoted(argument: str) -> str:
-    """Quote the value alone, which reads better: ``--dura-replay='case#run'``."""
-    name, equals, value = argument.partition("=")
-    if argument.startswith("--") and equals:
-        return f"{name}={shlex.quote(value)}"
-    return shlex.quote(argument)
+    episode = reduction.episode
+    assert episode is not None
+    own = recorded.spec.case, recorded.spec.component
+    (before,) = [one for one in record["cases"] if (one["id"], one["component"]) == own]
+    case: dict[str, Any] = {**before, "id": episode.spec.case, "planned": 1}
+    case["faults"] = [dict(fault) for fault in episode.spec.faults]
+    case.pop("metrics", None)
+    told = {
+        "cases": [case],
+        "episodes": [episode_record(episode, planned=True)],
+        "verdicts": [],
+        "monitors": [],
+        "baseline": None,
+        "reduced_from": recorded.spec.id,
+    }
+    file = write_record(folder, SessionRecord.of({**record, **told}, folder))
+    write_file(folder / MANIFEST_FILE, [manifest_text({file.name: file_entry(file)})])

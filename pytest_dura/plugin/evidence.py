@@ -1,4 +1,8 @@
-"""SessionEvidence: the record of a session, kept and written by the controller only."""
+"""SessionEvidence: the record of a session, kept and written by the controller only.
+
+With it: the baseline and the argument that the user gives, what scenario items are expected
+to decide, what waives an item, and the exit codes that the gate regards as regular.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +10,7 @@ import json
 import shlex
 import sys
 from collections.abc import Iterable
+from dataclasses import replace
 from datetime import datetime, timezone
 from pathlib import Path
 from time import perf_counter
@@ -14,18 +19,163 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.plugin.gate import REGULAR, Gate, claims_against
-from pytest_dura.plugin.given_files import GivenFiles
+from pytest_dura.evidence.gate import Gate, verdict_objections
 from pytest_dura.plugin.messages import error_text
-from pytest_dura.plugin.reporter import ATTRIBUTE
-from pytest_dura.plugin.waivers import waiver_of
+from pytest_dura.plugin.recorder import REPORT_ATTRIBUTE, case_record
+from pytest_dura.plugin.roles import root_conftest_with
 
 if TYPE_CHECKING:
-    from pytest_dura.evidence.bundle.lock import DirectoryLock
-    from pytest_dura.evidence.record.evidence_record import EvidenceRecord, Status
-    from pytest_dura.evidence.record.session_record import SessionRecord
+    from pytest_dura.evidence.baseline import Baseline
+    from pytest_dura.evidence.files import DirectoryLock
+    from pytest_dura.evidence.gather import RecordBuilder, Status
+    from pytest_dura.evidence.model import SessionRecord
+    from pytest_dura.library.cases import Case
     from pytest_dura.plugin.inputs import SessionInputs
     from pytest_dura.plugin.session import DuraSession
+
+
+REGULAR_EXIT_CODES = (
+    pytest.ExitCode.OK,
+    pytest.ExitCode.TESTS_FAILED,
+    pytest.ExitCode.NO_TESTS_COLLECTED,
+)
+"""Exit codes of sessions that ran to their end."""
+
+
+def waiver_of(report: pytest.TestReport) -> tuple[str, str] | None:
+    """What excuses the item of a report, and why; ``None`` if nothing does."""
+    reason = getattr(report, "wasxfail", None)
+    if reason is not None:
+        return "xfail", reason
+    if str(report.outcome) == "rerun":  # of pytest-rerunfailures
+        return "rerun", "the item was run again"
+    if report.skipped and report.when == "setup":
+        longrepr = report.longrepr
+        return "skip", longrepr[2] if isinstance(longrepr, tuple) else str(longrepr)
+    return None
+
+
+class GivenFiles:
+    """Read once, by the controller.
+
+    Args:
+        session: The session of this process.
+    """
+
+    def __init__(self, session: DuraSession) -> None:
+        self.session = session
+        self.baseline: Baseline | None = None
+        """What the session is compared with."""
+        self.argument: dict[str, Any] | None = None
+        """Over which the assurance case is built; as the record has it."""
+
+    def read(self) -> None:
+        """Read both, before the session's own record takes the place of an earlier one.
+
+        Raises:
+            ConfigurationError: If one cannot be used.
+        """
+        if not self.session.is_worker:
+            self._read_baseline()
+            self._read_argument()
+
+    def _read_argument(self) -> None:
+        given = self.session.options.argument
+        if given is not None:
+            from pytest_dura.provenance import recorded_path
+            from pytest_dura.reports.gsn.user_argument import read_user_argument
+
+            name = recorded_path(given, self.session.config.rootpath)
+            self.argument = {**read_user_argument(given), "path": name}
+
+    def check_argument(self) -> None:
+        """Check that the requirements to which the user's argument refers are in the session.
+
+        Raises:
+            ConfigurationError: If one is not.
+        """
+        if self.argument is None:
+            return
+        from pytest_dura.reports.gsn.user_argument import check_requirements
+
+        known = set(self.session.named_requirements)
+        known.update(name for planned in self.session.plan for name in planned.requirements)
+        if self.session.config.getoption("numprocesses", None):
+            # Which of them the tests claim is known to the workers.
+            known.update(self.session.library().requirements)
+        check_requirements(self.argument, known - {""})
+
+    def _read_baseline(self) -> None:
+        given = self.session.options.baseline
+        if given is not None:
+            from pytest_dura.evidence.baseline import Baseline
+
+            self.baseline = Baseline.read(given, self.session.config.invocation_params.dir)
+
+    def compared(self, record: SessionRecord) -> SessionRecord:
+        """The record beside the baseline."""
+        finished = None if record["status"] == "running" else record
+        baseline = None if self.baseline is None else self.baseline.to_json(finished)
+        return replace(record, head={**record.head, "baseline": baseline})
+
+    def worse(self, record: SessionRecord) -> list[str]:
+        """What ``--dura-baseline-worse=fail`` does not let pass."""
+        if not self.session.options.fail_worse:
+            return []
+        from pytest_dura.evidence.baseline import regression_objections
+
+        return regression_objections(record["baseline"])
+
+
+Expected = tuple[str, dict[str, Any], dict[str, Any]]
+
+
+def expected_items(session: DuraSession, chosen: Iterable[str]) -> list[Expected]:
+    """Node id, requirement and case of each chosen scenario item, as the evidence holds them.
+
+    There may be tens of thousands of cases: what many of them share is looked up once.
+
+    Args:
+        session: The session, with its plan.
+        chosen: Node ids of what will run, also of other tests.
+    """
+    if not session.plan:
+        return []
+    wanted, requirements = set(chosen), session.library().requirements
+    names = {name for planned in session.plan for name in planned.requirements}
+    told = {name: requirements[name].to_json() for name in sorted(names)}
+    component_of = _Components(session)
+    found: list[Expected] = []
+    for planned in session.plan:
+        case = planned.case
+        items = [(f"{case.id}::{name}", told[name]) for name in planned.requirements]
+        items = [one for one in items if one[0] in wanted]
+        if items:
+            runs = session.options.runs or case.scenario.planned
+            off = case.roles_off(session.roles.chosen())
+            record = case_record(case, component_of(case), runs, session.options.runs, off)
+            found += [(item, requirement, record) for item, requirement in items]
+    return found
+
+
+class _Components:
+    """The names of the components under test, as far as they are known before anything runs."""
+
+    def __init__(self, session: DuraSession) -> None:
+        self._overrides = session.roles.chosen()
+        self._in_conftest = root_conftest_with(session.config, "generator") is not None
+        self._known: dict[tuple[str, tuple[str, ...]], str] = {}
+
+    def __call__(self, case: Case) -> str:
+        """That of a case; its faults make no difference."""
+        if self._in_conftest:
+            from pytest_dura.evidence.gather import UNKNOWN_COMPONENT
+
+            return UNKNOWN_COMPONENT
+        key = case.scenario.name, case.without
+        if key not in self._known:
+            self._known[key] = case.roles(self._overrides)["generator"].label
+        return self._known[key]
 
 
 class SessionEvidence:
@@ -37,7 +187,7 @@ class SessionEvidence:
 
     def __init__(self, session: DuraSession) -> None:
         self.session = session
-        self.record: EvidenceRecord | None = None
+        self.record: RecordBuilder | None = None
         self.file: Path | None = None
         self.final: SessionRecord | None = None
         self.given = GivenFiles(session)
@@ -68,17 +218,16 @@ class SessionEvidence:
         config = self.session.config
         if self.record is not None or self.session.is_worker or config.option.collectonly:
             return
-        from pytest_dura.evidence.bundle.directory import begin_bundle, check_directory
-        from pytest_dura.evidence.bundle.lock import DirectoryLock
-        from pytest_dura.evidence.record.evidence_record import EvidenceRecord
-        from pytest_dura.provenance.environment import describe_environment
-        from pytest_dura.provenance.ourselves import describe_tool
+        from pytest_dura.evidence.bundle import begin_bundle, check_directory
+        from pytest_dura.evidence.files import DirectoryLock
+        from pytest_dura.evidence.gather import RecordBuilder
+        from pytest_dura.provenance import describe_environment, describe_tool
 
         options = self.session.options
         check_directory(options.evidence)
         self._lock = DirectoryLock(options.evidence)
         try:
-            self.record = EvidenceRecord(
+            self.record = RecordBuilder(
                 {
                     "created": _now(),
                     "tool": describe_tool(),
@@ -109,7 +258,6 @@ class SessionEvidence:
         # Workers of xdist collect the same, and each of them says so.
         if self.record is None or items == self._expected:
             return
-        from pytest_dura.plugin.expected_items import expected_items
 
         self._expected = items
         expected = expected_items(self.session, items)
@@ -135,7 +283,7 @@ class SessionEvidence:
             return
         begun, self._heard = perf_counter(), True
         # Terminal and others keep the reports of all items.
-        told = vars(report).pop(ATTRIBUTE, None)
+        told = vars(report).pop(REPORT_ATTRIBUTE, None)
         if told is not None or report.nodeid not in self._telling:
             self._due.discard(report.nodeid)
         if report.failed:
@@ -148,10 +296,10 @@ class SessionEvidence:
 
     def take(self, part: str) -> None:
         """Take in episodes of the item that is running in this process; see ItemReport."""
-        from pytest_dura.evidence.record.item_report import unpacked
+        from pytest_dura.evidence.episodes import unpack_report
 
         begun = perf_counter()
-        self._add(unpacked(part))
+        self._add(unpack_report(part))
         self._spent += perf_counter() - begun
 
     def _add(self, told: dict[str, Any]) -> None:
@@ -169,7 +317,7 @@ class SessionEvidence:
         """Write the bundle; a session that it does not support has failed, whatever tests say."""
         if self.record is None:
             return
-        from pytest_dura.evidence.bundle.writing import write_bundle
+        from pytest_dura.evidence.bundle import write_bundle
 
         try:
             gate, self.final = self._judged(session)
@@ -218,7 +366,7 @@ class SessionEvidence:
         assert self.record is not None
         begun = perf_counter()
         stopped = self.interrupted or bool(session.shouldstop or session.shouldfail)
-        interrupted = stopped or session.exitstatus not in REGULAR
+        interrupted = stopped or session.exitstatus not in REGULAR_EXIT_CODES
         status: Status = "interrupted" if interrupted else "complete"
         warn_undecided = self.session.options.warn_undecided
         header = {**self.record.header, "selection": self.session.selection.to_json()}
@@ -227,7 +375,7 @@ class SessionEvidence:
         told = [*self.record.problems, *self.record.objections]
         self.objections = [*told, *self.given.worse(record)]
         if self.session.options.require_repeatable:
-            from pytest_dura.evidence.record.repeats import repeat_objections
+            from pytest_dura.evidence.gate import repeat_objections
 
             self.objections += repeat_objections(record["cases"])
         if not interrupted:
@@ -245,7 +393,7 @@ class SessionEvidence:
             # Of runs that `-k` left out, or a violation that a test caught.
             self.objections += [
                 f"the gate fails: {one}, though every test passed"
-                for one in claims_against(
+                for one in verdict_objections(
                     record["verdicts"], record["searches"], warn_undecided=warn_undecided
                 )
             ]
@@ -258,13 +406,13 @@ class SessionEvidence:
     ) -> SessionRecord:
         """The record with everything that follows from it."""
         assert self.record is not None
-        from pytest_dura.evidence.record.conclusion import concluded
+        from pytest_dura.evidence.conclude import conclude_record
 
         if record is None:
             record = self.given.compared(self.record.record(status))
         if status != "running":
             record = self.session.models.completed(record, self._sources())
-        return concluded(
+        return conclude_record(
             record,
             finished=None if status == "running" else _now(),
             gate=gate.to_json(),

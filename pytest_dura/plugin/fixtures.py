@@ -11,13 +11,13 @@ from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.plugin.session import session_of
 
 if TYPE_CHECKING:
-    from pytest_dura.campaign.campaigns import Campaign
-    from pytest_dura.campaign.cases import Case
-    from pytest_dura.campaign.runner import Bench
+    from pytest_dura.campaign.campaign import Campaign
     from pytest_dura.core.episode import Episode
     from pytest_dura.core.role_spec import RoleSpec
-    from pytest_dura.plugin.parametrize import Target
-    from pytest_dura.requirements.verdicts import JudgedEpisode
+    from pytest_dura.library.cases import Case
+    from pytest_dura.plugin.markers import Target
+    from pytest_dura.requirements.verdicts.episodes import JudgedEpisode
+    from pytest_dura.runner import Runner
 
 
 @pytest.fixture(scope="session")
@@ -102,7 +102,7 @@ def _dura_roles(  # noqa: PLR0917 - pytest passes them by name
 @pytest.fixture(scope="session")
 def orchestrator(
     request: pytest.FixtureRequest, dura_metrics: Mapping[str, Callable[[Episode], float]]
-) -> Bench:
+) -> Runner:
     """Runs episodes and campaigns by name: ``orchestrator.run("intersection/nominal", seed=7)``."""
     bench = session_of(request.config).bench
     bench.metrics = dura_metrics
@@ -110,7 +110,7 @@ def orchestrator(
 
 
 @pytest.fixture(scope="session")
-def run_episode(orchestrator: Bench) -> Callable[..., JudgedEpisode]:
+def run_episode(orchestrator: Runner) -> Callable[..., JudgedEpisode]:
     """A function that runs a case, given as such or by its name; session-scoped for Hypothesis."""
 
     def run(case: Case | str, seed: int | None = None) -> JudgedEpisode:
@@ -124,7 +124,7 @@ def run_episode(orchestrator: Bench) -> Callable[..., JudgedEpisode]:
 
 @pytest.fixture
 def episode(
-    request: pytest.FixtureRequest, _dura_roles: None, orchestrator: Bench
+    request: pytest.FixtureRequest, _dura_roles: None, orchestrator: Runner
 ) -> JudgedEpisode:
     """One run of a case, for tests with the marker ``dura``."""
     from pytest_dura.plugin.observed_episode import ObservedEpisode
@@ -152,7 +152,7 @@ def _target(request: pytest.FixtureRequest) -> Target:
 
 
 @pytest.fixture
-def campaign(request: pytest.FixtureRequest, _dura_roles: None, orchestrator: Bench) -> Campaign:
+def campaign(request: pytest.FixtureRequest, _dura_roles: None, orchestrator: Runner) -> Campaign:
     """All runs of a case, for tests with the marker ``dura``; simulated when they are looked at."""
     target = _target(request)
     return orchestrator.campaign(

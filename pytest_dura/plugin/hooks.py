@@ -1,4 +1,4 @@
-"""The hooks of a session; each hands over to whoever does the work."""
+"""The hooks of a session; each delegates to the part of the session that does the work."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import pytest
 
 from pytest_dura.core.boundary import EXIT_CODE, end_process, lasting_guard
 from pytest_dura.core.errors import DuraError
-from pytest_dura.plugin.falsify_marker import run_marked_search
-from pytest_dura.plugin.progress import begin_progress, expect_progress
+from pytest_dura.plugin.markers import run_marked_search
+from pytest_dura.plugin.session import begin_progress, expect_progress
 
 if TYPE_CHECKING:
     from xdist.remote import Producer
@@ -75,15 +75,15 @@ class SessionHooks:
         """Make one test per case and run."""
         marker = metafunc.definition.get_closest_marker("dura")
         if uses_bench(metafunc):
-            from pytest_dura.plugin.parametrize import check_spelling
+            from pytest_dura.plugin.markers import check_spelling
 
             check_spelling(metafunc.definition)
         if marker is not None:
-            from pytest_dura.plugin.parametrize import parametrize
+            from pytest_dura.plugin.markers import parametrize
 
             parametrize(self.session, metafunc, marker)
         elif uses_bench(metafunc) or metafunc.definition.get_closest_marker("falsify"):
-            from pytest_dura.plugin.parametrize import check_markers
+            from pytest_dura.plugin.markers import check_markers
 
             check_markers(self.session, metafunc.definition)
 
@@ -98,9 +98,9 @@ class SessionHooks:
                     self.session.named_requirements.update(map(str, marker.args[:1]))
                     self.session.named_requirements.add(str(marker.kwargs.get("id", "")))
                 elif ours and marker.name == "xfail":
-                    from pytest_dura.plugin.messages import make_reason_visible
+                    from pytest_dura.plugin.messages import escape_reason
 
-                    make_reason_visible(marker)
+                    escape_reason(marker)
             node = node.parent
         if ours:
             names: list[str] = item.fixturenames  # type: ignore[attr-defined]
@@ -127,7 +127,7 @@ class SessionHooks:
         own = list(filter(uses_bench, items))
         if not own:
             return
-        from pytest_dura.plugin.allure_labels import mark_item, wanted
+        from pytest_dura.plugin.allure import mark_item, wanted
 
         if wanted(self.session.config):
             for item in own:
@@ -156,16 +156,16 @@ class SessionHooks:
         """Name the requirements that nothing uses."""
         if not self.session.unused:
             return []
-        from pytest_dura.plugin.terminal import unused
+        from pytest_dura.plugin.terminal import unused_requirements
 
-        return unused(self.session)
+        return unused_requirements(self.session)
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_setup(self, item: pytest.Item) -> None:
         """Refuse a marker that pytest does not let us see, which would run nothing and pass."""
-        from pytest_dura.plugin.parametrize import names_nothing
+        from pytest_dura.plugin.markers import names_no_scenario
 
-        own = any(one.name == "dura" and not names_nothing(one) for one in item.own_markers)
+        own = any(one.name == "dura" and not names_no_scenario(one) for one in item.own_markers)
         if own and not hasattr(item, "callspec"):
             pytest.fail(
                 "the marker dura runs nothing here: a test of unittest.TestCase takes no fixtures; "
@@ -186,9 +186,9 @@ class SessionHooks:
         """Let a worker that has no item left help the others."""
         found = yield
         if nextitem is None and self.session.is_worker and self.session.plan:
-            from pytest_dura.plugin.helping import help_others
+            from pytest_dura.plugin.xdist import steal_work
 
-            help_others(self.session, item)
+            steal_work(self.session, item)
         return found
 
     @pytest.hookimpl(wrapper=True, trylast=True)
@@ -198,9 +198,9 @@ class SessionHooks:
             return (yield)
         except BaseException as error:  # also of `pytest.skip`; it is raised again
             if uses_bench(request):
-                from pytest_dura.plugin.messages import make_visible
+                from pytest_dura.plugin.messages import escape_error
 
-                make_visible(error)
+                escape_error(error)
             raise
 
     @pytest.hookimpl(wrapper=True)
@@ -226,21 +226,21 @@ class SessionHooks:
     ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
         """Attach what the item told to its report, which crosses processes."""
         if call.excinfo is not None and uses_bench(item):
-            from pytest_dura.plugin.messages import make_visible
+            from pytest_dura.plugin.messages import escape_error
 
-            make_visible(call.excinfo.value)
+            escape_error(call.excinfo.value)
         report = yield
         self.session.properties.tell(report)
         told = self.session.reporter.attach(item, call, report)
         # A test that could not be set up is not called.
         if uses_bench(item) and (call.when == "call" or (call.when == "setup" and call.excinfo)):
-            from pytest_dura.plugin.item_results import item_results
             from pytest_dura.plugin.junit import add_properties
+            from pytest_dura.plugin.outcomes import item_results
 
             results = item_results(self.session, item, told)
             add_properties(self.session, item, report, results)
             if item.config.getoption("allure_report_dir", None):
-                from pytest_dura.plugin.allure_report import report_item
+                from pytest_dura.plugin.allure import report_item
 
                 report_item(self.session, item, results)
         return report

@@ -1,4 +1,4 @@
-"""SessionInputs: finds the files that a session is run from, as it is heard of them."""
+"""SessionInputs: the files that a session is run from, as they become known."""
 
 from __future__ import annotations
 
@@ -7,13 +7,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pytest_dura.evidence.record.inputs import Inputs, Kind
-from pytest_dura.provenance.imported import own_code
-from pytest_dura.provenance.places import is_installed
-from pytest_dura.provenance.sources import LISTED
+from pytest_dura.evidence.files import InputFiles, InputKind
+from pytest_dura.provenance import MAX_LISTED_FILES, is_installed, user_code
 
 if TYPE_CHECKING:
     from pytest_dura.plugin.session import DuraSession
+
 
 Data = Mapping[str, Any]
 BUILTIN = "pytest_dura/scenarios"
@@ -28,10 +27,10 @@ class SessionInputs:
     """
 
     def __init__(self, session: DuraSession) -> None:
-        from pytest_dura.campaign.loading import builtin_paths
+        from pytest_dura.library.loading import builtin_paths
 
         self.session = session
-        self.inputs = Inputs(session.config.rootpath, dict.fromkeys(builtin_paths(), BUILTIN))
+        self.inputs = InputFiles(session.config.rootpath, dict.fromkeys(builtin_paths(), BUILTIN))
         self._seen: set[tuple[str, str]] = set()
 
     def begin(self) -> None:
@@ -65,7 +64,7 @@ class SessionInputs:
         self._conftests(file.parent)
 
     def heard(self, report: Data) -> None:
-        """What an item told, of :class:`pytest_dura.evidence.record.evidence_record.ItemReport`."""
+        """What an item told, of :class:`pytest_dura.evidence.gather.ItemReport`."""
         self.item(report["item"])
         for component in report["components"]:
             self.inputs.add_told("component", component["files"])
@@ -98,10 +97,10 @@ class SessionInputs:
     def _baseline(self, here: Path) -> None:
         baseline = self.session.evidence.given.baseline
         if baseline is not None:
-            from pytest_dura.evidence.bundle.directory import RECORD
+            from pytest_dura.evidence.bundle import RECORD_FILE
 
             file = here / baseline.path
-            file = file / RECORD if file.is_dir() else file
+            file = file / RECORD_FILE if file.is_dir() else file
             self.inputs.add("baseline", file, baseline.sha256)
 
     def _scenario(self, name: str) -> None:
@@ -124,7 +123,7 @@ class SessionInputs:
             self._module("check", told["check"])
             self._module("check", (told["paired"] or {}).get("measure", ""))
 
-    def _module(self, kind: Kind, path: str) -> None:
+    def _module(self, kind: InputKind, path: str) -> None:
         """The user's own file behind ``package.module:name`` or ``tests/conftest.py:name``."""
         from pytest_dura.requirements.checks import is_function_path
 
@@ -138,7 +137,7 @@ class SessionInputs:
             if file is not None and not is_installed(file):
                 self.inputs.add(kind, file)
 
-    def _imported(self, kind: Kind, path: str) -> None:
+    def _imported(self, kind: InputKind, path: str) -> None:
         """The user's own files beside the one behind a path: its package, and what they import."""
         module = path.strip().rpartition(":")[0]
         if not self._new(f"{kind} imports", module) or module.startswith("pytest_dura."):
@@ -150,8 +149,8 @@ class SessionInputs:
             file = _file_of(module)
         if file is None or is_installed(file):
             return
-        code = own_code(file, module)
-        for one in code.files if code is not None and len(code.files) <= LISTED else ():
+        code = user_code(file, module)
+        for one in code.files if code is not None and len(code.files) <= MAX_LISTED_FILES else ():
             self.inputs.add(kind, one)
 
     def _conftests(self, folder: Path) -> None:

@@ -11,15 +11,16 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from pytest_dura.evidence.formats.junit_results import junit_name
-from pytest_dura.evidence.formats.stated import event_line
+from pytest_dura.evidence.junit import junit_name
 from pytest_dura.evidence.text import one_line
-from pytest_dura.plugin.commands import replay_command
-from pytest_dura.plugin.item_results import ItemResult, episode_of, target_of
+from pytest_dura.plugin.messages import replay_command
+from pytest_dura.plugin.outcomes import ItemResult, episode_of, target_of
+from pytest_dura.reports.wording import event_text
 
 if TYPE_CHECKING:
     from pytest_dura.core.episode import Episode
     from pytest_dura.plugin.session import DuraSession
+
 
 Properties = list[tuple[str, str]]
 
@@ -138,7 +139,7 @@ def ending_events(session: DuraSession, result: ItemResult) -> list[str]:
     if episode is None:
         return []
     return [
-        session.redact(event_line(event.to_json()))
+        session.redact(event_text(event.to_json()))
         for event in episode.events
         if event.kind == "critical"
     ]

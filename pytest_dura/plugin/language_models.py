@@ -1,4 +1,4 @@
-"""LanguageModels: who answers a session's components that ask a language model, and how often.
+"""LanguageModels: who answers components that ask a language model, and how often.
 
 Nothing of ``pytest_dura.llm`` is imported unless an option names a mode, or a component did it.
 """
@@ -14,16 +14,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pytest_dura.plugin.overrides import root_conftest_with
+from pytest_dura.plugin.roles import root_conftest_with
 
 if TYPE_CHECKING:
     from pytest_dura.core.episode import EpisodeSpec
     from pytest_dura.core.role_spec import RoleSpec
-    from pytest_dura.evidence.record.session_record import SessionRecord
-    from pytest_dura.llm.description import ModelDescription
-    from pytest_dura.llm.session import ModelSession
+    from pytest_dura.evidence.model import SessionRecord
+    from pytest_dura.llm.session import ModelDescription, ModelSession
     from pytest_dura.plugin.inputs import SessionInputs
     from pytest_dura.plugin.session import DuraSession
+
 
 Data = dict[str, Any]
 MOST_MODELS = 3
@@ -156,12 +156,12 @@ class LanguageModels:
         """A line on who spoke, where a cassette answers, whatever component will ask it."""
         if self.file is None or not self._replayed:
             return []
-        from pytest_dura.provenance.places import told_path
+        from pytest_dura.provenance import recorded_path
 
         spoke = [f"{each.spoken_of}, recorded {each.created[:10]}" for each in self._replayed]
         if len(spoke) > MOST_MODELS:
             spoke[MOST_MODELS:] = [f"and {len(spoke) - MOST_MODELS} more models"]
-        file = told_path(self.file, self.session.config.rootpath)
+        file = recorded_path(self.file, self.session.config.rootpath)
         return [f"dura: answers replayed from {file}: {'; '.join(spoke)}"]
 
     def header(self) -> list[str]:
@@ -197,7 +197,7 @@ class LanguageModels:
         Raises:
             ConfigurationError: If one does not answer.
         """
-        from pytest_dura.campaign.episodes.portability import stated_model
+        from pytest_dura.execution.task import stated_model
 
         models = [stated[0] for role in spec.roles.values() if (stated := stated_model(role))]
         if models and self.session.options.llm != "replay":
@@ -219,7 +219,7 @@ class LanguageModels:
         """An item looked at an episode: note the models that its settled specs state."""
         if _SESSIONS not in sys.modules:
             return
-        from pytest_dura.campaign.episodes.portability import stated_model
+        from pytest_dura.execution.task import stated_model
 
         for role in spec.roles.values():
             stated = stated_model(role)
@@ -232,7 +232,7 @@ class LanguageModels:
         """What is new of the models that were used: how often they were asked so far, above all.
 
         Returns:
-            Entries for :class:`pytest_dura.evidence.record.item_report.ItemReport`.
+            Entries for :class:`pytest_dura.evidence.episodes.ItemReport`.
         """
         session = self._in_use
         if session is None:
@@ -284,15 +284,15 @@ class LanguageModels:
         session, file = self._in_use, self.file
         if file is None or session is None or session.cassette is None:
             return record
-        from pytest_dura.evidence.record.inputs import sha256_of
-        from pytest_dura.provenance.places import told_path
+        from pytest_dura.evidence.files import sha256_of
+        from pytest_dura.provenance import recorded_path
 
         sha256 = sha256_of(file)
         if session.mode == "record":
             # The session itself has changed it.
             inputs.inputs.add("cassette", file, sha256)
         cassette = {
-            "file": told_path(file, self.session.config.rootpath),
+            "file": recorded_path(file, self.session.config.rootpath),
             "sha256": sha256,
             "exchanges": len(session.cassette),
         }

@@ -1,21 +1,84 @@
-"""What is shown to a user and quotes files or components, in which there may be anything."""
+"""Texts for a user: lines on which no terminal acts, typed paths, commands to run again."""
 
 from __future__ import annotations
 
+import os
+import shlex
 from collections.abc import Iterable, Iterator
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
-LIMIT = 20_000
+from pytest_dura.plugin.options import DEFAULT_EVIDENCE
+
+if TYPE_CHECKING:
+    from pytest_dura.plugin.session import DuraSession
+
+
+def sibling_directory(evidence: Path, what: str) -> Path:
+    """A directory of its own beside the evidence, whose manifest lists all that is in it.
+
+    Args:
+        evidence: The evidence directory.
+        what: Follows its name, as in ``dura-evidence-replay``.
+    """
+    place = evidence.resolve()
+    return place.with_name(f"{place.name}-{what}")
+
+
+def typed_path(file: Path, here: Path) -> str:
+    """The path of a file as the user would type it.
+
+    Args:
+        file: The file, or folder.
+        here: The directory in which pytest was started.
+    """
+    try:
+        return os.path.relpath(file, here)
+    except ValueError:  # it is on another drive of Windows
+        return str(file)
+
+
+def apply_code_places(config: pytest.Config) -> None:
+    """Let files and records name code of the project, and none that lies beside a stranger's files.
+
+    Strange are a bundle that is replayed or reduced, and files outside of pytest's root directory
+    that the command line names. What was in force before comes back when the session ends.
+
+    Args:
+        config: Of the session.
+    """
+    from pytest_dura.core.trust import Places, use_places
+
+    get, here = config.getoption, config.invocation_params.dir
+    files = [here / path for path in get("dura_path")]
+    files += [here / one for one in get("dura_faults") if one.endswith((".yaml", ".yml"))]
+    foreign = [path if path.is_dir() else path.parent for path in files]
+    foreign = [
+        one for one in foreign if not one.resolve().is_relative_to(config.rootpath.resolve())
+    ]
+    if get("dura_replay") is not None or get("dura_reduce") is not None:
+        given = get("dura_evidence")
+        foreign.append(here / given if given else config.rootpath / DEFAULT_EVIDENCE)
+    places = Places.of([config.rootpath], [] if get("dura_trust_code") else foreign)
+    before = use_places(places)
+
+    def restore() -> None:
+        use_places(before)
+
+    config.add_cleanup(restore)
+
+
+LONGEST_MESSAGE = 20_000
 """Characters of a message of our own."""
-LINE = 5000
+LONGEST_LINE = 5000
 """Characters of a line in the terminal."""
-LONGEST = 200_000
+LONGEST_USER_TEXT = 200_000
 """Characters of a message of the user's own."""
 
 
-def make_visible(error: BaseException) -> None:
+def escape_error(error: BaseException) -> None:
     """Change the texts of an error, and of those that led to it, so that no terminal acts on them.
 
     Tests quote what components say, in messages of their own. A lone surrogate in a single one
@@ -23,17 +86,18 @@ def make_visible(error: BaseException) -> None:
     """
     from pytest_dura.evidence.text import visible
 
-    for one in _chain(error):
+    for one in _error_chain(error):
         if isinstance(one, (pytest.fail.Exception, pytest.skip.Exception)):
-            one.msg = visible(str(one.msg), LIMIT)
+            one.msg = visible(str(one.msg), LONGEST_MESSAGE)
             one.args = (one.msg,)
         elif any(isinstance(text, str) and not text.isprintable() for text in one.args):
             one.args = tuple(
-                visible(text, LONGEST) if isinstance(text, str) else text for text in one.args
+                visible(text, LONGEST_USER_TEXT) if isinstance(text, str) else text
+                for text in one.args
             )
 
 
-def _chain(error: BaseException) -> Iterator[BaseException]:
+def _error_chain(error: BaseException) -> Iterator[BaseException]:
     """The error, what it was raised from, what was being handled, and so on."""
     seen: set[int] = set()
     left: list[BaseException | None] = [error]
@@ -45,48 +109,48 @@ def _chain(error: BaseException) -> Iterator[BaseException]:
             left += [one.__cause__, one.__context__]
 
 
-def make_reason_visible(marker: pytest.Mark) -> None:
+def escape_reason(marker: pytest.Mark) -> None:
     """Change the reason that a marker gives, likewise."""
     from pytest_dura.evidence.text import visible
 
     reason = marker.kwargs.get("reason")
     if isinstance(reason, str):
         # The dictionary is the marker's own, whatever its type says.
-        marker.kwargs["reason"] = visible(reason, LIMIT)  # type: ignore[index]
+        marker.kwargs["reason"] = visible(reason, LONGEST_MESSAGE)  # type: ignore[index]
 
 
 def error_text(error: Exception) -> str:
     """The message of one of our own errors, on which no terminal acts."""
     from pytest_dura.evidence.text import visible
 
-    return visible(str(error), LIMIT)
+    return visible(str(error), LONGEST_MESSAGE)
 
 
-def shown_lines(text: str) -> Iterator[str]:
+def safe_lines(text: str) -> Iterator[str]:
     """A text for a terminal, on which nothing in it acts; only its first line is not indented.
 
     So nothing that a component says reads as a line of ours.
     """
     from pytest_dura.evidence.text import visible
 
-    first, *rest = visible(text, LINE).split("\n")
+    first, *rest = visible(text, LONGEST_LINE).split("\n")
     yield first
     yield from (f"    {line}" for line in rest)
 
 
-def apart(text: str) -> str:
+def indent_if_reserved(text: str) -> str:
     """A text that begins with a name of a user's, which must not read as a line of ours."""
     return f" {text}" if text.startswith(("|", "#", "gate:")) else text
 
 
-def say(lines: Iterable[str]) -> None:
+def print_lines(lines: Iterable[str]) -> None:
     """Print these lines."""
     for line in lines:
-        for one in shown_lines(line):
+        for one in safe_lines(line):
             print(one)  # noqa: T201 - it is what a command was asked for
 
 
-class Shown:
+class SafeTerminal:
     """pytest's terminal, on which no text of a file or component acts.
 
     Args:
@@ -98,9 +162,58 @@ class Shown:
 
     def line(self, text: str, **colour: bool) -> None:
         """Write a line."""
-        for one in shown_lines(text):
+        for one in safe_lines(text):
             self._terminal.line(one, **colour)
 
     def write(self, text: str, **colour: bool) -> None:
         """Write the beginning of a line."""
-        self._terminal.write(next(shown_lines(text)), **colour)
+        self._terminal.write(next(safe_lines(text)), **colour)
+
+
+def replay_command(session: DuraSession, episode: str, evidence: Path | None = None) -> str:
+    """The command that runs one episode of the evidence again, or of another evidence."""
+    options = [f"--dura-replay={episode}"]
+    if evidence is not None:
+        here = session.config.invocation_params.dir
+        options.append(f"--dura-evidence={typed_path(evidence, here)}")
+    else:
+        given = session.options.given
+        options += [f"{name}={value}" for name, value in given if name == "--dura-evidence"]
+    options += session.models.replay_options()
+    # The same arguments load the same conftest files, where a component may be defined.
+    return _pytest_command(session, [*options, *_path_arguments(session)])
+
+
+def rerun_command(session: DuraSession, item: str) -> str:
+    """The command that runs one item again."""
+    # Test functions name their faults themselves, and without scenario cases the option is refused.
+    test = item.partition("::")[0].endswith(".py")
+    given = [one for one in session.options.given if not (test and one[0] == "--dura-faults")]
+    return _pytest_command(session, [item, *(f"{name}={value}" for name, value in given)])
+
+
+def _path_arguments(session: DuraSession) -> list[str]:
+    config = session.config
+    if config.args_source is not config.ArgsSource.ARGS:
+        return []
+    here = config.invocation_params.dir
+    paths = dict.fromkeys(argument.partition("::")[0] for argument in config.args)
+    return [path for path in paths if os.path.lexists(here / path)]
+
+
+def _pytest_command(session: DuraSession, arguments: list[str]) -> str:
+    option = session.config.option
+    setup = ["-c", option.inifilename] if option.inifilename else []
+    if option.rootdir:
+        setup.append(f"--rootdir={option.rootdir}")
+    if option.dura_trust_code:
+        setup.append("--dura-trust-code")
+    return " ".join(["pytest", *map(_quoted, [*setup, *arguments])])
+
+
+def _quoted(argument: str) -> str:
+    """Quote the value alone, which reads better: ``--dura-replay='case#run'``."""
+    name, equals, value = argument.partition("=")
+    if argument.startswith("--") and equals:
+        return f"{name}={shlex.quote(value)}"
+    return shlex.quote(argument)

@@ -10,12 +10,17 @@ from typing import TYPE_CHECKING, Any
 from pytest_dura.core.episode import Episode
 from pytest_dura.evidence.text import one_line
 from pytest_dura.requirements.checks import Check, check_name, read_formula
-from pytest_dura.requirements.verdicts.episodes import JudgedEpisode, evaluate_episode, judged
-from pytest_dura.requirements.verdicts.sealed import SealedColumns
+from pytest_dura.requirements.verdicts.episodes import (
+    JudgedEpisode,
+    SealedColumns,
+    evaluate_episode,
+    judged,
+)
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
     from typing_extensions import Self
+
 
 MOST = 50
 """Names that are noted of a test and an episode."""
@@ -25,7 +30,7 @@ _ASKING = frozenset({"robustness", "satisfies", "signal", "ever", "of"})
 """Methods, which note themselves what they are asked for."""
 
 
-class Looks:
+class Observations:
     """What a test has looked at: attributes, signals and checks of an episode, each by its name."""
 
     def __init__(self) -> None:
@@ -71,7 +76,7 @@ class Looks:
 
 
 class _NotedColumns(SealedColumns):
-    def __init__(self, columns: Mapping[str, NDArray[Any]], name: str, looks: Looks) -> None:
+    def __init__(self, columns: Mapping[str, NDArray[Any]], name: str, looks: Observations) -> None:
         super().__init__(columns)
         self._name, self._looks = name, looks
 
@@ -87,13 +92,13 @@ class _NotedColumns(SealedColumns):
 class ObservedEpisode(JudgedEpisode):
     """An episode that answers to formulas, and notes what it is asked for in ``_looks``."""
 
-    _looks: Looks
+    _looks: Observations
 
     @classmethod
     def of(cls, episode: Episode) -> Self:
         """The same episode, of which nothing was looked at yet."""
         made = super().of(episode)
-        own, looks = vars(made), Looks()
+        own, looks = vars(made), Observations()
         for name in ("signals", "decisions"):
             own[name] = _NotedColumns(own[name], name, looks)
         own["digest"] = episode.digest  # computed once for all that look at the episode
@@ -130,7 +135,7 @@ class ObservedEpisode(JudgedEpisode):
         return holds
 
 
-def looks_at(episode: JudgedEpisode) -> Looks:
+def observations_of(episode: JudgedEpisode) -> Observations:
     """What a test has looked at of the episode that it was given."""
-    found: Looks | None = vars(episode).get("_looks")
-    return Looks() if found is None else found
+    found: Observations | None = vars(episode).get("_looks")
+    return Observations() if found is None else found

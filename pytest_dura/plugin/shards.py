@@ -1,9 +1,12 @@
-"""Shards: ``--dura-shard=2/5`` runs the second of five parts of a session, for jobs of a CI."""
+"""Which part of the plan a session runs: what ``-k`` and the like left of it, and shards.
+
+``--dura-shard=2/5`` runs the second of five parts of a session, for jobs of a CI.
+"""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Generator
+from collections.abc import Generator, Iterator, Mapping, MutableMapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -16,13 +19,100 @@ if TYPE_CHECKING:
 
     from pytest_dura.plugin.session import DuraSession
 
-OPTION = "--dura-shard"
-MOST = 10_000
-_LONGEST = len(f"{MOST}/{MOST}")
-_TOLD = "dura_shard"
+
+MOST_LISTED = 20
+"""Verdicts that are named of those that were left out."""
+_SELECTION_KEY = "dura_selection"
+"""Key of what a worker of pytest-xdist tells the controller, which collects nothing."""
+
+
+class Selection:
+    """What ``-k``, ``--deselect``, a conftest and ``--dura-runs`` left of the plan.
+
+    The plan is what the arguments name: every verdict that the collected tests and scenario items
+    would come to.
+
+    Args:
+        session: The session of this process.
+    """
+
+    def __init__(self, session: DuraSession) -> None:
+        self.session = session
+        self._planned: dict[str, int] = {}
+        """Runs that are declared for each verdict."""
+        self._told: dict[str, Any] = {
+            "planned": 0, "asked": 0, "left_out": [], "runs": None, "declared_runs": [],
+        }  # fmt: skip
+
+    def plan(self, items: Sequence[pytest.Item]) -> None:
+        """Note the verdicts of all items that were collected."""
+        self._planned = dict(self._verdicts(items))
+
+    def ask(self, items: Sequence[pytest.Item]) -> None:
+        """Note what is left of them."""
+        asked = dict(self._verdicts(items))
+        left_out = [name for name in self._planned if name not in asked]
+        runs = self.session.options.runs
+        fewer = {one for one in asked.values() if runs is not None and runs < one}
+        self._told = {
+            "planned": len(self._planned | asked),
+            "asked": len(asked),
+            "left_out": sorted(left_out)[:MOST_LISTED],
+            "runs": runs if fewer else None,
+            "declared_runs": [min(fewer), max(fewer)] if fewer else [],
+        }
+
+    def to_json(self) -> dict[str, Any]:
+        """The record's key ``selection``."""
+        return self._told
+
+    def tell_controller(self, workeroutput: MutableMapping[str, Any]) -> None:
+        """Tell the controller what this worker collected."""
+        workeroutput[_SELECTION_KEY] = json.dumps(self._told)
+
+    def hear_worker(self, workeroutput: Mapping[str, Any]) -> None:
+        """Take over from a worker what it collected; each collects the same."""
+        if _SELECTION_KEY in workeroutput:
+            self._told = json.loads(workeroutput[_SELECTION_KEY])
+
+    def _verdicts(self, items: Sequence[pytest.Item]) -> Iterator[tuple[str, int]]:
+        """The verdicts that items would come to, each with the runs that are declared for it."""
+        from pytest_dura.plugin.outcomes import target_of
+
+        known: dict[tuple[str, str], list[str]] = {}
+        for item in items:
+            target = target_of(item)
+            if hasattr(item, "planned"):
+                yield item.nodeid, target.case.scenario.planned
+            elif target is not None:
+                key = item.nodeid.partition("[")[0], target.case.id
+                if key not in known:
+                    known[key] = self._decided_by(item, *key)
+                for name in known[key]:
+                    yield name, target.declared
+
+    def _decided_by(self, item: pytest.Item, test: str, case: str) -> list[str]:
+        """The verdicts of a test on a case: one for each requirement, or the one it asks for."""
+        from pytest_dura.plugin.markers import decides_nothing, marked_requirements
+
+        if decides_nothing(item):
+            return []
+        try:
+            names = [one.id for one in marked_requirements(self.session, item)]
+        except ConfigurationError:  # the test's own error says so
+            names = []
+        return [f"{name} on {case} by {test}" for name in dict.fromkeys(names)] or [
+            f"{test} on {case}"
+        ]
+
+
+SHARD_OPTION = "--dura-shard"
+MOST_SHARDS = 10_000
+_LONGEST = len(f"{MOST_SHARDS}/{MOST_SHARDS}")
+_SHARD_KEY = "dura_shard"
 """Key of what a worker tells the controller, which does not collect."""
-_LOST = "dura_shard_lost"
-_FREE = frozenset(
+_LOST_ITEMS_KEY = "dura_shard_lost"
+_MAY_DIFFER = frozenset(
     f"dura_{name}"
     for name in (
         "scenarios", "path", "select", "list", "seed", "evidence", "evidence_level", "replay",
@@ -33,9 +123,17 @@ _FREE = frozenset(
 """Options that may differ between shards, or that stand in the record by themselves. Any other
 one is compared when shards are merged, so that a new option does not escape by being new."""
 
-_PYTESTS = ("override_ini", "runxfail", "reruns", "only_rerun", "rerun_except")
+_COMPARED_OPTIONS_OF_OTHERS = ("override_ini", "runxfail", "reruns", "only_rerun", "rerun_except")
 """Options of others by which a failure may be none, or another configuration is read."""
-_SHOWN = ("junit_", "log_", "console_", "cache_", "tmp_path_", "faulthandler_", "dura_progress")
+_DISPLAY_SETTINGS = (
+    "junit_",
+    "log_",
+    "console_",
+    "cache_",
+    "tmp_path_",
+    "faulthandler_",
+    "dura_progress",
+)
 """How settings begin that ``-o`` may change in one shard alone."""
 
 
@@ -64,21 +162,21 @@ class Shard:
         digits = f"{first}{last}"
         if first and last and digits.isascii() and digits.isdecimal() and len(text) <= _LONGEST:
             found = cls(int(first), int(last))
-            if 1 <= found.index <= found.count <= MOST:
+            if 1 <= found.index <= found.count <= MOST_SHARDS:
                 return found
         raise ConfigurationError(
-            f"{OPTION} takes the number of a shard and how many there are",
-            key=OPTION,
+            f"{SHARD_OPTION} takes the number of a shard and how many there are",
+            key=SHARD_OPTION,
             found=text,
-            expected=f"K/N with 1 <= K <= N <= {MOST}",
-            remedy=f"for example {OPTION}=2/5 for the second of five shards",
+            expected=f"K/N with 1 <= K <= N <= {MOST_SHARDS}",
+            remedy=f"for example {SHARD_OPTION}=2/5 for the second of five shards",
         )
 
     def __str__(self) -> str:
         return f"shard {self.index} of {self.count}"
 
 
-_WHOLE = {
+_EXCLUDED_OPTIONS = {
     "dura_list": "it lists the whole session",
     "dura_replay": "it runs an episode of the evidence",
     "dura_reduce": "it runs an episode of the evidence",
@@ -96,17 +194,17 @@ def shard_of(config: pytest.Config) -> Shard | None:
     found = Shard.read(config.getoption("dura_shard"))
     if found is None:
         return None
-    conflicts = [(name, why) for name, why in _WHOLE.items() if config.getoption(name)]
+    conflicts = [(name, why) for name, why in _EXCLUDED_OPTIONS.items() if config.getoption(name)]
     if config.getoption("dura_llm") == "record":
         conflicts.append(("dura_llm", "each shard would record a cassette of its own"))
     for name, why in conflicts:
         other = f"--{name.replace('_', '-')}"
         raise ConfigurationError(
-            f"{OPTION} and {other} exclude each other: {why}",
-            key=OPTION,
+            f"{SHARD_OPTION} and {other} exclude each other: {why}",
+            key=SHARD_OPTION,
             found=f"{found.index}/{found.count}",
-            expected=f"one of {OPTION} and {other}",
-            remedy=f"leave one of them out; {OPTION} is for the jobs of a CI",
+            expected=f"one of {SHARD_OPTION} and {other}",
+            remedy=f"leave one of them out; {SHARD_OPTION} is for the jobs of a CI",
         )
     return found
 
@@ -133,7 +231,7 @@ class ShardHooks:
     def to_json(self) -> dict[str, Any]:
         """The record's key ``shard``."""
         told = self._told or {"plan": None, "units": None, "holds": []}
-        return {**vars(self.shard), "options": _options(self.session.config), **told}
+        return {**vars(self.shard), "options": _compared_options(self.session.config), **told}
 
     @property
     def is_empty(self) -> bool:
@@ -145,12 +243,12 @@ class ShardHooks:
         self, config: pytest.Config, items: list[pytest.Item]
     ) -> Generator[None, Any, Any]:
         """Leave the items of this shard."""
-        from pytest_dura.evidence.record.shards import plan_digest, split
-        from pytest_dura.plugin.shard_units import units_of
+        from pytest_dura.evidence.sessions import plan_digest, split_units
+        from pytest_dura.plugin.items import units_of
 
         result = yield
         units = units_of(self.session, items)
-        holds = split(units, self.shard.count)[self.shard.index - 1]
+        holds = split_units(units, self.shard.count)[self.shard.index - 1]
         kept = {id(item) for unit in holds for item in units[unit]}
         left = [item for item in items if id(item) not in kept]
         self._kept = items[:] = [item for item in items if id(item) in kept]
@@ -164,7 +262,7 @@ class ShardHooks:
             }
         )
         if self.session.is_worker:
-            config.workeroutput[_TOLD] = json.dumps(self._told)  # type: ignore[attr-defined]
+            config.workeroutput[_SHARD_KEY] = json.dumps(self._told)  # type: ignore[attr-defined]
         return result
 
     @pytest.hookimpl(tryfirst=True)
@@ -179,7 +277,7 @@ class ShardHooks:
                 "pytest_collection_modifyitems"
             )
         if self.session.is_worker:
-            session.config.workeroutput[_LOST] = self.lost  # type: ignore[attr-defined]
+            session.config.workeroutput[_LOST_ITEMS_KEY] = self.lost  # type: ignore[attr-defined]
 
     def pytest_report_collectionfinish(self) -> list[str]:
         """Say what this shard holds."""
@@ -193,10 +291,10 @@ class ShardHooks:
     @pytest.hookimpl(optionalhook=True)
     def pytest_testnodedown(self, node: WorkerController) -> None:
         """Take over from a worker what it collected."""
-        told = getattr(node, "workeroutput", {}).get(_TOLD)
+        told = getattr(node, "workeroutput", {}).get(_SHARD_KEY)
         if told is not None:
             self._take(json.loads(told))
-        self.lost = getattr(node, "workeroutput", {}).get(_LOST) or self.lost
+        self.lost = getattr(node, "workeroutput", {}).get(_LOST_ITEMS_KEY) or self.lost
 
     def _take(self, told: dict[str, Any]) -> None:
         self._told = told
@@ -211,13 +309,13 @@ class ShardHooks:
             session.exitstatus = pytest.ExitCode.OK
 
 
-def _options(config: pytest.Config) -> dict[str, str]:
+def _compared_options(config: pytest.Config) -> dict[str, str]:
     """What was asked of the session on which its results depend, as JSON."""
     told = vars(config.option)
-    names = [one for one in told if one.startswith("dura_") and one not in _FREE]
-    given = {name: told[name] for name in (*names, *_PYTESTS) if name in told}
+    names = [one for one in told if one.startswith("dura_") and one not in _MAY_DIFFER]
+    given = {name: told[name] for name in (*names, *_COMPARED_OPTIONS_OF_OTHERS) if name in told}
     settings = given.get("override_ini") or []
-    given["override_ini"] = sorted(one for one in settings if not one.startswith(_SHOWN))
+    given["override_ini"] = sorted(one for one in settings if not one.startswith(_DISPLAY_SETTINGS))
     return {
         f"--{name.replace('_', '-')}": json.dumps(value, default=str)
         for name, value in sorted(given.items())

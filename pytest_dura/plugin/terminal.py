@@ -1,40 +1,219 @@
-"""What the terminal shows: a header, and after the run cases, verdicts and failures."""
+"""The terminal's section of a session: header, cases, baseline, episodes taken over, gate."""
 
 from __future__ import annotations
 
+import shlex
+import textwrap
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pytest_dura.evidence.record.effectiveness import RECOVERY
-from pytest_dura.plugin.baseline_lines import baseline_header, show_baseline
-from pytest_dura.plugin.failure_mode_lines import failure_mode_table
-from pytest_dura.plugin.fault_lines import fault_table
-from pytest_dura.plugin.messages import Shown, apart, shown_lines
-from pytest_dura.plugin.overrides import (
+from pytest_dura.evidence.conclude import RECOVERY_ROLE
+from pytest_dura.evidence.text import name, one_line
+from pytest_dura.plugin.episodes import show_repeats
+from pytest_dura.plugin.messages import SafeTerminal, indent_if_reserved, safe_lines, typed_path
+from pytest_dura.plugin.roles import (
     none_in_root_conftest,
     overrides_deeper_down,
     root_conftest_with,
 )
-from pytest_dura.plugin.places import from_here
-from pytest_dura.plugin.repeats import show_repeats
-from pytest_dura.plugin.reuse_lines import resume_lines, reuse_lines, searched_lines
-from pytest_dura.plugin.search_lines import counts as search_counts
-from pytest_dura.plugin.search_lines import show_searches
-from pytest_dura.plugin.shortening import ELSEWHERE, MOST, worst_cases
-from pytest_dura.plugin.tables import (
+from pytest_dura.plugin.terminal_tables import (
+    MOST_ROWS,
+    WHERE_ALL_ARE,
+    WIDTH,
+    Data,
     attack_table,
     case_table,
     counted,
     effectiveness_lines,
+    failure_mode_table,
+    fault_table,
     monitor_table,
     pair_table,
     reliance_table,
+    worst_cases,
 )
-from pytest_dura.plugin.verdict_lines import show_verdicts
+from pytest_dura.plugin.terminal_verdicts import search_counts, show_searches, show_verdicts
 
 if TYPE_CHECKING:
-    from pytest_dura.evidence.record.session_record import SessionRecord
+    from collections.abc import Iterator
+
+    from pytest_dura.evidence.baseline import Baseline
+    from pytest_dura.evidence.model import SessionRecord
     from pytest_dura.plugin.session import DuraSession
+
+
+_MOST_REASONS = 8
+"""Reasons that are told."""
+
+
+def reuse_lines(record: SessionRecord) -> Iterator[str]:
+    """How many episodes were taken over, how many were simulated, and why some of them again."""
+    if record["reuse"]["mode"] != "none":
+        yield from _reuse_sentences(record["reuse"], record["totals"]["episodes"], "episode")
+
+
+def searched_lines(record: SessionRecord) -> Iterator[str]:
+    """The same of what searches simulated, and why something could not be shared."""
+    searched = record["reuse"]["searched"]
+    if searched is not None and searched["simulations"]:
+        yield from _reuse_sentences(searched, searched["simulations"], "run", " of searches")
+    yield from record["reuse"]["problems"]
+
+
+def _reuse_sentences(
+    reuse: Mapping[str, Any], count: int, one: str, whose: str = ""
+) -> Iterator[str]:
+    from pytest_dura.evidence.sessions import outdated_reason
+
+    taken, sessions = reuse["taken_over"], len(reuse["sessions"])
+    from_where = f" from {counted(sessions, 'earlier session')}" if taken else ""
+    yield f"{counted(taken, one)}{whose} taken over{from_where}, {count - taken} simulated"
+    outdated = sorted(reuse["outdated"], key=lambda each: -each["episodes"])
+    for each in outdated[:_MOST_REASONS]:
+        again = f"{counted(each['episodes'], one)}{whose} simulated again"
+        yield f"{again}: {outdated_reason(each['changed'])}"
+    if len(outdated) > _MOST_REASONS:
+        rest = sum(each["episodes"] for each in outdated[_MOST_REASONS:])
+        yield f"{counted(rest, one)}{whose} simulated again for other reasons: see the record"
+
+
+def resume_lines(session: DuraSession) -> Iterator[str]:
+    """How a session that was not whole goes on, if anything of it was kept."""
+    if session.shared.is_whole or not session.shared.shelf.count():
+        return
+    if session.shared.mode == "reuse":
+        yield "to go on, give the same command again: its episodes are kept"
+    else:
+        yield f"to go on: {_resume_command(session)}"
+
+
+def _resume_command(session: DuraSession) -> str:
+    arguments: list[Any] = [*session.config.invocation_params.args]
+    option = "--dura-resume"
+    if option not in arguments:
+        arguments.append(option)
+    return shlex.join(["pytest", *map(str, arguments)])
+
+
+NO_EVIDENCE = "no evidence of a change"
+BASELINE_COLOURS: Mapping[str, dict[str, bool]] = {
+    "worse": {"red": True},
+    "better": {"green": True},
+}
+BASELINE_LEGEND = (
+    "now, then: violations of valid runs; p: exact one-sided p-value in the direction of the",
+    "change; Holm: p corrected for the number of comparisons, on which the word rests (p alone, at",
+    "a confidence of 0.95, calls an unchanged rate worse in up to 5 % of all comparisons);",
+    "McNemar: on equal seeds; (worse), (better): without the correction only; -: no evidence of a",
+    "change, which is no evidence that nothing changed",
+)
+
+
+def baseline_header(baseline: Baseline | None) -> list[str]:
+    """That a baseline is compared, and which."""
+    if baseline is None:
+        return []
+    names = sorted({claim.component for claim in baseline.claims})
+    which = ", ".join([*names, baseline.created])
+    lines = [f"dura: compared with the baseline {baseline.path} ({which})"]
+    if baseline.status != "complete":
+        lines.append(f"dura: warning: the baseline's session was {baseline.status}")
+    return lines
+
+
+def show_baseline(terminal: Any, record: SessionRecord) -> None:
+    """What was violated now or then with its figures, the rest by name, and what they come to."""
+    baseline = record["baseline"]
+    if baseline is None:
+        return
+    found = baseline["comparisons"]
+    terminal.line("")
+    terminal.line(f"baseline {baseline['path']}: {_baseline_summary(baseline)}")
+    shown = [one for one in found if one["test"] is None or _violated(one)]
+    rows = [
+        one for word in (*BASELINE_COLOURS, NO_EVIDENCE) for one in shown if one["word"] == word
+    ]
+    if rows:
+        table = [BASELINE_COLUMNS, *map(_baseline_row, rows)]
+        widths = [max(len(row[i]) for row in table) for i in range(len(BASELINE_COLUMNS))]
+        for row, one in zip(table, [None, *rows], strict=True):
+            cells = "  ".join(f"{cell:<{width}}" for cell, width in zip(row, widths, strict=True))
+            about = "requirement and case" if one is None else _name(one)
+            fits = len(cells) + 2 + len(about) <= WIDTH
+            lines = [f"{cells}  {about}"] if fits else [cells, f"{'':<{widths[0] + 2}}{about}"]
+            for line in lines:
+                terminal.line(
+                    line, **({} if one is None else BASELINE_COLOURS.get(one["word"], {}))
+                )
+        for line in BASELINE_LEGEND:
+            terminal.line(line)
+    for reason, alike in _unremarkable(found).items():
+        text = f"{one_line(reason)}: {_requirements_by_case(alike)}"
+        for line in textwrap.wrap(text, WIDTH, subsequent_indent="  ", break_on_hyphens=False):
+            terminal.line(line)
+
+
+BASELINE_COLUMNS = ("", "now", "then", "p", "Holm", "test")
+
+
+def _baseline_row(one: Data) -> Sequence[str]:
+    direction = "worse" if one["p_worse"] <= one["p_better"] else "better"
+    word = one["word"]
+    if word == NO_EVIDENCE:
+        word = "-" if one["uncorrected"] == NO_EVIDENCE else f"({one['uncorrected']})"
+    return (
+        word,
+        f"{one['violations']}/{one['episodes']}",
+        f"{one['baseline_violations']}/{one['baseline_episodes']}",
+        f"{one[f'p_{direction}']:.2g}",
+        f"{one[f'p_{direction}_holm']:.2g}",
+        one["test"],
+    )
+
+
+def _name(one: Data) -> str:
+    return f"{name(one['requirement'])} on {name(one['case'])}"
+
+
+def _baseline_summary(baseline: Data) -> str:
+    words = [one["word"] for one in baseline["comparisons"]]
+    compared = sum(one["test"] is not None for one in baseline["comparisons"])
+    parts = [counted(compared, "comparison")]
+    parts += [f"{words.count(word)} {word}" for word in ("worse", "better")]
+    if baseline["tests"] != compared:
+        parts.append(f"corrected for {baseline['tests']}")
+    return ", ".join(parts)
+
+
+def _violated(one: Data) -> bool:
+    return bool(one["violations"] or one["baseline_violations"])
+
+
+def _unremarkable(found: Sequence[Data]) -> dict[str, list[Data]]:
+    """What never was violated, stands in one record only, or cannot be compared, by reason."""
+    alike: dict[str, list[Data]] = {}
+    for one in found:
+        if one["test"] is None:
+            reason = f"{one['word']}: {one['reason']}" if one["reason"] else one["word"]
+        elif not _violated(one):
+            runs = f"0/{one['episodes']} now, 0/{one['baseline_episodes']} then"
+            reason = f"{one['word']}, violated in {runs}"
+        else:
+            continue
+        alike.setdefault(reason, []).append(one)
+    return alike
+
+
+def _requirements_by_case(found: Sequence[Data]) -> str:
+    """The requirements, by case."""
+    cases: dict[str, list[str]] = {}
+    for one in found:
+        cases.setdefault(one["case"], []).append(one["requirement"])
+    return "; ".join(
+        f"{', '.join(map(name, names))} on {name(case)}" for case, names in cases.items()
+    )
+
 
 _COUNTED = ("supported", "violated", "undecided", "waived")
 
@@ -66,7 +245,7 @@ def header(session: DuraSession) -> list[str]:
             "move the fixture to the root conftest.py"
             for file, role in overrides_deeper_down(session.config)
         ]
-    return [one for line in lines for one in shown_lines(line)]
+    return [one for line in lines for one in safe_lines(line)]
 
 
 def _switched_off(session: DuraSession) -> list[tuple[str, str]]:
@@ -78,7 +257,7 @@ def _switched_off(session: DuraSession) -> list[tuple[str, str]]:
     return sorted(found.items())
 
 
-def unused(session: DuraSession) -> list[str]:
+def unused_requirements(session: DuraSession) -> list[str]:
     """Requirements that are defined and decided by nothing, which is probably not meant."""
     return [
         f"dura: warning: {place}: no scenario and no collected test uses the requirement {name!r}"
@@ -104,7 +283,7 @@ def summary(session: DuraSession, terminal: Any) -> None:
     if record is None or not (any(record[key] for key in told) or any(searched_lines(record))):
         return
     terminal.section("dura", "=")
-    terminal = Shown(terminal)
+    terminal = SafeTerminal(terminal)
     if not session.active:  # then there was no header
         for line in session.shared.lines:
             terminal.line(line)
@@ -124,30 +303,30 @@ def summary(session: DuraSession, terminal: Any) -> None:
         terminal.line(_gate_line(record))
         if record["shard"]:
             terminal.line("a part of a session: `python -m pytest_dura merge` gates on the whole")
-        page = from_here(_page(session.evidence.file), session.config.invocation_params.dir)
+        page = typed_path(_page(session.evidence.file), session.config.invocation_params.dir)
         terminal.line(f"evidence: {page}")
         for line in resume_lines(session):
             terminal.line(line)
 
 
 def _show_objections(terminal: Any, objections: list[str]) -> None:
-    for objection in objections[:MOST]:
-        terminal.line(apart(objection), red=True)
-    if len(objections) > MOST:
-        told = f"and {len(objections) - MOST} more like the last one; evidence.json has them"
+    for objection in objections[:MOST_ROWS]:
+        terminal.line(indent_if_reserved(objection), red=True)
+    if len(objections) > MOST_ROWS:
+        told = f"and {len(objections) - MOST_ROWS} more like the last one; evidence.json has them"
         terminal.line(told, red=True)
 
 
 def _gate_line(record: SessionRecord) -> str:
     """The gate's word, and the verdicts that it rests on."""
-    from pytest_dura.evidence.formats.stated import part, selected
+    from pytest_dura.reports.wording import selection_text, shard_text
 
     totals = record["totals"]
     parts = [f"{totals[word]} {word}" for word in _COUNTED if totals[word]]
-    whose = f"gate of {part(record)}" if part(record) else "gate"
+    whose = f"gate of {shard_text(record)}" if shard_text(record) else "gate"
     found = search_counts(record)
     told = f"; searches: {found}" if found else ""
-    gate = [totals["gate"], *filter(None, [selected(record)]), *(parts or ["no verdict"])]
+    gate = [totals["gate"], *filter(None, [selection_text(record)]), *(parts or ["no verdict"])]
     return f"{whose}: {', '.join(gate)}{told}"
 
 
@@ -159,10 +338,12 @@ def _page(file: Path) -> Path:
 
 def _show_cases(session: DuraSession, terminal: Any, record: SessionRecord) -> None:
     """What was run, and the tables of what it came to."""
-    from pytest_dura.evidence.formats.stated import roles_off
+    from pytest_dura.reports.wording import roles_off_lines
 
-    terminal.line(f"component under test: {_names(record)}, base seed {record['base_seed']}")
-    for line in roles_off(record):
+    terminal.line(
+        f"component under test: {_component_names(record)}, base seed {record['base_seed']}"
+    )
+    for line in roles_off_lines(record):
         terminal.line(line, yellow=True)
     if session.options.runs is not None:
         terminal.line(f"--dura-runs={session.options.runs} replaced the planned number of runs")
@@ -170,14 +351,16 @@ def _show_cases(session: DuraSession, terminal: Any, record: SessionRecord) -> N
     # Runs without a role that serve a comparison are told in its table.
     twins = {one["pairs"]["case"] for one in record["verdicts"] if one["pairs"]}
     shown = [case for case in record["cases"] if not case["without"] or case["id"] not in twins]
-    most = None if session.config.option.verbose > 0 else MOST
+    most = None if session.config.option.verbose > 0 else MOST_ROWS
     listed = worst_cases(shown, record["verdicts"], most=most)
     overall = record["overall"]
     for line in case_table(listed, overall):
         terminal.line(line)
     if len(listed) < len(shown):
         told = "those with the worst verdicts are shown"
-        terminal.line(f"and {counted(len(shown) - len(listed), 'case')} more: {told}; {ELSEWHERE}")
+        terminal.line(
+            f"and {counted(len(shown) - len(listed), 'case')} more: {told}; {WHERE_ALL_ARE}"
+        )
     left = {case["id"] for case in shown}.difference(case["id"] for case in listed)
     verdicts = [verdict for verdict in record["verdicts"] if verdict["case"] not in left]
     early = sum(case["metrics"]["ended_early"] for case in record["cases"])
@@ -196,7 +379,7 @@ def _show_cases(session: DuraSession, terminal: Any, record: SessionRecord) -> N
         attack_table(verdicts, record["cases"]),
         [
             *pair_table(verdicts, record["cases"]),
-            *effectiveness_lines(record["effectiveness"], RECOVERY),
+            *effectiveness_lines(record["effectiveness"], RECOVERY_ROLE),
         ],
         [
             *monitor_table(
@@ -209,7 +392,7 @@ def _show_cases(session: DuraSession, terminal: Any, record: SessionRecord) -> N
             terminal.line(line)
 
 
-def _names(record: SessionRecord) -> str:
+def _component_names(record: SessionRecord) -> str:
     names = sorted({case["component"] for case in record["cases"]})
     under_test = record["component_under_test"]
     opaque = " (a bare instance, in this process only)" if under_test.get("opaque") else ""

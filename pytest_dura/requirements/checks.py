@@ -14,9 +14,8 @@ import numpy as np
 
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.role_spec import RoleSpec
-from pytest_dura.requirements.stl.language.checks import ranging_or_refuse
-from pytest_dura.requirements.stl.language.formula import Formula
-from pytest_dura.requirements.stl.language.parsing import parse
+from pytest_dura.requirements.stl.formula import Formula, ranging_or_refuse
+from pytest_dura.requirements.stl.parser import parse
 
 _PATH = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*")
 

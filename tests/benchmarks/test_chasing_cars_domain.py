@@ -8,16 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pytest_dura import Bench, ConfigurationError
-from pytest_dura.campaign.cases import one_case
-from pytest_dura.campaign.loading import load_library
-from pytest_dura.campaign.search.falsify import falsify
-from pytest_dura.campaign.search.limits import Limits
-from pytest_dura.campaign.search.space.layout import Group
-from pytest_dura.campaign.search.space.search_space import SearchSpace
-from pytest_dura.campaign.search.trials import Asked
-from pytest_dura.requirements.stl.language.parsing import parse
-from pytest_dura.requirements.stl.offline.robustness import robustness
+from pytest_dura import ConfigurationError, Runner
+from pytest_dura.campaign.falsification import Limits
+from pytest_dura.library.cases import case_with_faults
+from pytest_dura.library.loading import load_library
+from pytest_dura.requirements.stl.parser import parse
+from pytest_dura.requirements.stl.robustness import robustness
+from pytest_dura.search.falsify import falsify
+from pytest_dura.search.space import Group, SearchSpace
+from pytest_dura.search.trials import Objective
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 
@@ -39,12 +38,12 @@ def library(cars):
 
 @pytest.fixture
 def bench(library):
-    return Bench(lambda: library)
+    return Runner(lambda: library)
 
 
 @pytest.fixture
 def space(library):
-    return SearchSpace.of(one_case(library.scenarios["chasing_cars"], "none"))
+    return SearchSpace.of(case_with_faults(library.scenarios["chasing_cars"], "none"))
 
 
 def test_its_inputs_over_time_are_what_is_searched(space) -> None:
@@ -82,8 +81,8 @@ def test_the_first_car_moves_as_in_the_fast_model_whatever_its_brake(cars, bench
 
 
 def test_a_search_in_the_loop_finds_and_confirms_a_violation(library, bench) -> None:
-    case = one_case(library.scenarios["chasing_cars"], "none")
-    asked = [Asked(library.requirements["CC3"])]
+    case = case_with_faults(library.scenarios["chasing_cars"], "none")
+    asked = [Objective(library.requirements["CC3"])]
     found = falsify(bench, case, asked, limits=Limits(budget=40, baselines=False), seed=0)
     (outcome,) = found.outcomes
     assert outcome.word == "falsified"

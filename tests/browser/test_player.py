@@ -18,12 +18,12 @@ from player_traces import (
     without_scene,
 )  # fmt: skip
 
-from pytest_dura.campaign.cases import expand_cases
-from pytest_dura.campaign.episodes.task import run_episode
-from pytest_dura.campaign.loading import load_library
-from pytest_dura.core.recording import Recording, Scene, Tracks
-from pytest_dura.evidence.player import assets, packed, player_data, player_page
-from pytest_dura.evidence.traces.trace import Trace
+from pytest_dura.core.simulator import Recording, Scene, Tracks
+from pytest_dura.evidence.traces import Trace
+from pytest_dura.execution.task import run_episode
+from pytest_dura.library.cases import expand_cases
+from pytest_dura.library.loading import load_library
+from pytest_dura.reports.html.player import pack_data, player_assets, player_data, player_page
 
 LAST = TICKS - 1
 DRAWN = """
@@ -570,12 +570,12 @@ window.b = DuraPlayer.mount(document.getElementById("b"), text, {{label: "Show b
 
 
 def several(text):
-    script, style = assets()
+    script, style = player_assets()
     return SHELL.format(style=style, script=script, text=repr(text))
 
 
 def test_nothing_is_unpacked_before_it_is_opened(opened):
-    page = opened(several(packed(player_data(crossing()))))
+    page = opened(several(pack_data(player_data(crossing()))))
     assert page.evaluate("[window.read, window.a.state]") == [0, None]
     page.get_by_role("button", name="Open the episode player").click()
     ready(page)
@@ -585,7 +585,7 @@ def test_nothing_is_unpacked_before_it_is_opened(opened):
 
 
 def test_only_one_player_plays(opened):
-    page = opened(several(packed(player_data(crossing()))))
+    page = opened(several(pack_data(player_data(crossing()))))
     page.evaluate("Promise.all([window.a.open(), window.b.open()])")
     page.evaluate("window.a.play()")
     assert page.evaluate("[window.a.state.playing, window.b.state.playing]") == [True, False]
@@ -598,7 +598,7 @@ def test_only_one_player_plays(opened):
     assert (state["tick"], state["playing"], state["ghosts"]) == (12, False, ["GHOST"])
 
 
-@pytest.mark.parametrize("text", ["", "%%%", "eJwDAAAAAAE=", packed({})])
+@pytest.mark.parametrize("text", ["", "%%%", "eJwDAAAAAAE=", pack_data({})])
 def test_bad_data_is_told(page, text):
     page.evaluate("(text) => DuraPlayer.mount(document.getElementById('player'), text)", text)
     page.get_by_role("button", name="Open the episode player").click()

@@ -6,9 +6,9 @@ from functools import cache
 
 import pytest
 
-from pytest_dura import Bench, CampaignVerdict, RoleSpec
-from pytest_dura.campaign.cases import expand_cases
-from pytest_dura.campaign.loading import load_library
+from pytest_dura import CampaignVerdict, RoleSpec, Runner
+from pytest_dura.library.cases import expand_cases
+from pytest_dura.library.loading import load_library
 
 BAD = {
     "aggressive": "aggressive",
@@ -21,7 +21,7 @@ BAD = {
 def judged(generator: str, requirement: str) -> CampaignVerdict:
     library = load_library([])
     (case,) = expand_cases(library.scenarios, select=["*/conflicting-traffic"])
-    bench = Bench(lambda: library, roles={"generator": RoleSpec(generator)})
+    bench = Runner(lambda: library, roles={"generator": RoleSpec(generator)})
     return bench.campaign(case).judge(library.requirements[requirement])
 
 

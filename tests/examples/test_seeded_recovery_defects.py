@@ -6,11 +6,11 @@ from functools import cache
 
 import pytest
 
-from pytest_dura import Bench, CampaignVerdict, RoleSpec
-from pytest_dura.campaign.cases import expand_cases
-from pytest_dura.campaign.loading import load_library
-from pytest_dura.campaign.scenario import Range, Scenario
-from pytest_dura.evidence.record.effectiveness import Courses, effectiveness
+from pytest_dura import CampaignVerdict, RoleSpec, Runner
+from pytest_dura.evidence.conclude import PairedCourses, effectiveness
+from pytest_dura.library.cases import expand_cases
+from pytest_dura.library.loading import load_library
+from pytest_dura.library.scenario import Range, Scenario
 
 PLANNERS = {
     "REC-1": RoleSpec("reactive"),
@@ -56,7 +56,7 @@ DEFECTS = {
 def judged(requirement: str, *, defective: bool = False) -> CampaignVerdict:
     library = load_library([])
     roles = {"generator": PLANNERS[requirement]} | (DEFECTS[requirement] if defective else {})
-    bench = Bench(lambda: library, roles=roles)
+    bench = Runner(lambda: library, roles=roles)
     scenario = SCENARIO if requirement in SCENARIO.requirements else ALONE
     return bench.campaign(expand_cases([scenario])[0]).judge(library.requirements[requirement])
 
@@ -76,7 +76,7 @@ def test_the_pairs_tell_what_the_recovery_introduced():
 
 def test_a_recovery_that_only_does_harm_is_seen_as_such_in_the_record():
     verdicts = [judged("REC-1", defective=True).to_json()]
-    (found,) = effectiveness(verdicts, [], Courses(verdicts))
+    (found,) = effectiveness(verdicts, [], PairedCourses(verdicts))
     assert found["finding"] == "introduced"
     assert "and prevented none of 0 violations of REC-1 without it in 4 pairs" in found["detail"]
 

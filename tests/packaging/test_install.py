@@ -125,7 +125,7 @@ def test_the_source_distribution_holds_the_example_suites_and_their_cassette(tmp
 def test_the_built_in_scenarios_are_those_of_this_installation(installation: Installation) -> None:
     code = (
         "import pytest_dura\n"
-        "from pytest_dura.campaign.loading import builtin_paths\n"
+        "from pytest_dura.library.loading import builtin_paths\n"
         "print(pytest_dura.__file__)\n"
         "print(*builtin_paths())"
     )

@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 from forked_workers import AVAILABLE, import_all
 
-from pytest_dura.campaign.loading import builtin_paths
-from pytest_dura.campaign.yaml_source import read_yaml
-from pytest_dura.evidence.formats import all_formats
+from pytest_dura.evidence.bundle import all_formats
+from pytest_dura.library.documents import read_yaml
+from pytest_dura.library.loading import builtin_paths
 
 # In-process runs forget what they imported: what is ours would be compiled anew for each of them,
 # and numpy and its like cannot be imported twice.
@@ -99,7 +99,7 @@ def fast_sessions(monkeypatch, forked_workers):
     monkeypatch.delenv("PYTEST_ADDOPTS", raising=False)
     # Milliseconds each, for what no test can see: that files survive a loss of power.
     monkeypatch.setattr(os, "fsync", lambda _: None)
-    monkeypatch.setattr("pytest_dura.campaign.loading.read_yaml", _read)
+    monkeypatch.setattr("pytest_dura.library.loading.read_yaml", _read)
     for name, kept in KEPT.items():
         monkeypatch.setattr(importlib.metadata.PathDistribution, name, kept)
     if AVAILABLE:

@@ -108,9 +108,9 @@ def test_a_component_that_no_alarm_interrupts_is_ended_with_its_process(project)
 
 
 def test_without_a_cluster_nothing_is_run_or_written(project, monkeypatch):
-    from pytest_dura.campaign.execution import dask_cluster
+    from pytest_dura.execution import dask
 
-    monkeypatch.setattr(dask_cluster, "SECONDS_TO_CONNECT", 0.2)
+    monkeypatch.setattr(dask, "SECONDS_TO_CONNECT", 0.2)
     result = project.scenarios("--dura-executor=dask://127.0.0.1:9")
     assert result.ret == pytest.ExitCode.USAGE_ERROR
     result.stderr.fnmatch_lines(["*there is no Dask scheduler at this address*"])

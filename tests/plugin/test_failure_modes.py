@@ -6,12 +6,10 @@ import json
 
 import pytest
 
-from pytest_dura.evidence.formats.summary import read_counts
-from pytest_dura.evidence.record.counts import Counts
-from pytest_dura.evidence.record.session_record import SessionRecord
-from pytest_dura.evidence.verifying import verify_bundle
-from pytest_dura.evidence.verifying.episodes import episode_problems
-from pytest_dura.evidence.verifying.recomputed import recomputed_problems
+from pytest_dura.evidence.model import Counts, SessionRecord
+from pytest_dura.evidence.verify import recomputed_problems, verify_bundle
+from pytest_dura.evidence.verify_record import episode_problems
+from pytest_dura.reports.summary import read_counts
 
 CHATTY = '''
 """Components that tell how they came to their proposals."""

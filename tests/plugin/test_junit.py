@@ -5,13 +5,8 @@ from collections import Counter
 import pytest
 from junitparser import JUnitXml, Properties
 
-from pytest_dura.evidence.formats.junit_results import (
-    junit_key,
-    junit_name,
-    junit_outcomes,
-    junit_verdicts,
-)
-from pytest_dura.evidence.record import attempts
+from pytest_dura.evidence import gather
+from pytest_dura.evidence.junit import junit_key, junit_name, junit_outcomes, junit_verdicts
 from pytest_dura.evidence.text import LINE
 
 RECKLESS = "--dura-generator=corridor:Reckless"
@@ -165,7 +160,9 @@ def test_a_test_on_an_episode_names_it(junit, project):
     }
     assert junit_verdicts(found.text) == {}
     for one in project.evidence()["verdicts"]:
-        counts = outcomes[junit_key(one["case"], one["requirement"], attempts.test_of(one["item"]))]
+        counts = outcomes[
+            junit_key(one["case"], one["requirement"], gather.test_function(one["item"]))
+        ]
         assert (counts["violated"], counts.total()) == (one["violations"], one["run"])
 
 

@@ -17,14 +17,10 @@ from corridors import scenario
 from test_fault_campaigns_option import BIAS, NOISE, near_the_wall
 from test_secrets import texts
 
-import pytest_dura.llm.capabilities
-import pytest_dura.llm.client.failing
-import pytest_dura.llm.client.wire  # noqa: F401 - in-process runs forget what they imported
-from pytest_dura.evidence.bundle.directory import read_record
-from pytest_dura.evidence.record.counts import Counts
-from pytest_dura.evidence.record.session_record import SessionRecord
-from pytest_dura.evidence.verifying import verify_bundle
-from pytest_dura.evidence.verifying.sums import record_problems
+from pytest_dura.evidence.bundle import read_record
+from pytest_dura.evidence.model import Counts, SessionRecord
+from pytest_dura.evidence.verify import verify_bundle
+from pytest_dura.evidence.verify_record import record_problems
 from pytest_dura.llm import session as sessions
 
 SUPPORT = str(Path(__file__).parents[1] / "support")

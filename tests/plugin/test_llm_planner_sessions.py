@@ -9,10 +9,8 @@ import openai.resources.chat  # noqa: F401 - in-process runs forget what they im
 import pytest
 
 import pytest_dura.llm.capabilities
-import pytest_dura.llm.client.failing
-import pytest_dura.llm.client.wire
 import pytest_dura.llm.driving.planner  # noqa: F401 - see above
-from pytest_dura.evidence.verifying import verify_bundle
+from pytest_dura.evidence.verify import verify_bundle
 
 SUPPORT = str(Path(__file__).parents[1] / "support")
 if SUPPORT not in sys.path:

@@ -10,8 +10,8 @@ from corridors import scenario
 from outputs import output
 from pool_calls import KilledStarts
 
-from pytest_dura.campaign.execution.processes import MOST_STARTS
-from pytest_dura.evidence.verifying import verify_bundle
+from pytest_dura.evidence.verify import verify_bundle
+from pytest_dura.execution.processes import MAX_STARTS
 
 COUNTED = """
 import os, signal, time
@@ -124,9 +124,9 @@ def test_a_session_that_is_not_resumed_says_what_it_drops_of_a_lost_worker(count
 
 def test_a_process_that_is_killed_while_it_starts_costs_no_campaign(counted, monkeypatch):
     project, whole, _ = counted
-    starts = KilledStarts(monkeypatch, project.path, MOST_STARTS - 1)
+    starts = KilledStarts(monkeypatch, project.path, MAX_STARTS - 1)
     result = project.run("corridor/it", "--dura-executor=processes:1")
-    assert starts.count == MOST_STARTS
+    assert starts.count == MAX_STARTS
     check_whole(project, whole, result, 5)
 
 

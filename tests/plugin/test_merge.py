@@ -15,16 +15,14 @@ from sealing import seal
 
 from pytest_dura.__main__ import main
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.evidence.baseline.file import Baseline
-from pytest_dura.evidence.bundle import directory as bundle_directory
-from pytest_dura.evidence.bundle.directory import read_session_record
-from pytest_dura.evidence.bundle.lock import DirectoryLock
-from pytest_dura.evidence.bundle.manifest import file_entry, files_of
-from pytest_dura.evidence.bundle.writing import write_bundle
-from pytest_dura.evidence.merging import merge_bundles
-from pytest_dura.evidence.record.session_record import SessionRecord
-from pytest_dura.evidence.record.shards import Unit, plan_digest
-from pytest_dura.evidence.verifying import verify_bundle
+from pytest_dura.evidence import bundle as bundle_directory
+from pytest_dura.evidence.baseline import Baseline
+from pytest_dura.evidence.bundle import read_session_record, write_bundle
+from pytest_dura.evidence.files import DirectoryLock, file_entry, files_below
+from pytest_dura.evidence.merge import merge_bundles
+from pytest_dura.evidence.model import SessionRecord
+from pytest_dura.evidence.sessions import ShardUnit, plan_digest
+from pytest_dura.evidence.verify import verify_bundle
 
 PROJECT = Path(__file__).with_name("project")
 TESTS = """
@@ -185,7 +183,7 @@ def test_what_two_shards_told_of_an_episode_comes_from_one_of_them(two, tmp_path
     assert own["trace"]["kept_for"] == "violation"
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(
-            "pytest_dura.evidence.merging.parts.verify_bundle",
+            "pytest_dura.evidence.merge_checks.verify_bundle",
             lambda _: type("", (), {"intact": 1}),
         )
         merge_bundles(two, tmp_path / "out")
@@ -206,7 +204,7 @@ def test_the_order_of_the_bundles_does_not_matter(made, tmp_path):
 
 def test_great_records_are_merged_a_few_episodes_at_a_time(made, tmp_path, monkeypatch):
     merge_bundles(of(made, 2), tmp_path / "a")
-    monkeypatch.setattr(bundle_directory, "STREAMED", 0)
+    monkeypatch.setattr(bundle_directory, "STREAMED_BYTES", 0)
     monkeypatch.setattr(bundle_directory, "load_record", None)  # which reads all of it
     merge_bundles(of(made, 2), tmp_path / "b")
     assert comparable(tmp_path / "a") == comparable(tmp_path / "b")
@@ -351,7 +349,7 @@ def test_shards_that_were_not_made_alike_are_refused(two, tmp_path, key, monkeyp
     rewritten(two[1], CHANGES[key])
     # Of some of these verify says itself that they cannot be; here it is to be the merge.
     monkeypatch.setattr(
-        "pytest_dura.evidence.merging.parts.verify_bundle", lambda _: type("", (), {"intact": 1})
+        "pytest_dura.evidence.merge_checks.verify_bundle", lambda _: type("", (), {"intact": 1})
     )
     error = refused(two, tmp_path / "out", "were not made alike")
     assert (error.key, error.file) == (key, str(two[1] / "evidence.json"))
@@ -430,7 +428,7 @@ def test_a_verdict_that_two_shards_reached_is_refused(made, tmp_path):
                for one in pair}  # fmt: skip
     units = json.loads(held)
     others = [{**one, "name": f"{one['name']}-2"} for one in units]
-    plan = plan_digest(map(Unit.from_json, [*units, *others]))
+    plan = plan_digest(map(ShardUnit.from_json, [*units, *others]))
     for index, (one, holds) in enumerate(zip(pair, (units, others), strict=True), 1):
         told = {"index": index, "count": 2, "plan": plan, "units": 2 * len(units), "holds": holds}
         rewritten(one, lambda record, told=told: record["shard"].update(told))
@@ -451,7 +449,7 @@ def test_an_episode_of_two_shards_that_differs_fails_the_whole(two, tmp_path, mo
 
     rewritten(hand, change)
     monkeypatch.setattr(
-        "pytest_dura.evidence.merging.parts.verify_bundle", lambda _: type("", (), {"intact": 1})
+        "pytest_dura.evidence.merge_checks.verify_bundle", lambda _: type("", (), {"intact": 1})
     )
     merged = merge_bundles(two, tmp_path / "out")
     assert not merged.passed
@@ -500,7 +498,7 @@ def test_a_trace_that_changes_while_it_is_copied_is_refused(two, tmp_path, monke
         trace.write_bytes(trace.read_bytes() + b"!")
         return found
 
-    monkeypatch.setattr("pytest_dura.evidence.merging.parts.verify_bundle", verified)
+    monkeypatch.setattr("pytest_dura.evidence.merge_checks.verify_bundle", verified)
     with pytest.raises(ConfigurationError, match="a trace changed while it was copied"):
         merge_bundles(two, tmp_path / "out")
     # What is there says that it was not finished.
@@ -512,12 +510,12 @@ def test_nothing_is_written_over(two, tmp_path, capsys):
     held = tmp_path / "held"
     held.mkdir()
     (held / "mine.txt").write_text("mine")
-    before = {name: file_entry(two[0] / name) for name in files_of(two[0])}
+    before = {name: file_entry(two[0] / name) for name in files_below(two[0])}
     for output in (held, two[0], two[0] / "inside", tmp_path, held / "mine.txt"):
         assert main(["merge", *map(str, two), "--output", str(output)]) == 2
         assert "--output" in capsys.readouterr().err
     assert (held / "mine.txt").read_text() == "mine"
-    assert {name: file_entry(two[0] / name) for name in files_of(two[0])} == before
+    assert {name: file_entry(two[0] / name) for name in files_below(two[0])} == before
 
 
 def test_two_merges_at_once_do_not_write_one_directory(two, tmp_path):

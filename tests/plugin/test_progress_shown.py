@@ -15,7 +15,7 @@ import pytest
 from forked_workers import AVAILABLE
 from terminals import Terminal
 
-from pytest_dura.plugin.progress import showing
+from pytest_dura.plugin import progress_display
 
 SLOW = """
 import os, time
@@ -24,7 +24,7 @@ import corridor
 
 def pytest_configure(config):
     if hasattr(config, "workerinput"):
-        from pytest_dura.plugin.progress import files
+        from pytest_dura.plugin.session import files
         files.INTERVAL = 0.005
 
 reset = corridor.Corridor.reset
@@ -46,8 +46,8 @@ def slow(project, monkeypatch):
     for name in ("CI", "NO_COLOR", "COLUMNS", "LINES", "FORCE_COLOR", "PY_COLORS"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("TERM", "xterm")
-    monkeypatch.setattr(showing, "LIVE_INTERVAL", 0.005)
-    monkeypatch.setattr(showing, "LINES_INTERVAL", 0.005)
+    monkeypatch.setattr(progress_display, "LIVE_INTERVAL", 0.005)
+    monkeypatch.setattr(progress_display, "LINES_INTERVAL", 0.005)
     ini = project.path / "pytest.ini"
     ini.write_text(ini.read_text() + "\ndura_progress_interval = 0.004\n")
     return project
@@ -107,7 +107,7 @@ def test_a_terminal_shows_progress_and_nothing_of_it_stays(slow, more, monkeypat
     assert code == 0, seen
     assert re.search(r"\n(gw\d )?corridor/free G[AP]*O?-1 [12]/3, 0 violations", seen)
     if more[:1] != ["-n"]:
-        monkeypatch.setattr(showing, "way_to_show", lambda config: None)
+        monkeypatch.setattr(progress_display, "display_mode", lambda config: None)
         plain, _ = in_terminal(slow, *arguments)
         assert "/3, 0 violations" not in plain
         assert everything(seen) == everything(plain)

@@ -16,7 +16,7 @@ from corridors import scenario
 from outputs import output
 
 from pytest_dura.core.seeding import derive_seed
-from pytest_dura.evidence.verifying import verify_bundle
+from pytest_dura.evidence.verify import verify_bundle
 
 WAIT = 60.0
 """Seconds that a session may take on a busy machine."""
@@ -383,7 +383,7 @@ def test_a_session_whose_cluster_is_lost_stops_and_goes_on(project, mode):
     project.write(
         "conftest.py",
         "import pytest\n"
-        "from pytest_dura.campaign.execution.executors import Execution\n"
+        "from pytest_dura.execution.executors import Execution\n"
         "if __import__('os').path.exists('gone'):\n"
         "    Execution.is_lost = True\n",
     )

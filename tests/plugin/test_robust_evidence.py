@@ -13,9 +13,9 @@ import pytest
 from corridors import scenario
 from outputs import output
 
-from pytest_dura.evidence.bundle.directory import RENDERED, read_session_record
-from pytest_dura.evidence.bundle.lock import DirectoryLock
-from pytest_dura.evidence.record.item_report import EPISODES_AT_ONCE
+from pytest_dura.evidence.bundle import RENDERED_FILES, read_session_record
+from pytest_dura.evidence.episodes import EPISODES_PER_PART
+from pytest_dura.evidence.files import DirectoryLock
 
 WAIT = 60.0
 """Seconds that a session may take to get going on a busy machine."""
@@ -64,18 +64,21 @@ def test_a_killed_session_is_incomplete_and_takes_no_pass_over(project):
     project.run("corridor/it")
     evidence = project.path / "dura-evidence"
     assert project.evidence()["gate"]["result"] == "passed"
-    assert {*RENDERED} <= {file.name for file in evidence.iterdir()}
+    assert {*RENDERED_FILES} <= {file.name for file in evidence.iterdir()}
     process = begun(project)
     process.send_signal(signal.SIGKILL)
     process.communicate(timeout=WAIT)
     record = read_session_record(evidence)
     assert (record["status"], record["gate"]["result"]) == ("running", "incomplete")
     assert record["gate"]["exit_code"] != 0
-    assert not {*RENDERED} & {file.name for file in evidence.iterdir()}
+    assert not {*RENDERED_FILES} & {file.name for file in evidence.iterdir()}
     assert not list(evidence.glob(".session*")), "episodes on disk leave no file"
     project.run("corridor/it")
     assert project.evidence()["gate"]["result"] == "passed", "its lock blocks nobody"
-    assert {file.name for file in evidence.iterdir()} - {*RENDERED} <= {"evidence.json", "episodes"}
+    assert {file.name for file in evidence.iterdir()} - {*RENDERED_FILES} <= {
+        "evidence.json",
+        "episodes",
+    }
 
 
 def test_an_interrupted_session_tells_what_it_got_to(project):
@@ -215,7 +218,7 @@ def test_links_in_the_directory_are_replaced_and_never_followed(project):
     evidence, outside = project.path / "dura-evidence", project.path / "outside"
     outside.mkdir()
     assert project.run("corridor/it", "--dura-evidence-level=summary").ret == 0
-    for name in RENDERED:
+    for name in RENDERED_FILES:
         (outside / name).write_text("mine")
         (evidence / name).unlink()
         (evidence / name).symlink_to(outside / name)
@@ -240,7 +243,7 @@ def test_a_record_or_a_folder_that_is_a_link_is_refused(project, name):
 
 @pytest.mark.parametrize("arguments", [["-p", "no:xdist"], ["-n", "1"]], ids=["plain", "n1"])
 def test_all_of_a_great_many_episodes_of_one_item_arrive(project, arguments):
-    scenario(project, runs=EPISODES_AT_ONCE * 2 + 3, requirements="[GAP-1]")
+    scenario(project, runs=EPISODES_PER_PART * 2 + 3, requirements="[GAP-1]")
     project.run("corridor/it", *arguments)
     record = project.evidence()
     assert [one["spec"]["run"] for one in record["episodes"]] == list(range(131))

@@ -7,11 +7,10 @@ import re
 import pytest
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.evidence.bundle.directory import read_session_record
-from pytest_dura.evidence.merging import merge_bundles
-from pytest_dura.evidence.merging.consistency import check_alike
-from pytest_dura.evidence.merging.parts import Part
-from pytest_dura.evidence.verifying import verify_bundle
+from pytest_dura.evidence.bundle import read_session_record
+from pytest_dura.evidence.merge import merge_bundles
+from pytest_dura.evidence.merge_checks import ShardBundle, check_consistent
+from pytest_dura.evidence.verify import verify_bundle
 
 SEARCHED = """
 name: corridor/searched
@@ -142,13 +141,16 @@ def test_two_shards_that_ran_the_same_search_are_no_whole(project):
     project.write("test_it.py", HANDMADE.format(words="'nothing found'", mark="", then=""))
     for index in (1, 2):
         project.run("test_it.py", f"--dura-shard={index}/2", f"--dura-evidence=part{index}")
-    parts = [Part(read_session_record(project.path / f"part{index}"), "0" * 64) for index in (1, 2)]
+    parts = [
+        ShardBundle(read_session_record(project.path / f"part{index}"), "0" * 64)
+        for index in (1, 2)
+    ]
     searches = [search for part in parts for search in part.record["searches"]]
     assert len(searches) == 1
     for part in parts:
         part.record.head["searches"] = searches
     with pytest.raises(ConfigurationError, match="two shards ran the same search"):
-        check_alike(parts)
+        check_consistent(parts)
 
 
 SWALLOWED = "the gate fails: SAF-1 on corridor/tight is falsified by a search, though every"

@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from pytest_dura.plugin.tables import case_table
+from pytest_dura.plugin.terminal_tables import case_table
 
 
 def section(result):
@@ -55,7 +55,7 @@ def test_without_a_report_the_last_lines_name_the_record_and_go_on(project, monk
     def broken(record):
         raise ValueError("no page today")
 
-    monkeypatch.setattr("pytest_dura.evidence.formats.report.render", broken)
+    monkeypatch.setattr("pytest_dura.reports.html.page.render", broken)
     lines = [line for line in section(project.scenarios()) if line]
     assert lines[-3:] == [
         "gate: failed, 3 supported",

@@ -9,8 +9,8 @@ import pytest
 from corridors import IDLE, scenario
 from outputs import output
 
-from pytest_dura.evidence.traces import mcap_file
-from pytest_dura.evidence.traces.names import trace_path
+from pytest_dura.evidence import mcap
+from pytest_dura.evidence.traces import trace_path
 
 BY_HAND = """
 import pytest
@@ -43,7 +43,7 @@ def kept(project, folder="dura-evidence"):
         assert told["file"] == trace_path(episode)
         data = (directory / told["file"]).read_bytes()
         assert (hashlib.sha256(data).hexdigest(), len(data)) == (told["sha256"], told["bytes"])
-        about = mcap_file.read_trace(directory / told["file"]).about
+        about = mcap.read_trace(directory / told["file"]).about
         assert {key: episode[key] for key in about} == dict(about)
         files.add(told["file"])
         found[episode["id"], episode["seed"] if not episode["planned"] else None] = told["kept_for"]
@@ -105,7 +105,7 @@ def test_a_trace_that_cannot_be_written_is_told_once_and_fails_the_session(proje
     def full(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(mcap_file, "write_trace", full)
+    monkeypatch.setattr(mcap, "write_trace", full)
     result = project.run("corridor/tight", "--dura-evidence-level=all")
     assert result.ret == 1
     result.assert_outcomes(passed=1)

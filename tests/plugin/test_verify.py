@@ -18,12 +18,11 @@ import pytest
 from sealing import alter, seal
 
 from pytest_dura.__main__ import main
-from pytest_dura.evidence.bundle.manifest import MANIFEST, file_entry, manifest_text
-from pytest_dura.evidence.bundle.writing import write_bundle
-from pytest_dura.evidence.record.counts import Counts
-from pytest_dura.evidence.record.session_record import SessionRecord
-from pytest_dura.evidence.verifying import verify_bundle
-from pytest_dura.requirements.statistics.exact import upper_bound
+from pytest_dura.evidence.bundle import write_bundle
+from pytest_dura.evidence.files import MANIFEST_FILE, file_entry, manifest_text
+from pytest_dura.evidence.model import Counts, SessionRecord
+from pytest_dura.evidence.verify import verify_bundle
+from pytest_dura.requirements.statistics.rate_tests import upper_bound
 
 PROJECT = Path(__file__).with_name("project")
 WAIVED = """
@@ -303,7 +302,7 @@ def test_a_format_that_says_something_else_is_found_though_its_hash_is_true(bund
 
 
 def test_a_signal_of_a_trace_that_was_changed_is_found_by_judging_it_again(bundle):
-    from pytest_dura.evidence.traces.mcap_file import read_trace, write_trace
+    from pytest_dura.evidence.mcap import read_trace, write_trace
 
     def change(record):
         violating = {one["episode"] for v in record["verdicts"] for one in v["counterexamples"]}
@@ -418,8 +417,8 @@ def test_what_a_component_is_made_of_agrees(bundle, change, problem):
 def test_a_manifest_that_lists_an_episode_kept_to_resume_is_a_difference(bundle):
     kept = min(file for file in (bundle / ".episodes").rglob("*.episode"))
     name = kept.relative_to(bundle).as_posix()
-    files = json.loads((bundle / MANIFEST).read_bytes())["files"]
-    (bundle / MANIFEST).write_text(manifest_text(files | {name: file_entry(kept)}))
+    files = json.loads((bundle / MANIFEST_FILE).read_bytes())["files"]
+    (bundle / MANIFEST_FILE).write_text(manifest_text(files | {name: file_entry(kept)}))
     assert verify_bundle(bundle).problems == [
         f"{name}: in the manifest, and no file of this bundle"
     ]

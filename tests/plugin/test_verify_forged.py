@@ -15,13 +15,15 @@ from pathlib import Path
 import pytest
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.evidence.bundle.directory import read_session_record
-from pytest_dura.evidence.record.counts import Counts
-from pytest_dura.evidence.record.session_record import SessionRecord
-from pytest_dura.evidence.verifying import verify_bundle
-from pytest_dura.evidence.verifying.bundle import claim_problems
-from pytest_dura.evidence.verifying.sums import record_problems
-from pytest_dura.evidence.verifying.traces import Rejudged, trace_problems
+from pytest_dura.evidence.bundle import read_session_record
+from pytest_dura.evidence.model import Counts, SessionRecord
+from pytest_dura.evidence.verify import (
+    RejudgedCount,
+    derived_problems,
+    trace_problems,
+    verify_bundle,
+)
+from pytest_dura.evidence.verify_record import record_problems
 
 PROJECT = Path(__file__).with_name("project")
 NUDGED = """
@@ -90,10 +92,10 @@ def made(tmp_path_factory):
 
 def problems_of(made, record):
     """What a record and the traces say against it."""
-    found, rejudged = SessionRecord.of(record, made), Rejudged()
+    found, rejudged = SessionRecord.of(record, made), RejudgedCount()
     told = list(record_problems(found, Counts.of(found)))
     told += trace_problems(found, rejudged)
-    return told + list(claim_problems(found, rejudged))
+    return told + list(derived_problems(found, rejudged))
 
 
 def verdict(record, **wanted):

@@ -13,11 +13,11 @@ from hypothesis import strategies as st
 from models import answering, said
 from roads import Views, car_on, channels_of, walker
 
-from pytest_dura.campaign.domains import DOMAINS
-from pytest_dura.core.outputs import check_output, owed_output
+from pytest_dura.core.outputs import check_output, required_output
 from pytest_dura.core.role_spec import RoleSpec
-from pytest_dura.core.roles import Generator, Proposal, RecoveryPlanner, RoleContext
-from pytest_dura.core.state import Percept
+from pytest_dura.core.roles import Generator, RecoveryPlanner, RoleContext
+from pytest_dura.core.state import Percept, Proposal
+from pytest_dura.domains import DOMAINS
 from pytest_dura.driving.bodies import BodyList
 from pytest_dura.driving.highway import HighwaySimulator
 from pytest_dura.driving.junction import route
@@ -79,7 +79,7 @@ def usable(role: Any, output: Any) -> None:
         assert isinstance(output, Proposal)
         assert HighwaySimulator().check_action(output.action)
         return
-    check_output(output, owed_output(role))
+    check_output(output, required_output(role))
     if isinstance(role, RecoveryPlanner):
         assert HighwaySimulator().check_action(output.action)
         return

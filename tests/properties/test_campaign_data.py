@@ -10,12 +10,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pytest_dura import ConfigurationError, EpisodeSpec, RoleSpec
-from pytest_dura.campaign.cases import expand_cases
-from pytest_dura.campaign.scenario import Scenario
-from pytest_dura.campaign.yaml_source import parse_yaml
+from pytest_dura.library.cases import expand_cases
+from pytest_dura.library.documents import parse_yaml
+from pytest_dura.library.scenario import Scenario
 from pytest_dura.requirements.model import Requirement
-from pytest_dura.requirements.statistics import lower_bound, runs_needed, upper_bound
-from pytest_dura.requirements.verdicts import CampaignVerdict, EpisodeVerdict, judge_campaign
+from pytest_dura.requirements.statistics.rate_tests import lower_bound, runs_needed, upper_bound
+from pytest_dura.requirements.verdicts.campaigns import CampaignVerdict
+from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict
+from pytest_dura.requirements.verdicts.judging import judge_campaign
 
 relaxed = settings(deadline=None, max_examples=60)
 

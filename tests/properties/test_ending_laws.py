@@ -13,13 +13,11 @@ from formulas import formulas, nodes, traces, windows
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pytest_dura.requirements import judge as judging
-from pytest_dura.requirements.judge import RequirementJudge
+from pytest_dura.requirements import early_end as judging
+from pytest_dura.requirements.early_end import RequirementJudge
 from pytest_dura.requirements.model import Requirement
-from pytest_dura.requirements.stl.language.formula import Formula, node_text
-from pytest_dura.requirements.stl.language.nodes import Boolean, Temporal
-from pytest_dura.requirements.stl.language.reach import reach
-from pytest_dura.requirements.stl.offline.evaluation import Ending, Evaluation, evaluate
+from pytest_dura.requirements.stl.evaluation import Ending, Evaluation, evaluate
+from pytest_dura.requirements.stl.formula import Boolean, Formula, Temporal, node_text, reach
 
 NAMES = ("a", "b")
 STEP = 0.1

@@ -18,14 +18,14 @@ from roads import run, spec_of_drive
 from thermostat import Bias, Controller, HeatMonitor, JumpWatch, Meter, SwitchOff, Thermostat
 
 from pytest_dura import DependabilityMetrics, FaultRecord
-from pytest_dura.campaign.episodes.codec import DamagedEpisodeError, pack, unpack
-from pytest_dura.campaign.episodes.missing import missing_episode
 from pytest_dura.core.episode import EpisodeSpec, Termination
 from pytest_dura.core.metrics import Tally
 from pytest_dura.core.orchestrator import Orchestrator
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.state import Event
-from pytest_dura.evidence.record.episodes import episode_record
+from pytest_dura.evidence.episodes import episode_record
+from pytest_dura.execution.codec import DamagedEpisodeError, pack, unpack
+from pytest_dura.execution.task import missing_episode
 
 SETTINGS = settings(derandomize=True, deadline=None, max_examples=60, database=None)
 GHOST = {"type": "ghost-obstacle", "activation": {"at": 1.0}, "duration": 2.0}
@@ -229,7 +229,7 @@ def test_columns_of_other_kinds_are_refused(columns):
 
 
 def test_what_would_unfold_without_end_is_refused_in_bounded_memory(monkeypatch):
-    monkeypatch.setattr("pytest_dura.campaign.episodes.codec.MOST_BYTES", 1 << 20)
+    monkeypatch.setattr("pytest_dura.execution.codec.MAX_UNPACKED_BYTES", 1 << 20)
     bomb = sealed(zlib.compress(b"2\n{}" + bytes(64 << 20), 9))
     assert len(bomb) < 100_000
     tracemalloc.start()
@@ -239,7 +239,7 @@ def test_what_would_unfold_without_end_is_refused_in_bounded_memory(monkeypatch)
         assert tracemalloc.get_traced_memory()[1] < 8 << 20
     finally:
         tracemalloc.stop()
-    monkeypatch.setattr("pytest_dura.campaign.episodes.codec.MOST_BYTES", 100)
+    monkeypatch.setattr("pytest_dura.execution.codec.MAX_UNPACKED_BYTES", 100)
     with pytest.raises(ValueError, match="at most 100 are read"):
         pack(EPISODE)
 

@@ -13,18 +13,18 @@ import stl_oracle
 from formulas import formulas, traces
 from hypothesis import given, settings
 
-from pytest_dura.requirements.stl.language.formula import Formula
-from pytest_dura.requirements.stl.language.nodes import (
+from pytest_dura.requirements.stl.evaluation import Ending, evaluate
+from pytest_dura.requirements.stl.formula import (
     Boolean,
     Comparison,
+    Formula,
     Node,
     Not,
     Step,
     Temporal,
     TemporalPair,
 )
-from pytest_dura.requirements.stl.language.parsing import parse
-from pytest_dura.requirements.stl.offline.evaluation import Ending, evaluate
+from pytest_dura.requirements.stl.parser import parse
 
 STEP = 0.5
 NAMES = ("a", "b")

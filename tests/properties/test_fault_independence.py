@@ -15,8 +15,7 @@ from roads import run, spec_of_drive
 from pytest_dura import Episode
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.driving.roles.planners import Aggressive
-from pytest_dura.faults.injector import CampaignInjector
-from pytest_dura.faults.life import NOW
+from pytest_dura.faults.injector import NOW, CampaignInjector
 
 TICKS = 60
 NAMES = ("a", "b", "c", "d", "e")

@@ -7,9 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from session_records import REQUIREMENTS, episode, session_record, verdict
 
-from pytest_dura.evidence.formats.gsn import svg_file, yaml_file
-from pytest_dura.evidence.formats.gsn.rules import problems
-from pytest_dura.evidence.record.counts import Counts
+from pytest_dura.evidence.model import Counts
+from pytest_dura.reports.gsn import svg_file, yaml_file
+from pytest_dura.reports.gsn.element import rule_problems
 
 HOSTILE = st.sampled_from(
     [
@@ -66,7 +66,7 @@ def records(draw):
 @given(record=records())
 def test_the_rules_hold_and_the_counts_are_the_records(record):
     text = yaml_file.render(record)
-    assert problems(yaml_file.elements_of(text)) == []
+    assert rule_problems(yaml_file.elements_of(text)) == []
     assert yaml_file.read_counts(text) == Counts.of(record)
     assert list(yaml_file.broken_references(text, record)) == []
     assert yaml_file.render(record) == text

@@ -30,12 +30,11 @@ from markdown_it import MarkdownIt
 from mcap.reader import NonSeekingReader
 
 from pytest_dura.__main__ import main
-from pytest_dura.evidence.bundle.writing import write_bundle
-from pytest_dura.evidence.formats import all_formats
-from pytest_dura.evidence.formats.gsn.rules import problems
-from pytest_dura.evidence.traces.mcap_file import read_trace
-from pytest_dura.evidence.verifying import verify_bundle
+from pytest_dura.evidence.bundle import all_formats, write_bundle
+from pytest_dura.evidence.mcap import read_trace
+from pytest_dura.evidence.verify import verify_bundle
 from pytest_dura.plugin.terminal import summary
+from pytest_dura.reports.gsn.element import rule_problems
 
 # What a terminal, an editor or a reader might act on instead of showing it.
 CONTROL = re.compile(
@@ -215,7 +214,7 @@ def check_assurance_case(bundle):
     elements = yaml.safe_load(bundle.text("assurance-case.gsn.yaml"))
     assert is_visible(elements)
     del elements["module"]
-    assert problems(elements) == []
+    assert rule_problems(elements) == []
     svg = bundle.text("assurance-case.svg")
     assert "<!" not in svg
     assert "<?" not in svg.removeprefix("<?xml")

@@ -8,8 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 
-from pytest_dura.llm.answers import answer_schema, read_answer
-from pytest_dura.llm.failures import OUTCOMES
+from pytest_dura.llm.answers import OUTCOMES, answer_schema, read_answer
 from pytest_dura.llm.port import Answer
 
 SCHEMA = answer_schema(("wait", "proceed"), ("slow_down", "hold", "speed_up"))

@@ -14,12 +14,10 @@ from hypothesis import strategies as st
 from PIL import Image as Picture
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.llm.capabilities.server import Server
-from pytest_dura.llm.client.body import data_url
-from pytest_dura.llm.client.completion import LONGEST_TEXT, read_completion
-from pytest_dura.llm.client.refusals import refusal_of
+from pytest_dura.llm.answers import FAILURES
+from pytest_dura.llm.capabilities import ServerListing
+from pytest_dura.llm.client import LONGEST_TEXT, data_url, read_completion, refusal_of
 from pytest_dura.llm.endpoint import Endpoint
-from pytest_dura.llm.failures import FAILURES
 from pytest_dura.llm.port import Answer, Image
 
 laws = settings(derandomize=True, deadline=None, max_examples=80)
@@ -143,6 +141,6 @@ def test_a_picture_arrives_as_it_is(height: int, width: int, seed: int) -> None:
 @given(shaped)
 def test_any_list_of_models_has_a_fingerprint(data: Any) -> None:
     for listing in (json.dumps(data), json.dumps({"data": [{"id": "m", "meta": data}]})):
-        server = Server.of(listing, "", "m", ())
-        assert server.fingerprint("m") == Server.of(listing, "", "m", ()).fingerprint("m")
+        server = ServerListing.of(listing, "", "m", ())
+        assert server.fingerprint("m") == ServerListing.of(listing, "", "m", ()).fingerprint("m")
         assert server.words

@@ -17,9 +17,9 @@ from in_toto_attestation.v1.resource_descriptor import ResourceDescriptor
 from in_toto_attestation.v1.statement import Statement
 from markdown_it import MarkdownIt
 
-from pytest_dura.evidence.bundle.directory import write_record
-from pytest_dura.evidence.formats import cyclonedx, intoto, summary
-from pytest_dura.evidence.record.counts import Counts
+from pytest_dura.evidence.bundle import write_record
+from pytest_dura.evidence.model import Counts
+from pytest_dura.reports import cyclonedx, intoto, summary
 
 some = settings(derandomize=True, deadline=None, max_examples=25)
 
@@ -152,5 +152,5 @@ def test_the_summary_is_harmless_and_states_the_records_counts(record):
     held = record["verdicts"], record["requirements"], record["cases"], outcomes
     assert len(rows) == 1 + sum(map(len, held)) + 4 + bool(outcomes)
     assert no_control(text)
-    assert len(text.encode()) <= summary.LIMIT
+    assert len(text.encode()) <= summary.MAX_BYTES
     assert summary.read_counts(text) == Counts.of(record)

@@ -13,15 +13,16 @@ from hypothesis import strategies as st
 from scipy.stats import binom
 
 from pytest_dura.requirements.model import Requirement
-from pytest_dura.requirements.statistics import METHODS
-from pytest_dura.requirements.verdicts import CampaignVerdict, EpisodeVerdict, judge_campaign
-from pytest_dura.requirements.verdicts.episodes import EpisodeWord
+from pytest_dura.requirements.statistics.rate_tests import METHODS
+from pytest_dura.requirements.verdicts.campaigns import CampaignVerdict
+from pytest_dura.requirements.verdicts.episodes import EpisodeStatus, EpisodeVerdict
+from pytest_dura.requirements.verdicts.judging import judge_campaign
 
-WORDS: tuple[EpisodeWord, ...] = ("satisfied",) * 8 + ("violated", "open")
+WORDS: tuple[EpisodeStatus, ...] = ("satisfied",) * 8 + ("violated", "open")
 LIMIT = 0.3
 
 
-def verdicts(words: list[EpisodeWord]) -> list[EpisodeVerdict]:
+def verdicts(words: list[EpisodeStatus]) -> list[EpisodeVerdict]:
     return [
         EpisodeVerdict(
             "R", f"case#{run}", "component", word, None, None, "", 10, 10,
@@ -31,14 +32,14 @@ def verdicts(words: list[EpisodeWord]) -> list[EpisodeVerdict]:
     ]  # fmt: skip
 
 
-def judged(words: list[EpisodeWord], method: Any = None, **keys: Any) -> CampaignVerdict:
+def judged(words: list[EpisodeStatus], method: Any = None, **keys: Any) -> CampaignVerdict:
     rule = Requirement(
         "R", at_most=LIMIT if method else None, method=method, p0=0.05 if method == "sprt" else None
     )
     return judge_campaign(rule, "case", verdicts(words), planned=len(words), **keys)
 
 
-def instead(words: list[EpisodeWord], open_: EpisodeWord) -> list[EpisodeWord]:
+def instead(words: list[EpisodeStatus], open_: EpisodeStatus) -> list[EpisodeStatus]:
     return [open_ if word == "open" else word for word in words]
 
 
@@ -49,7 +50,7 @@ campaigns = st.lists(st.sampled_from(WORDS), min_size=1, max_size=60)
 def test_an_open_run_is_a_violation_to_every_bound_and_none_to_a_rejection(method: str) -> None:
     @settings(max_examples=150, derandomize=True, deadline=None)
     @given(campaigns)
-    def law(words: list[EpisodeWord]) -> None:
+    def law(words: list[EpisodeStatus]) -> None:
         found = judged(words, method)
         worst, best = (judged(instead(words, word), method) for word in ("violated", "satisfied"))
         assert found.bound.upper == worst.bound.upper
@@ -65,7 +66,7 @@ def test_an_open_run_is_a_violation_to_every_bound_and_none_to_a_rejection(metho
 @settings(max_examples=100, derandomize=True, deadline=None)
 @given(campaigns)
 def test_without_a_rate_open_runs_leave_it_undecided_and_only_a_violation_violates(
-    words: list[EpisodeWord],
+    words: list[EpisodeStatus],
 ) -> None:
     found = judged(words)
     expected = (
@@ -78,7 +79,7 @@ def test_without_a_rate_open_runs_leave_it_undecided_and_only_a_violation_violat
 def test_invalid_runs_enter_no_count_and_no_bound(method: str | None) -> None:
     @settings(max_examples=80, derandomize=True, deadline=None)
     @given(campaigns, st.data())
-    def law(words: list[EpisodeWord], data: st.DataObject) -> None:
+    def law(words: list[EpisodeStatus], data: st.DataObject) -> None:
         plain = verdicts(words)
         mixed = list(plain)
         for number in range(data.draw(st.integers(1, 3))):
@@ -108,7 +109,7 @@ def test_invalid_runs_enter_no_count_and_no_bound(method: str | None) -> None:
 
 @cache
 def supports(satisfied: int, violated: int, hidden: int) -> bool:
-    words: list[EpisodeWord] = [
+    words: list[EpisodeStatus] = [
         *["satisfied"] * satisfied, *["violated"] * violated, *["open"] * hidden
     ]  # fmt: skip
     rule = Requirement("R", at_most=0.05)

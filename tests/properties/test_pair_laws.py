@@ -10,8 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import binomtest
 
-from pytest_dura.requirements.pairs.changes import Change
-from pytest_dura.requirements.pairs.counts import Pair, PairCounts, judge_pairs
+from pytest_dura.requirements.pairs import Change, Pair, PairCounts, judge_pairs
 from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict
 
 lawful = settings(derandomize=True, deadline=None, max_examples=100)

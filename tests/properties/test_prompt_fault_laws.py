@@ -15,11 +15,10 @@ from pytest_dura.core.roles import RoleContext
 from pytest_dura.core.seeding import stream
 from pytest_dura.driving.sensors import CHANNELS
 from pytest_dura.faults.catalogue import default_fault, load_fault, parse_fault
-from pytest_dura.faults.channels import check_target
 from pytest_dura.faults.injector import CampaignInjector
-from pytest_dura.faults.model import Fault, Moment
+from pytest_dura.faults.model import Fault, Moment, check_target
 from pytest_dura.llm.driving.blocks import BLOCKS, percept_prompt
-from pytest_dura.llm.prompts.prompt import Prompt
+from pytest_dura.llm.prompts import Prompt
 
 laws = settings(derandomize=True, deadline=None, max_examples=40)
 counts = st.integers(0, 6)

@@ -11,12 +11,12 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from published_road import network, published_road
 
-from pytest_dura.campaign.cases import expand_cases
-from pytest_dura.campaign.loading import load_library
 from pytest_dura.core.episode import Policy
 from pytest_dura.core.orchestrator import Orchestrator
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.driving.highway import _network
+from pytest_dura.library.cases import expand_cases
+from pytest_dura.library.loading import load_library
 
 PUBLISHED = network()
 LANES = PUBLISHED.lanes_dict()
@@ -88,7 +88,7 @@ def test_a_lane_of_another_kind_is_refused() -> None:
     from highway_env.road.lane import SineLane
     from highway_env.road.road import RoadNetwork
 
-    from pytest_dura.driving.lanes import LaneNetwork
+    from pytest_dura.driving.traffic import LaneNetwork
 
     winding = RoadNetwork()
     winding.add_lane("a", "b", SineLane([0, 0], [50, 0], 1.0, 0.1, 0.0))

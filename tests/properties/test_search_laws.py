@@ -6,10 +6,9 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pytest_dura.campaign.search.portfolio import Batch, Portfolio, trivial_searchers
-from pytest_dura.campaign.search.searchers.cmaes import filled
-from pytest_dura.campaign.search.searchers.shapes import Description, Pulses, Steps
-from pytest_dura.campaign.search.space.layout import Group, Layout
+from pytest_dura.search.portfolio import Batch, Portfolio, trivial_searchers
+from pytest_dura.search.searchers import Description, Pulses, Steps, filled
+from pytest_dura.search.space import Group, Layout
 
 lawful = settings(derandomize=True, deadline=None, max_examples=15)
 

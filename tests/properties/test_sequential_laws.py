@@ -5,14 +5,13 @@ from __future__ import annotations
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from pytest_dura.requirements.statistics import (
-    METHODS,
-    SequentialTest,
+from pytest_dura.requirements.statistics.comparison import (
     compare_counts,
-    make_test,
     mcnemar,
     mcnemar_one_sided,
 )
+from pytest_dura.requirements.statistics.rate_tests import METHODS, make_test
+from pytest_dura.requirements.statistics.sequential import SequentialTest
 
 law = settings(derandomize=True, deadline=None, max_examples=120)
 

@@ -7,12 +7,12 @@ from dataclasses import replace
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pytest_dura.evidence.record.shards import Unit, plan_digest, split
+from pytest_dura.evidence.sessions import ShardUnit, plan_digest, split_units
 
 lawful = settings(derandomize=True, deadline=None, max_examples=150)
 units = st.lists(
     st.builds(
-        Unit.of,
+        ShardUnit.of,
         st.sampled_from(["case", "test"]),
         st.text(min_size=1, max_size=6),
         st.lists(st.text(max_size=8), min_size=1, max_size=4),
@@ -27,7 +27,7 @@ counts = st.integers(1, 9)
 @lawful
 @given(units, counts)
 def test_each_unit_is_in_exactly_one_shard(all_units, count):
-    shards = split(all_units, count)
+    shards = split_units(all_units, count)
     assert len(shards) == count
     found = [unit for shard in shards for unit in shard]
     assert sorted(found, key=lambda one: one.key) == sorted(all_units, key=lambda one: one.key)
@@ -38,14 +38,14 @@ def test_each_unit_is_in_exactly_one_shard(all_units, count):
 def test_the_order_of_the_units_changes_nothing(all_units, count, random):
     shuffled = list(all_units)
     random.shuffle(shuffled)
-    assert split(shuffled, count) == split(all_units, count)
+    assert split_units(shuffled, count) == split_units(all_units, count)
     assert plan_digest(shuffled) == plan_digest(all_units)
 
 
 @lawful
 @given(units, counts)
 def test_no_shard_has_more_than_its_share_and_one_unit(all_units, count):
-    loads = [sum(one.episodes for one in shard) for shard in split(all_units, count)]
+    loads = [sum(one.episodes for one in shard) for shard in split_units(all_units, count)]
     largest = max((one.episodes for one in all_units), default=0)
     assert max(loads) <= sum(loads) / count + largest * (1 - 1 / count) + 1e-9
     if len(all_units) >= count and all(one.episodes for one in all_units):
@@ -55,7 +55,7 @@ def test_no_shard_has_more_than_its_share_and_one_unit(all_units, count):
 @lawful
 @given(units, counts)
 def test_a_shard_is_empty_only_if_there_are_fewer_units_than_shards(all_units, count):
-    empty = sum(not shard for shard in split(all_units, count))
+    empty = sum(not shard for shard in split_units(all_units, count))
     assert empty == max(0, count - len(all_units))
 
 
@@ -78,4 +78,4 @@ def test_whatever_changes_is_another_plan(all_units, data):
 @lawful
 @given(units)
 def test_units_survive_the_record(all_units):
-    assert [Unit.from_json(one.to_json()) for one in all_units] == all_units
+    assert [ShardUnit.from_json(one.to_json()) for one in all_units] == all_units

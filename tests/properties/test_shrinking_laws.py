@@ -8,11 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from shrinkable import crossing, fault, found, ids
 
-from pytest_dura.campaign.search.shrinking.changes import changes_of, count_parameters
-from pytest_dura.campaign.search.shrinking.minimal import minimal
-from pytest_dura.campaign.search.shrinking.shrink import shrink
-from pytest_dura.campaign.search.shrinking.simpler import simpler
-from pytest_dura.campaign.search.space.searched import SearchedCase
+from pytest_dura.library.cases import SearchedCase
+from pytest_dura.search.differences import changes_of, count_parameters
+from pytest_dura.search.shrinking import minimise, shrink
+from pytest_dura.search.simplification import simpler_values
 
 CASE = crossing()
 NUMBERS = st.floats(-1e6, 1e6).map(lambda one: round(one, 3)) | st.integers(-1000, 1000)
@@ -95,7 +94,7 @@ def test_a_shrunk_case_is_shrunk_to_itself(violation: tuple[SearchedCase, Any]) 
 def test_replacing_a_number_by_simpler_ones_comes_to_an_end(value: float, nominal: float) -> None:
     seen = {value}
     while True:
-        values = simpler(value, nominal)
+        values = simpler_values(value, nominal)
         assert (values[0], values[-1]) == (nominal, value)
         assert len(set(values)) == len(values)
         if len(values) < 3:
@@ -115,4 +114,4 @@ def test_the_least_numbers_are_found_where_each_needs_its_own(data: st.DataObjec
     def enough(places: tuple[int, ...]) -> bool:
         return all(one >= needed for one, needed in zip(places, least, strict=True))
 
-    assert minimal(start, enough, 0) == least
+    assert minimise(start, enough, 0) == least

@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 
 from pytest_dura.core.state import Percept
 from pytest_dura.driving.bodies import Body, BodyList
-from pytest_dura.driving.following import SAME_DIRECTION
 from pytest_dura.driving.junction import all_routes, route
 from pytest_dura.driving.sensors import Odometry, Pose, route_map
 from pytest_dura.driving.signals import PERCEPT_NAMES, percept_at, percept_signals
+from pytest_dura.driving.traffic_rules import SAME_DIRECTION
 
 places = st.floats(-60.0, 60.0)
 angles = st.sampled_from([0.0, math.pi / 2, math.pi, -math.pi / 2]) | st.floats(-4.0, 4.0)

@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 from stl_oracle import robustness as by_the_textbook
 
 from pytest_dura import ConfigurationError
-from pytest_dura.requirements.stl.language.formula import Formula
-from pytest_dura.requirements.stl.language.syntax import Tree, read
-from pytest_dura.requirements.stl.offline.robustness import robustness
+from pytest_dura.requirements.stl.formula import Formula
+from pytest_dura.requirements.stl.robustness import robustness
+from pytest_dura.requirements.stl.syntax import Tree, read_tree
 
 STEP = 0.1
 NAMES = ("gap", "percept.gap", "F", "s", "prev", "true")
@@ -66,20 +66,20 @@ def plain(tree: Tree) -> Any:
 def test_any_two_operators_bind_as_in_rtamt(middle: str) -> None:
     for first, second in product(BINARY, repeat=2):
         text = f"a {first} {middle}(b) {second} a"
-        assert plain(read(text, None)) == rtamt_oracle.syntax_tree(text)
+        assert plain(read_tree(text, None)) == rtamt_oracle.syntax_tree(text)
 
 
 @settings(derandomize=True, deadline=None, max_examples=1500)
 @given(sentences())
 def test_a_text_has_rtamts_syntax_tree(text: str) -> None:
-    assert plain(read(text, None)) == rtamt_oracle.syntax_tree(text)
+    assert plain(read_tree(text, None)) == rtamt_oracle.syntax_tree(text)
 
 
 @settings(derandomize=True, deadline=None, max_examples=1000)
 @given(st.lists(st.sampled_from(PIECES), min_size=1, max_size=9).map(" ".join))
 def test_any_words_are_rtamts_sentence_or_refused(text: str) -> None:
     try:
-        tree = plain(read(text, None))
+        tree = plain(read_tree(text, None))
     except ConfigurationError:
         return
     # A word that rtamt reserves is a signal where only a signal can stand.

@@ -11,10 +11,16 @@ from formulas import formulas, traces
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pytest_dura.requirements.stl.language.formula import Formula
-from pytest_dura.requirements.stl.language.nodes import Step, Temporal, TemporalPair, children, walk
-from pytest_dura.requirements.stl.offline.evaluation import evaluate
-from pytest_dura.requirements.stl.offline.robustness import (
+from pytest_dura.requirements.stl.evaluation import evaluate
+from pytest_dura.requirements.stl.formula import (
+    Formula,
+    Step,
+    Temporal,
+    TemporalPair,
+    children,
+    walk,
+)
+from pytest_dura.requirements.stl.robustness import (
     robustness,
     robustness_batch,
     robustness_interval,

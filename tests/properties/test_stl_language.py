@@ -10,10 +10,8 @@ from hypothesis import strategies as st
 from stl_oracle import robustness, satisfaction
 
 from pytest_dura import ConfigurationError
-from pytest_dura.requirements.stl.language.checks import check_time_step
-from pytest_dura.requirements.stl.language.formula import Formula
-from pytest_dura.requirements.stl.language.nodes import Signal, walk
-from pytest_dura.requirements.stl.language.parsing import parse
+from pytest_dura.requirements.stl.formula import Formula, Signal, check_time_step, walk
+from pytest_dura.requirements.stl.parser import parse
 
 STEP = 0.1
 NAMES = ("gap", "percept.gap", "F", "s", "prev", "true")

@@ -11,15 +11,15 @@ from hypothesis import strategies as st
 from roads import channels_of, walker
 from scipy.stats import beta
 
-from pytest_dura.core.accounts import account_problem, accounted, copied
+from pytest_dura.core.loop_signals import account_columns, account_problem, copied_account
 from pytest_dura.core.state import Percept, Tick
 from pytest_dura.driving.bodies import BodyList
 from pytest_dura.driving.explanations import NAMES, SIGNALS, account_measures
 from pytest_dura.driving.highway import HighwaySimulator
 from pytest_dura.driving.maneuvers import Maneuver
 from pytest_dura.driving.sensors import EgoState
-from pytest_dura.evidence.record.failure_modes import FailureModes
-from pytest_dura.evidence.views.failure_modes import percent
+from pytest_dura.evidence.metrics import FailureModes
+from pytest_dura.reports.tables import percent_text
 
 lawful = settings(derandomize=True, deadline=None, max_examples=60)
 
@@ -96,7 +96,7 @@ def test_whatever_accounts_hold_measures_are_shown_or_not_or_unknown(told: Any) 
 @given(episodes)
 def test_signals_have_a_number_at_each_tick_and_tallies_count_decisions(told: Any) -> None:
     simulator, ticks, percepts = WORLD
-    found = accounted(simulator, ticks, percepts, told)
+    found = account_columns(simulator, ticks, percepts, told)
     if found is None:
         assert not any(told)
         return
@@ -118,7 +118,7 @@ def test_signals_have_a_number_at_each_tick_and_tallies_count_decisions(told: An
 def test_who_is_the_null_component_fails_exactly_as_it_does(told: Any) -> None:
     simulator, ticks, percepts = WORLD
     own = [{key: value for key, value in one.items() if key != "null"} for one in told]
-    found = accounted(simulator, ticks, percepts, [{**one, "null": dict(one)} for one in own])
+    found = account_columns(simulator, ticks, percepts, [{**one, "null": dict(one)} for one in own])
     assert found is not None
     for tally in found.tallies.values():
         assert (tally.null_hits, tally.null_of) == (tally.hits, tally.of)
@@ -128,7 +128,7 @@ def test_who_is_the_null_component_fails_exactly_as_it_does(told: Any) -> None:
 @given(episodes)
 def test_a_copy_is_equal_and_says_the_same(told: Any) -> None:
     _, ticks, percepts = WORLD
-    copies = [copied(one) for one in told]
+    copies = [copied_account(one) for one in told]
     assert copies == told
     one, other = (account_measures(ticks, percepts, these, DT) for these in (told, copies))
     assert all(np.array_equal(one[name], other[name], equal_nan=True) for name in NAMES)
@@ -183,6 +183,6 @@ def test_sums_over_episodes_add_up_whatever_their_order(found: Any) -> None:
 @given(st.integers(0, 10**6), st.integers(1, 10**6))
 def test_only_never_and_always_read_so(part: int, whole: int) -> None:
     part = min(part, whole)
-    text = percent(part / whole)
+    text = percent_text(part / whole)
     assert (text == "0.0") == (part == 0)
     assert (text == "100.0") == (part == whole)

@@ -11,8 +11,13 @@ from mcap.reader import NonSeekingReader
 from traces import same, simple_trace, traces
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.evidence.traces.columns import pack_columns, unpack_columns
-from pytest_dura.evidence.traces.mcap_file import read_trace, trace_bytes, write_trace
+from pytest_dura.evidence.mcap import (
+    pack_columns,
+    read_trace,
+    trace_bytes,
+    unpack_columns,
+    write_trace,
+)
 
 FILE = trace_bytes(simple_trace())
 COLUMNS = pack_columns(simple_trace())

@@ -13,11 +13,11 @@ from typing import Any
 
 from thermostat import Controller
 
-from pytest_dura.campaign.episodes.shelf import Shelf
-from pytest_dura.campaign.episodes.store import EpisodeStore
-from pytest_dura.campaign.episodes.task import EpisodeTask
 from pytest_dura.core.episode import EpisodeSpec, Termination
 from pytest_dura.core.role_spec import RoleSpec
+from pytest_dura.execution.cache import EpisodeCache
+from pytest_dura.execution.store import EpisodeStore
+from pytest_dura.execution.task import EpisodeTask
 
 FORKS = multiprocessing.get_context("fork") if hasattr(os, "fork") else None
 
@@ -65,7 +65,7 @@ def counted_task(folder: Path, run: int) -> EpisodeTask:
 
 def counted_store(folder: Path, session: str = "s", *, earlier: bool = False) -> EpisodeStore:
     """A store on the shelf that all processes share."""
-    return EpisodeStore(Shelf(folder / "shelf", session, earlier=earlier))
+    return EpisodeStore(EpisodeCache(folder / "shelf", session, earlier=earlier))
 
 
 def simulated(folder: Path) -> Counter[int]:

@@ -6,13 +6,13 @@ from collections.abc import Sequence
 
 from hypothesis import strategies as st
 
-from pytest_dura.requirements.stl.language.formula import Formula
-from pytest_dura.requirements.stl.language.nodes import (
+from pytest_dura.requirements.stl.formula import (
     Arithmetic,
     Boolean,
     Comparison,
     Constant,
     Expression,
+    Formula,
     Function,
     Node,
     Not,
@@ -21,8 +21,8 @@ from pytest_dura.requirements.stl.language.nodes import (
     Temporal,
     TemporalPair,
     Window,
+    node_text,
 )
-from pytest_dura.requirements.stl.language.rendering import node_text
 
 # Few distinct values, so that samples often lie on the bound.
 VALUES = st.integers(-3, 3).map(float)

@@ -24,21 +24,19 @@ from hostile_records import HOSTILE
 from hypothesis import strategies as st
 from traces import simple_trace
 
-from pytest_dura.core.recording import Line, Scene, Tracks
 from pytest_dura.core.seeding import derive_seed
-from pytest_dura.evidence.baseline.file import Baseline
-from pytest_dura.evidence.bundle.directory import read_session_record
-from pytest_dura.evidence.bundle.schema import schema
-from pytest_dura.evidence.plain import plain
-from pytest_dura.evidence.record.case_metrics import CaseMetrics, Pooled
-from pytest_dura.evidence.record.conclusion import concluded
-from pytest_dura.evidence.record.effectiveness import Courses, effectiveness
-from pytest_dura.evidence.record.session_record import SessionRecord
+from pytest_dura.core.simulator import Line, Scene, Tracks
+from pytest_dura.evidence.baseline import Baseline
+from pytest_dura.evidence.bundle import read_session_record
+from pytest_dura.evidence.conclude import PairedCourses, conclude_record, effectiveness
+from pytest_dura.evidence.gate import Gate
+from pytest_dura.evidence.mcap import read_trace, write_trace
+from pytest_dura.evidence.metrics import CaseMetrics, PooledMetrics
+from pytest_dura.evidence.model import SessionRecord, plain_data
+from pytest_dura.evidence.schema import record_schema
 from pytest_dura.evidence.text import name as shown
-from pytest_dura.evidence.traces.mcap_file import read_trace, write_trace
-from pytest_dura.evidence.traces.names import trace_path
-from pytest_dura.plugin.gate import Gate
-from pytest_dura.provenance.sources import digest_of
+from pytest_dura.evidence.traces import trace_path
+from pytest_dura.provenance import digest_of
 
 PROJECT = Path(__file__).parents[1] / "plugin" / "project"
 MEGABYTE = 2**20
@@ -242,7 +240,7 @@ class Spoiler:
 def _resolved(part, value):
     """What a schema says of this very value."""
     if "$ref" in part:
-        return _resolved(schema()["$defs"][part["$ref"].rpartition("/")[2]], value)
+        return _resolved(record_schema()["$defs"][part["$ref"].rpartition("/")[2]], value)
     if "anyOf" in part and value is not None:
         return _resolved(next(one for one in part["anyOf"] if _fits(one, value)), value)
     return part
@@ -251,7 +249,7 @@ def _resolved(part, value):
 def _fits(part, value):
     """Whether this alternative is meant; the schema has none that differ in their values alone."""
     if "$ref" in part:
-        part = schema()["$defs"][part["$ref"].rpartition("/")[2]]
+        part = record_schema()["$defs"][part["$ref"].rpartition("/")[2]]
     kind = {dict: "object", list: "array", str: "string"}.get(type(value), "number")
     if kind != part.get("type", kind):
         return False
@@ -284,7 +282,7 @@ def session(real, directory, spoil):
     _name_everything(told)
     told["baseline"] = Baseline.read(".", real).to_json(SessionRecord.of(told, real))
     reasons = [one["reason"] for one in told["verdicts"]]
-    told = spoil.record(json.loads(json.dumps(told)), schema())
+    told = spoil.record(json.loads(json.dumps(told)), record_schema())
     _digest_sources(told["component_under_test"])
     for one, reason in zip(told["verdicts"], reasons, strict=True):
         one["reason"] = re.sub(r"\bbias\b", lambda _: spoil("bias"), reason)
@@ -298,7 +296,10 @@ def session(real, directory, spoil):
         metrics[one["case"], one["component"]].add(one)
     for one in told["cases"]:
         one["metrics"] = metrics[one["id"], one["component"]].to_json(one["planned"])
-    pooled, courses = Pooled(told["cases"], told["verdicts"]), Courses(told["verdicts"])
+    pooled, courses = (
+        PooledMetrics(told["cases"], told["verdicts"]),
+        PairedCourses(told["verdicts"]),
+    )
     for one in told["episodes"]:
         pooled.add(one)
         courses.add(one)
@@ -313,8 +314,9 @@ def session(real, directory, spoil):
         searches=told["searches"], interrupted=False, exit_code=1,
         failed=3, warn_undecided=False,
     )  # fmt: skip
-    return concluded(
-        SessionRecord.of(plain(told), directory), finished=told["finished"], gate=gate.to_json(),
+    return conclude_record(
+        SessionRecord.of(plain_data(told), directory), finished=told["finished"],
+        gate=gate.to_json(),
         inputs=told["inputs"], wall_seconds=2.0, evidence_seconds=1.0, redact=lambda same: same,
     )  # fmt: skip
 

@@ -8,11 +8,11 @@ from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
 
-from pytest_dura.campaign.cases import one_case
-from pytest_dura.campaign.episodes.task import run_episode
-from pytest_dura.campaign.loading import load_library
 from pytest_dura.core.episode import Termination
 from pytest_dura.core.role_spec import RoleSpec
+from pytest_dura.execution.task import run_episode
+from pytest_dura.library.cases import case_with_faults
+from pytest_dura.library.loading import load_library
 from pytest_dura.llm import session
 from pytest_dura.llm.port import Answer, Request
 
@@ -78,6 +78,8 @@ def llm_episode(
     scenario = _LIBRARY[0].scenarios[case]
     with answering(answers) as model:
         generator = RoleSpec(PLANNER, ALONE | (params or {}))
-        spec = one_case(scenario, list(faults) or "none").spec(run, 0, {"generator": generator})
+        spec = case_with_faults(scenario, list(faults) or "none").spec(
+            run, 0, {"generator": generator}
+        )
         spec = replace(spec, termination=Termination(seconds), **fields)
         return run_episode(spec, recorded=True), model

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from pytest_dura import ConfigurationError
-from pytest_dura.campaign.execution import child, worker
+from pytest_dura.execution import processes, worker
 
 HELD: list[bytearray] = []
 
@@ -34,7 +34,7 @@ class KilledStarts:
             f"os.write(starts, b'.'); os.fstat(starts).st_size <= {times} "
             "and os.kill(os.getpid(), signal.SIGKILL); "
         )
-        monkeypatch.setattr(child, "_START", deed + child._START)
+        monkeypatch.setattr(processes, "_START", deed + processes._START)
 
     @property
     def count(self) -> int:
@@ -99,7 +99,7 @@ def broken() -> bytes:
 
 def leaky(megabytes: int, most: int) -> bytes:
     """Hold on to memory, in a process that may grow by so many bytes."""
-    worker.MOST_GROWTH = most
+    worker.MAX_MEMORY_GROWTH = most
     HELD.append(bytearray(b"x") * (megabytes * 2**20))
     return number()
 

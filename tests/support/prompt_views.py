@@ -11,15 +11,15 @@ from pathlib import Path
 from typing import Any
 
 from pytest_dura import Orchestrator, RoleSpec, Termination
-from pytest_dura.campaign.loading import load_library
-from pytest_dura.campaign.runner import Bench
-from pytest_dura.core.roles import Proposal, RoleContext
-from pytest_dura.core.state import GeneratorView
+from pytest_dura.core.roles import RoleContext
+from pytest_dura.core.state import GeneratorView, Proposal
 from pytest_dura.driving.roles.planners import RuleBased
 from pytest_dura.faults.catalogue import parse_fault
+from pytest_dura.library.loading import load_library
 from pytest_dura.llm.driving.blocks import driving_prompt
-from pytest_dura.llm.driving.wording import driving_templates
-from pytest_dura.llm.prompts.prompt import Prompt
+from pytest_dura.llm.driving.planner import driving_templates
+from pytest_dura.llm.prompts import Prompt
+from pytest_dura.runner import Runner
 
 GOLDEN = Path(__file__).parents[1] / "unit" / "llm" / "golden"
 
@@ -55,7 +55,7 @@ def prompts_of(
 ) -> dict[int, Prompt]:
     """The prompts at some ticks of a run of a built-in scenario, with more faults."""
     asked = Asked(ticks, images)
-    bench = Bench(
+    bench = Runner(
         lambda: load_library([]),
         roles={"generator": RoleSpec("prompt_views:Asked", instance=asked)},
     )

@@ -8,17 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from pytest_dura import (
-    Episode,
-    EpisodeSpec,
-    Orchestrator,
-    Policy,
-    Proposal,
-    RoleSpec,
-    Termination,
-)
-from pytest_dura.campaign.domains import DOMAINS
+from pytest_dura import Episode, EpisodeSpec, Orchestrator, Policy, Proposal, RoleSpec, Termination
 from pytest_dura.core.state import GeneratorView, Percept, RoleView, StateManager, Tick
+from pytest_dura.domains import DOMAINS
 from pytest_dura.driving.bodies import Body, BodyList
 from pytest_dura.driving.highway import HighwaySimulator
 from pytest_dura.driving.junction import route

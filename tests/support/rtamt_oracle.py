@@ -12,10 +12,15 @@ from typing import Any
 
 import pytest
 
-from pytest_dura.requirements.stl.language.checks import in_samples
-from pytest_dura.requirements.stl.language.formula import Formula
-from pytest_dura.requirements.stl.language.nodes import Boolean, Not, Signal, Window
-from pytest_dura.requirements.stl.language.rendering import node_text
+from pytest_dura.requirements.stl.formula import (
+    Boolean,
+    Formula,
+    Not,
+    Signal,
+    Window,
+    in_samples,
+    node_text,
+)
 
 pytest.importorskip("rtamt", reason="rtamt's ANTLR 4.7 cannot be imported from Python 3.13 on")
 

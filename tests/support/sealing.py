@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import json
 
-from pytest_dura.evidence.bundle.directory import KEPT
-from pytest_dura.evidence.bundle.manifest import MANIFEST, file_entry, files_of, manifest_text
+from pytest_dura.evidence.bundle import RESUME_FOLDER
+from pytest_dura.evidence.files import MANIFEST_FILE, file_entry, files_below, manifest_text
 
 
 def seal(bundle):
     """A manifest that agrees with whatever lies there now, without the episodes kept to resume."""
-    names = [name for name in files_of(bundle) if name.partition("/")[0] not in (MANIFEST, KEPT)]
-    (bundle / MANIFEST).write_text(
+    names = [
+        name
+        for name in files_below(bundle)
+        if name.partition("/")[0] not in (MANIFEST_FILE, RESUME_FOLDER)
+    ]
+    (bundle / MANIFEST_FILE).write_text(
         manifest_text({name: file_entry(bundle / name) for name in names})
     )
 

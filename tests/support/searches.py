@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from pytest_dura.campaign.search.result import (
-    Change,
+from pytest_dura.campaign.falsification import (
     Falsification,
     FoundCounterexample,
-    Repeats,
+    ParameterChange,
+    ReplayCount,
     SearcherReport,
     SearchOutcome,
     Shrinking,
@@ -28,12 +28,12 @@ def counterexample(**changes):
         "margin": -0.25,
         "time": 3.4,
         "detail": "gap is -0.25 at 3.4 s",
-        "repeats": Repeats(1, 1, 1),
+        "repeats": ReplayCount(1, 1, 1),
         "changes": (
-            Change("world.ego.speed", 9.0, 8.0),
-            Change("world.wall", 2.0, 4.0),
-            Change("faults.delay", "delay", None),
-            Change("faults.delay.activation.at", 2.0, 0.0),
+            ParameterChange("world.ego.speed", 9.0, 8.0),
+            ParameterChange("world.wall", 2.0, 4.0),
+            ParameterChange("faults.delay", "delay", None),
+            ParameterChange("faults.delay.activation.at", 2.0, 0.0),
         ),
         "shrinking": Shrinking(11, 4, 41, 200, finished=True),
         "file": "scenarios/found/a-clear-saf-1.yaml",
@@ -45,7 +45,7 @@ def counterexample(**changes):
 def outcome(word, requirement="SAF-1", *, kept=None, **changes):
     """What a search of 37 simulations came to; what was confirmed is shrunk and kept."""
     violated, confirmed = word in ("falsified", "not repeatable"), word == "falsified"
-    found = counterexample(repeats=Repeats(1, 1, 1) if confirmed else Repeats(10, 3, 2))
+    found = counterexample(repeats=ReplayCount(1, 1, 1) if confirmed else ReplayCount(10, 3, 2))
     if not (confirmed if kept is None else kept):
         found = replace(found, shrinking=None, file=None, name=None)
     told = {

@@ -7,11 +7,12 @@ from pathlib import Path
 
 from baseline_records import spec
 
-from pytest_dura.evidence.record.evidence_record import SCHEMA_VERSION
-from pytest_dura.evidence.record.session_record import SessionRecord
-from pytest_dura.provenance.sources import digest_of
+from pytest_dura.evidence.gather import SCHEMA_VERSION
+from pytest_dura.evidence.model import SessionRecord
+from pytest_dura.provenance import digest_of
 from pytest_dura.requirements.model import Requirement
-from pytest_dura.requirements.verdicts import EpisodeVerdict, judge_campaign
+from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict
+from pytest_dura.requirements.verdicts.judging import judge_campaign
 
 SOURCES = {"m/__init__.py": "e" * 64}
 DIGEST = digest_of(SOURCES)

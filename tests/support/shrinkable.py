@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from pytest_dura.campaign.cases import Case, expand_cases
-from pytest_dura.campaign.scenario import Scenario
-from pytest_dura.campaign.search.space.searched import SearchedCase, searched_case
-from pytest_dura.campaign.variation import replaced
 from pytest_dura.faults.catalogue import default_fault
+from pytest_dura.library.cases import Case, SearchedCase, expand_cases, make_searched_case
+from pytest_dura.library.scenario import Scenario
+from pytest_dura.library.variation import replace_value
 
 WORLD = {
     "ego": {"distance": 50.0, "speed": 8.0},
@@ -37,7 +36,7 @@ def fault(kind: str, target: str, **changes: Any) -> dict[str, Any]:
     """The example of a type, with other values by path, such as ``activation__at``."""
     made: Any = default_fault(kind, {"number": target, "any": target})
     for path, value in changes.items():
-        made = replaced(made, path.replace("__", "."), value, create=True)
+        made = replace_value(made, path.replace("__", "."), value, create=True)
     return dict(made)
 
 
@@ -45,7 +44,7 @@ def found(
     case: Case, world: Mapping[str, Any] | None = None, faults: Sequence[Any] = (), seed: int = 0
 ) -> SearchedCase:
     """What a search made of a case: another world, other faults."""
-    return searched_case(case, case.scenario.world if world is None else world, faults, seed)
+    return make_searched_case(case, case.scenario.world if world is None else world, faults, seed)
 
 
 def ids(searched: SearchedCase, kind: str = "vehicles") -> set[str]:

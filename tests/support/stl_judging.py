@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from pytest_dura.requirements.stl.language.parsing import parse
-from pytest_dura.requirements.stl.offline.evaluation import Ending, Evaluation, evaluate
+from pytest_dura.requirements.stl.evaluation import Ending, Evaluation, evaluate
+from pytest_dura.requirements.stl.parser import parse
 
 
 def judge(

@@ -12,7 +12,7 @@ import operator
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from pytest_dura.requirements.stl.language.nodes import (
+from pytest_dura.requirements.stl.formula import (
     Arithmetic,
     Boolean,
     Comparison,

@@ -5,19 +5,19 @@ from __future__ import annotations
 import sys
 from collections import deque
 
+from pytest_dura.core.metrics import DISCOMFORT
+from pytest_dura.core.roles import PerformanceAssessment, PerformanceOracle, RoleContext
+from pytest_dura.core.state import RoleView
+from pytest_dura.driving.maneuvers import acceleration_for
+from pytest_dura.driving.percepts import own_motion
+from pytest_dura.driving.scene import HALF, ego_of
+from pytest_dura.driving.sensors import Imu
+
 try:
     import resource
 except ImportError:  # Windows has none
     resource = None  # type: ignore[assignment]
 
-from pytest_dura.core.metrics import DISCOMFORT
-from pytest_dura.core.roles import PerformanceAssessment, PerformanceOracle, RoleContext
-from pytest_dura.core.state import RoleView
-from pytest_dura.driving.ego import ego_of
-from pytest_dura.driving.maneuvers import acceleration_for
-from pytest_dura.driving.plausible import own_motion
-from pytest_dura.driving.scene import HALF
-from pytest_dura.driving.sensors import Imu
 
 JERK_WINDOW = 1.0
 """Seconds over which jerk is averaged before it is held against its limit."""

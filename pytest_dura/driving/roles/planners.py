@@ -8,9 +8,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_dura.core.roles import Generator, Proposal, RoleContext
+from pytest_dura.core.roles import Generator, RoleContext
 from pytest_dura.core.seeding import stream
-from pytest_dura.core.state import GeneratorView
+from pytest_dura.core.state import GeneratorView, Proposal
 from pytest_dura.driving import prediction
 from pytest_dura.driving.bodies import VX, VY
 from pytest_dura.driving.junction import SPEED_LIMIT, STOP_LINE
@@ -24,7 +24,7 @@ from pytest_dura.driving.maneuvers import (
     braking_distance,
     stop_at,
 )
-from pytest_dura.driving.radar import CrossCheck
+from pytest_dura.driving.percepts import CrossCheck
 from pytest_dura.driving.scene import HALF, InLane, Scene, crossing, time_to_cover
 
 SCALLOP = 0.35

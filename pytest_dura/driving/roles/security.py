@@ -7,28 +7,136 @@ from functools import partial
 
 import numpy as np
 
-from pytest_dura.core.roles import (
-    Alert,
-    Assessed,
-    RoleContext,
-    SecurityAssessment,
-    SecurityAssessor,
+from pytest_dura.core.metrics import REACTIONS
+from pytest_dura.core.roles import Assessed, RoleContext, SecurityAssessment, SecurityAssessor
+from pytest_dura.core.state import Alert, RoleView
+from pytest_dura.driving.bodies import VX, VY, BodyList
+from pytest_dura.driving.maneuvers import MAX_ACCELERATION, MAX_BRAKING, Maneuver, acceleration_for
+from pytest_dura.driving.percepts import (
+    compare_sensors,
+    out_of_range,
+    own_pose,
+    own_speed,
+    plausible_objects,
+    sensors_agree,
 )
-from pytest_dura.core.state import RoleView
-from pytest_dura.driving.bodies import VX, VY
-from pytest_dura.driving.ego import ego_of
-from pytest_dura.driving.maneuvers import (
-    MAX_ACCELERATION,
-    MAX_BRAKING,
-    Maneuver,
-    acceleration_for,
-)
-from pytest_dura.driving.plausible import objects, out_of_range, own_pose
-from pytest_dura.driving.radar import agree, compare
-from pytest_dura.driving.reaction import ReactionWatch
+from pytest_dura.driving.scene import ego_of
 from pytest_dura.driving.sensors import RANGE
-from pytest_dura.driving.tracking import Tracker
-from pytest_dura.faults.directing import AttackPlan
+from pytest_dura.faults.attack_plan import AttackPlan
+
+Row = tuple[float, ...]
+
+
+class Tracker:
+    """Matches the bodies of one tick to those of the tick before, by id.
+
+    Plain dictionaries: for the few bodies of a junction they are quicker than arrays.
+    """
+
+    def __init__(self) -> None:
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything."""
+        self._index: int | None = None
+        self._previous: dict[str, Row] | None = None
+        self._current: dict[str, Row] | None = None
+
+    def update(self, index: int, bodies: BodyList) -> None:
+        """The bodies at a tick; a second call within the tick changes nothing."""
+        if index == self._index:
+            return
+        rows = dict(zip(bodies.ids, bodies.numbers, strict=True))
+        self._index, self._previous, self._current = index, self._current, rows
+
+    def displacements(self) -> list[tuple[int, float, float]]:
+        """Row in the current list and metres moved in x and y, of each body seen a tick before."""
+        if self._previous is None or self._current is None:
+            return []
+        before = self._previous.get
+        return [
+            (row, now[0] - old[0], now[1] - old[1])
+            for row, (i, now) in enumerate(self._current.items())
+            if (old := before(i)) is not None
+        ]
+
+    def newcomers(self) -> list[int]:
+        """Rows of the current list that were not there a tick before; none at the first tick."""
+        if self._previous is None or self._current is None:
+            return []
+        if self._current.keys() <= self._previous.keys():  # as at most ticks
+            return []
+        return [row for row, i in enumerate(self._current) if i not in self._previous]
+
+
+UNAFFECTED, ERRATIC, FROZEN, FOLLOWS = REACTIONS
+
+BRAKING = -1.0
+"""m/s2; a command below it brakes."""
+PROMPT = 1.5
+"""Seconds after the suspicion's start within which braking is taken to answer it."""
+AFTERMATH = 3.0
+"""Seconds after the suspicion's end at which the reaction is classed."""
+FLIPS_PER_SECOND = 2.0
+"""Changes between braking and driving on above which the component is erratic."""
+STANDING = 0.1
+
+
+class ReactionWatch:
+    """Watches the component's commands from a suspicion's start until a while after its end.
+
+    Erratic: it keeps changing between braking and driving on. Frozen: it stands when the
+    suspicion ends and still stands throughout the aftermath. Follows the fake: it did not brake
+    before and does soon after the start. Otherwise it is unaffected.
+    """
+
+    def __init__(self) -> None:
+        self._since: float | None = None
+        self._last_suspicion = 0.0
+        self._braked_before = False
+        self._braking = False
+        self._flips = 0
+        self._answered = False
+        self._moved_after = False
+
+    def update(self, view: RoleView, suspicious: bool) -> str | None:
+        """Take in a tick; the class of the reaction when the aftermath is over, else ``None``."""
+        if not suspicious and self._since is None:
+            self._braking = self._brakes(view)
+            return None
+        braking = self._brakes(view)
+        if suspicious:
+            self._last_suspicion = view.time
+            if self._since is None:
+                self._since, self._flips, self._moved_after = view.time, 0, False
+                self._braked_before, self._answered = self._braking, False
+        self._flips += braking != self._braking
+        self._braking = braking
+        assert self._since is not None
+        if braking and not self._braked_before and view.time - self._since <= PROMPT:
+            self._answered = True
+        if view.time > self._last_suspicion:
+            self._moved_after |= own_speed(view.percept) > STANDING
+        if view.time - self._last_suspicion < AFTERMATH:
+            return None
+        return self._classify(view.time)
+
+    def _classify(self, now: float) -> str:
+        assert self._since is not None
+        lasted, self._since = now - self._since, None
+        if self._flips > FLIPS_PER_SECOND * lasted:
+            return ERRATIC
+        if not self._moved_after:
+            return FROZEN
+        return FOLLOWS if self._answered else UNAFFECTED
+
+    @staticmethod
+    def _brakes(view: RoleView) -> bool:
+        if view.proposal is None:
+            return False
+        ego = ego_of(view.percept)
+        return acceleration_for(view.proposal.action, ego.speed, ego.to_stop_line) < BRAKING
+
 
 _ROAD_END = 85.0
 """m from the centre; farther out, bodies come and go at the ends of the arms."""
@@ -40,7 +148,7 @@ class PlausibilityAssessor(SecurityAssessor):
     Patterns: ``object_from_nowhere`` (a newcomer well inside the sensors' reach),
     ``velocity_contradicts_displacement``, ``lidar_contradicts_radar`` (for some ticks in a row),
     ``out_of_range:<channel>`` (a number that no sensor can have measured, see
-    ``pytest_dura.driving.plausible``) and ``command_outside_envelope``. Each is alerted when it
+    ``pytest_dura.driving.percepts``) and ``command_outside_envelope``. Each is alerted when it
     begins, and again after a quiet time.
 
     Args:
@@ -105,7 +213,7 @@ class PlausibilityAssessor(SecurityAssessor):
 
     def _look(self, view: RoleView) -> list[Alert]:
         percept = view.percept
-        bodies, pose = objects(percept), own_pose(percept)
+        bodies, pose = plausible_objects(percept), own_pose(percept)
         self._tracker.update(view.index, bodies)
         found, rows, dt = [], bodies.numbers, view.dt
         for row in self._tracker.newcomers():
@@ -130,10 +238,10 @@ class PlausibilityAssessor(SecurityAssessor):
 
     def _against_radar(self, view: RoleView) -> list[Alert]:
         bodies = view.percept["lidar"]
-        if agree(view.percept):
+        if sensors_agree(view.percept):
             self._contradicted.clear()
             return []
-        confirmed, explained = compare(view.percept)
+        confirmed, explained = compare_sensors(view.percept)
         names = [bodies.ids[row] for row in np.flatnonzero(~confirmed).tolist()]
         if not explained.all():
             names.append("radar")

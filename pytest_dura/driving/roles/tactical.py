@@ -10,16 +10,11 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from pytest_dura.core.roles import Generator, Proposal, RoleContext
+from pytest_dura.core.roles import Generator, RoleContext
 from pytest_dura.core.seeding import stream
-from pytest_dura.core.state import GeneratorView
+from pytest_dura.core.state import GeneratorView, Proposal
 from pytest_dura.driving.bodies import CAR_WIDTH, Body
-from pytest_dura.driving.maneuvers import (
-    MAX_BRAKING,
-    Command,
-    Maneuver,
-    braking_distance,
-)
+from pytest_dura.driving.maneuvers import MAX_BRAKING, Command, Maneuver, braking_distance
 from pytest_dura.driving.scene import HALF, Scene, crossing
 
 PERIOD = 1.0

@@ -15,11 +15,9 @@ from pydantic import Field
 
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.faults.model import Kind, Moment
-from pytest_dura.faults.parts import FaultPart, NotNegative, Share
-from pytest_dura.faults.spans import Span
+from pytest_dura.faults.parameters import FaultPart, NotNegative, Share, Span
 from pytest_dura.faults.targets import resolved
-from pytest_dura.faults.types.base import ListedFault
-from pytest_dura.faults.types.lazily import later
+from pytest_dura.faults.types.base import ListedFault, change_lazily
 
 Picture: TypeAlias = NDArray[np.uint8]
 _ROUNDING = 1e-6
@@ -27,7 +25,7 @@ _ROUNDING = 1e-6
 Level = Annotated[int, Field(ge=0, le=255)]
 
 
-def picture(value: Any) -> Picture:
+def as_picture(value: Any) -> Picture:
     """A value as a picture.
 
     Raises:
@@ -43,14 +41,14 @@ def picture(value: Any) -> Picture:
         raise ConfigurationError(
             "this fault acts on a picture",
             key="target",
-            found=described(found),
+            found=picture_description(found),
             expected="an array of dtype uint8 and shape (height, width, 3)",
             remedy="choose a camera's channel",
         )
     return found
 
 
-def described(value: Any) -> str:
+def picture_description(value: Any) -> str:
     """The dtype and shape of an array; of anything else, its type."""
     if isinstance(value, np.ndarray):
         return f"{value.dtype} of shape {value.shape}"
@@ -64,15 +62,15 @@ class ImageFault(ListedFault):
 
     def begin(self, value: Any, moment: Moment) -> bool:  # noqa: ARG002 - as Fault has it
         """Look at one picture now: what is wrong with it must not be laid at its reader's door."""
-        picture(value)
+        as_picture(value)
         return True
 
     def apply(self, memory: Any, value: Any, moment: Moment) -> Any:  # noqa: ARG002 - as Fault has it
         """The changed picture, made when it is read."""
-        return value if self.idle else later(value, moment.rng, self._changed)
+        return value if self.idle else change_lazily(value, moment.rng, self._changed)
 
     def _changed(self, value: Any, rng: np.random.Generator) -> Picture:
-        new = self.drawn(picture(value).copy(), rng)
+        new = self.drawn(as_picture(value).copy(), rng)
         new.flags.writeable = False
         return new
 

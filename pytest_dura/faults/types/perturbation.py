@@ -11,9 +11,9 @@ from pydantic import Field, field_validator
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.faults.model import Kind, Moment
-from pytest_dura.faults.parts import FaultPart
+from pytest_dura.faults.parameters import FaultPart
 from pytest_dura.faults.types.base import ListedFault
-from pytest_dura.faults.types.image import Picture, described, picture
+from pytest_dura.faults.types.image import Picture, as_picture, picture_description
 
 
 class PerturbationParameters(FaultPart):
@@ -61,15 +61,15 @@ class Perturbation(ListedFault):
         Raises:
             ConfigurationError: If that is no picture of the same shape.
         """
-        image, path = picture(value), self.parameters.function
+        image, path = as_picture(value), self.parameters.function
         new: Any = RoleSpec(path).function()(image.copy(), moment.rng, **self.parameters.params)
         same_kind = isinstance(new, np.ndarray) and new.dtype == image.dtype
         if not same_kind or new.shape != image.shape:
             raise ConfigurationError(
                 f"the perturbation {path} returned no picture like the one it got",
                 key="parameters.function",
-                found=described(new),
-                expected=described(image),
+                found=picture_description(new),
+                expected=picture_description(image),
                 remedy="return an array of the same shape and dtype",
             )
         if np.array_equal(new, image):

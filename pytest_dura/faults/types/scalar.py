@@ -1,4 +1,4 @@
-"""Wrong values of one number: bias, drift, noise, gain, stuck-at, bit flips, out of range."""
+"""Wrong values of one number, in a channel (bias, noise, bit flips, ...) or in the command."""
 
 from __future__ import annotations
 
@@ -10,10 +10,17 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from pytest_dura.faults.model import Kind, Moment
-from pytest_dura.faults.parts import FaultPart, Finite, NotNegative, Positive
-from pytest_dura.faults.spans import Span
-from pytest_dura.faults.types.base import ListedFault, NumberFault
-from pytest_dura.faults.types.numbers import Numeric, flip_bits, number, settled
+from pytest_dura.faults.parameters import FaultPart, Finite, NotNegative, Positive, Span
+from pytest_dura.faults.types.base import (
+    ListedFault,
+    NoParameters,
+    NumberFault,
+    Numeric,
+    as_channel_value,
+    flip_bits,
+    numeric_value,
+)
+from pytest_dura.faults.types.timing import Held, Receiver, ReceiverFault
 
 
 class BiasParameters(FaultPart):
@@ -150,12 +157,12 @@ class BitFlip(ListedFault):
     def apply(self, memory: Any, value: Any, moment: Moment) -> Any:  # noqa: ARG002 - as Fault has it
         """The number with its bits flipped."""
         bits, rng = self.parameters.bits, moment.rng
-        given = number(value)
+        given = numeric_value(value)
         if not isinstance(given, np.ndarray):
             return float(flip_bits(value if isinstance(value, np.floating) else given, bits, rng))
         kept = value if value.dtype.kind == "f" else given
         flipped = np.array([flip_bits(one, bits, rng) for one in kept.ravel()], kept.dtype)
-        return settled(flipped.reshape(kept.shape))
+        return as_channel_value(flipped.reshape(kept.shape))
 
 
 class OutOfRangeParameters(FaultPart):
@@ -194,3 +201,75 @@ class OutOfRange(NumberFault):
         """The value beyond the limit."""
         beyond: Numeric = np.full(np.shape(value), self.parameters.reported)[()]
         return beyond
+
+
+class LossOfEffectivenessParameters(FaultPart):
+    """How much of the command is lost."""
+
+    percent: Annotated[float, Field(ge=0, le=100, allow_inf_nan=False), Span(0.0, 100.0)] = Field(
+        50.0, description="Lost part of the command, in %; 0 is the identity, 100 is no effect."
+    )
+
+
+class LossOfEffectiveness(NumberFault):
+    """The actuator does less than it is told: the command times ``1 - percent / 100``."""
+
+    type: Literal["loss-of-effectiveness"]
+    parameters: LossOfEffectivenessParameters = LossOfEffectivenessParameters()
+
+    acts_on: ClassVar[Kind] = "command"
+
+    def changed(self, value: Numeric, moment: Moment) -> Numeric:  # noqa: ARG002 - as NumberFault has it
+        """What is left of it."""
+        return value * (1.0 - self.parameters.percent / 100.0)
+
+
+class LagParameters(FaultPart):
+    """How slowly the actuator follows."""
+
+    s: Annotated[NotNegative, Span(0.0, 3.0)] = Field(
+        0.5, description="Time constant, in s: after a step it has gone 63 %; 0 is the identity."
+    )
+
+
+class Lag(ReceiverFault):
+    """The actuator follows the command as a first-order lag does, from the last command on.
+
+    After t seconds of a constant command, exp(-t / s) of the way to it is left.
+    """
+
+    type: Literal["lag"]
+    parameters: LagParameters = LagParameters()
+
+    acts_on: ClassVar[Kind] = "command"
+
+    def received(self, receiver: Receiver, value: Any, moment: Moment) -> Any:
+        """What the actuator has come to at this tick."""
+        if self.parameters.s == 0.0:
+            return value
+        left = math.exp(-moment.dt / self.parameters.s)
+        # Exact where nothing is left to go: the command itself.
+        return as_channel_value(
+            numeric_value(value) + left * (numeric_value(receiver.shown) - numeric_value(value))
+        )
+
+
+class StuckCommand(Held):
+    """The command of the activation stays, whatever is commanded then."""
+
+    type: Literal["stuck-command"]
+
+    acts_on: ClassVar[Kind] = "command"
+
+
+class Inversion(NumberFault):
+    """The actuator does the opposite: the command with its sign inverted."""
+
+    type: Literal["inversion"]
+    parameters: NoParameters = NoParameters()
+
+    acts_on: ClassVar[Kind] = "command"
+
+    def changed(self, value: Numeric, moment: Moment) -> Numeric:  # noqa: ARG002 - as NumberFault has it
+        """The opposite."""
+        return -value

@@ -1,24 +1,255 @@
-"""What the sensors report, in blocks of facts: the prompt of the driving domain."""
+"""What the sensors report, in blocks of facts: the prompt of the driving domain.
+
+LIDAR and RADAR hold the nearest objects relative to the ego, HISTORY and FEEDBACK what was
+decided before and why it was refused.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import math
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from pytest_dura.core.errors import ActionError
 from pytest_dura.core.state import GeneratorView, PastDecision
 from pytest_dura.driving.bodies import CAR_LENGTH
-from pytest_dura.driving.faults.signs import POSTER
+from pytest_dura.driving.faults.channels import POSTER
 from pytest_dura.driving.junction import ARMS
-from pytest_dura.driving.plausible import PLACE
+from pytest_dura.driving.maneuvers import Command, acceleration_for
+from pytest_dura.driving.percepts import DISTANCE_TOLERANCE, PLACE
 from pytest_dura.driving.sensors import TRAFFIC_LIGHT, Pose, RouteMap, Sign
 from pytest_dura.llm.driving import readings
-from pytest_dura.llm.driving.images import seen
-from pytest_dura.llm.driving.past import feedback_facts, history_facts, last_command
-from pytest_dura.llm.driving.readings import number, shown
-from pytest_dura.llm.driving.surroundings import lidar_facts, nearest, radar_facts
-from pytest_dura.llm.prompts.perceived import PerceivedText
-from pytest_dura.llm.prompts.prompt import Block, Prompt
+from pytest_dura.llm.driving.readings import Row, camera_images, degrees, number, rounded
+from pytest_dura.llm.prompts import Block, PerceivedText, Prompt
+
+MOST = 12
+"""Objects that a block shows: half of them the nearest ones, the others those that will be."""
+SOON = 4.0
+"""s; what is 40 m away and quick is a danger before what stands at the roadside."""
+
+NARROWEST_CAR = 1.3
+"""m; a bicycle is 0.7 m wide, the narrowest cars 1.4 m."""
+
+_PLAIN = re.compile(r"[A-Z]{1,2}[0-9]{1,5}", re.ASCII)
+_ID = re.compile(r"[A-Z][A-Z0-9_]{0,15}", re.ASCII)
+_PARTS = re.compile(r"([A-Z_]*)([0-9]*)(.*)")
+_OCTANTS = (
+    "ahead", "ahead-left", "left", "behind-left", "behind", "behind-right", "right", "ahead-right",
+)  # fmt: skip
+
+
+def shown_id(found: object) -> str:
+    """The id by which an object stands in the prompt, and can be cited.
+
+    An id as a scenario may give it stays. Anything else, which only a fault can have put there,
+    has a name made of its digest, the same at every tick.
+    """
+    if isinstance(found, str) and _ID.fullmatch(found):
+        return found
+    text = found if isinstance(found, str) else type(found).__name__
+    return "X" + hashlib.sha256(text.encode(errors="backslashreplace")).hexdigest()[:6].upper()
+
+
+def label(name: str) -> str | PerceivedText:
+    """An id in words: as it is if it says nothing, such as ``V3``; else as a text of the scene."""
+    return name if _PLAIN.fullmatch(name) else PerceivedText(name)
+
+
+def lidar_facts(
+    found: Sequence[tuple[object, Row]] | None, pose: Pose | None, speed: float | None
+) -> dict[str, Any]:
+    """Facts of the block LIDAR.
+
+    Args:
+        found: Ids and rows of the objects; see ``readings.bodies``.
+        pose: Of the ego.
+        speed: Of the ego, in m/s.
+    """
+    if found is None:
+        return {"missing": 1, "farther": 0, "objects": ()}
+    objects = [_object(name, row, pose, speed) for name, row in found]
+    return {"missing": 0, **nearest(objects)}
+
+
+def radar_facts(
+    rows: Sequence[Row] | None, found: Sequence[tuple[object, Row]] | None, pose: Pose | None
+) -> dict[str, Any]:
+    """Facts of the block RADAR.
+
+    A return has the id of the lidar object at its place; one that none explains is ``R`` and the
+    number of its row, as the built-in planners name it.
+    """
+    if rows is None:
+        return {"missing": 1, "farther": 0, "objects": ()}
+    objects = []
+    for index, row in enumerate(rows):
+        distance, azimuth, rate = row
+        name = _at(row, found or (), pose) or f"R{index}"
+        objects.append({
+            "id": name, "label": label(name), "distance": rounded(distance),
+            "bearing": degrees(azimuth), "rate": rounded(rate),
+        })  # fmt: skip
+    return {"missing": 0, **nearest(objects)}
+
+
+def nearest(objects: Sequence[Mapping[str, Any]], most: int = MOST) -> dict[str, Any]:
+    """So many objects at most, sorted by id, and how many others there are.
+
+    Half of them are the nearest. Of the others come those that will be nearest in :data:`SOON`, so
+    that a crowd at the roadside hides nobody who is about to hit the ego.
+    """
+
+    def far(one: Mapping[str, Any], after: float = 0.0) -> tuple[float, Any]:
+        distance, rate = one["distance"], one.get("rate")
+        closing = (one.get("closing") if rate is None else -rate) or 0.0
+        if distance is None:
+            return math.inf, by_id(one)
+        return abs(distance) - after * max(closing, 0.0), by_id(one)
+
+    near = sorted(objects, key=far)
+    half = (most + 1) // 2
+    soon = sorted(near[half:], key=lambda one: far(one, SOON))
+    kept = [*near[:half], *soon[: most - half]]
+    return {"farther": len(objects) - len(kept), "objects": tuple(sorted(kept, key=by_id))}
+
+
+def by_id(one: Mapping[str, Any]) -> tuple[str, int, str]:
+    """What ids are sorted by: V2 before V10."""
+    parts = _PARTS.match(one["id"])
+    assert parts is not None
+    return parts[1], int(parts[2] or -1), one["id"]
+
+
+def direction(angle: float | None) -> str | None:
+    """Where an angle to the left of ahead points, in words."""
+    return None if angle is None else _OCTANTS[round(angle / (math.pi / 4)) % 8]
+
+
+def course(turned: float | None) -> str | None:
+    """Where an object goes that is turned so far to the left against the ego, in words."""
+    if turned is None:
+        return None
+    words = ("same way", "to the left", "oncoming", "to the right")
+    return words[round(turned / (math.pi / 2)) % 4]
+
+
+def _object(name: object, row: Row, pose: Pose | None, speed: float | None) -> dict[str, Any]:
+    x, y, heading, vx, vy, length, width = row
+    distance = angle = closing = ahead = left = turned = None
+    if pose is not None and heading is not None:
+        turned = pose.heading - heading
+    if pose is not None and x is not None and y is not None:
+        dx, dy, c, s = x - pose.x, y - pose.y, math.cos(pose.heading), math.sin(pose.heading)
+        # y points south, so that left of the heading (c, s) is (s, -c).
+        ahead, left = c * dx + s * dy, s * dx - c * dy
+        distance, angle = math.hypot(dx, dy), math.atan2(left, ahead)
+        if vx is not None and vy is not None and speed is not None:
+            approach = dx * (speed * c - vx) + dy * (speed * s - vy)
+            closing = approach / max(distance, 0.1)
+    moving = None if vx is None or vy is None else math.hypot(vx, vy)
+    made = shown_id(name)
+    return {
+        "id": made, "label": label(made), "kind": kind(length, width),
+        "distance": rounded(distance),
+        "bearing": degrees(angle), "direction": direction(angle), "ahead": rounded(ahead),
+        "left": rounded(left), "speed": rounded(moving), "closing": rounded(closing),
+        "heading": degrees(turned), "course": course(turned),
+        "length": rounded(length), "width": rounded(width),
+    }  # fmt: skip
+
+
+def kind(length: float | None, width: float | None) -> str | None:
+    """What has this size: sensors report sizes, not classes.
+
+    What is longer than a pedestrian and narrower than a car is an obstacle, such as a row of cones
+    or a kerb island.
+    """
+    if length is None:
+        return None
+    if length < 1.0:
+        return "pedestrian"
+    return "obstacle" if width is not None and width < NARROWEST_CAR else "car"
+
+
+def _at(row: Row, found: Sequence[tuple[object, Row]], pose: Pose | None) -> str | None:
+    """Id of the lidar object nearest to a radar return, if it is near."""
+    distance, azimuth, _ = row
+    if pose is None or distance is None or azimuth is None:
+        return None
+    x = pose.x + distance * math.cos(pose.heading - azimuth)
+    y = pose.y + distance * math.sin(pose.heading - azimuth)
+    apart = [
+        (math.hypot(at_x - x, at_y - y), index)
+        for index, (_, (at_x, at_y, *_)) in enumerate(found)
+        if at_x is not None and at_y is not None
+    ]
+    least, index = min(apart, default=(math.inf, 0))
+    return shown_id(found[index][0]) if least < DISTANCE_TOLERANCE else None
+
+
+EXPLANATION, REASON = 120, 160
+"""Characters shown of an explanation, and of a reason."""
+MOST_DECISIONS, MOST_REASONS = 5, 4
+_LONG_AGO = 1e6
+
+
+def history_facts(past: Sequence[PastDecision], now: float) -> dict[str, Any]:
+    """Facts of the block HISTORY, oldest first.
+
+    An explanation may repeat what a sign said, and is shown as a text of the scene.
+
+    Args:
+        past: The decisions to show; only the latest few are.
+        now: Simulated seconds.
+    """
+    shown_ones = [
+        {
+            "ago": rounded(number(now - one.time, -_LONG_AGO, _LONG_AGO)),
+            "proposed": maneuver(one.proposed),
+            "executed": maneuver(one.executed),
+            "source": one.source if one.source in ("proposal", "recovery", "fallback") else None,
+            "explanation": PerceivedText(one.explanation, EXPLANATION) if one.explanation else "",
+        }
+        for one in past[-MOST_DECISIONS:]
+    ]
+    return {"decisions": tuple(shown_ones)}
+
+
+def feedback_facts(feedback: Sequence[str]) -> dict[str, Any]:
+    """Facts of the block FEEDBACK: why the last proposal of this tick was refused."""
+    reasons = tuple(PerceivedText(one, REASON) for one in feedback[:MOST_REASONS])
+    return {"reasons": reasons, "more": max(len(feedback) - MOST_REASONS, 0)}
+
+
+def last_command(
+    last: PastDecision | None, speed: float | None, to_stop_line: float | None
+) -> dict[str, Any]:
+    """The maneuver carried out last, and the acceleration in m/s2 that it asks for now."""
+    command = _command(last.executed) if last is not None else None
+    if command is None:
+        return {"last": None if last is not None else "none yet", "acceleration": None}
+    asked = command.acceleration
+    if speed is not None and to_stop_line is not None:
+        asked = acceleration_for(command, speed, to_stop_line)
+    return {"last": command.maneuver.value, "acceleration": rounded(asked)}
+
+
+def maneuver(action: object) -> str | None:
+    """The name of an action's maneuver; ``None`` if there is none."""
+    command = _command(action)
+    return None if command is None else command.maneuver.value
+
+
+def _command(action: object) -> Command | None:
+    if action is None:
+        return None
+    try:
+        return Command.of(action)
+    except (ActionError, TypeError):  # of another simulator, or a component's nonsense
+        return None
+
 
 BLOCKS = (
     "EGO", "LIDAR", "RADAR", "CAMERA", "IMU", "MAP", "CONTROLS", "GOAL", "HISTORY", "FEEDBACK",
@@ -82,7 +313,7 @@ def percept_prompt(
     front = None if at is None else at[0] + _HALF
     to_stop = None if front is None or on_map is None else on_map.stop_line - front
     facts: dict[str, Mapping[str, Any]] = {
-        "EGO": {"speed": shown(speed), **last_command(last, speed, to_stop), **_lane(on_map, at)},
+        "EGO": {"speed": rounded(speed), **last_command(last, speed, to_stop), **_lane(on_map, at)},
         "LIDAR": lidar_facts(found, pose, speed),
         "RADAR": radar_facts(rows, found, pose),
         "IMU": _motion(percept),
@@ -90,7 +321,7 @@ def percept_prompt(
         "CONTROLS": _controls(readings.signs(percept), front),
         "GOAL": _goal(on_map),
     }
-    shown_images, facts["CAMERA"] = seen(percept, images)
+    shown_images, facts["CAMERA"] = camera_images(percept, images)
     facts["HISTORY"] = history_facts(past, now)
     facts["FEEDBACK"] = feedback_facts(feedback)
     left_out = {
@@ -111,15 +342,15 @@ def _lane(on_map: RouteMap | None, at: tuple[float, float] | None) -> dict[str, 
     place = "approach" if to_stop_line >= 0.0 else "cleared" if cleared else "junction"
     arm = on_map.route.destination if cleared else on_map.route.origin
     return {
-        "place": place, "to_stop_line": shown(to_stop_line), "arm": ARMS[arm],
-        "offset": shown(at[1]),
+        "place": place, "to_stop_line": rounded(to_stop_line), "arm": ARMS[arm],
+        "offset": rounded(at[1]),
     }  # fmt: skip
 
 
 def _motion(percept: Mapping[str, Any]) -> dict[str, Any]:
     motion = readings.own_motion(percept)
     return {
-        "acceleration": shown(motion.acceleration),
+        "acceleration": rounded(motion.acceleration),
         # Both are positive to the right, as headings grow that way where y points south.
         "left": _negative(motion.lateral_acceleration, 1),
         "turning": _negative(motion.yaw_rate and math.degrees(motion.yaw_rate), 0),
@@ -129,7 +360,7 @@ def _motion(percept: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _negative(value: float | None, decimals: int) -> float | int | None:
-    return None if value is None else shown(-value, decimals)
+    return None if value is None else rounded(-value, decimals)
 
 
 def compass(heading: float) -> int:
@@ -145,9 +376,9 @@ def _map(on_map: RouteMap | None, front: float | None, pose: Pose | None) -> dic
     return {
         **facts,
         "origin": ARMS[on_map.route.origin],
-        "stop_line": None if front is None else shown(on_map.stop_line - front),
-        "exit": None if front is None else shown(on_map.exit - front),
-        "limit": shown(on_map.speed_limit),
+        "stop_line": None if front is None else rounded(on_map.stop_line - front),
+        "exit": None if front is None else rounded(on_map.exit - front),
+        "limit": rounded(on_map.speed_limit),
         "waypoints": _ways(on_map, front, pose),
     }
 
@@ -163,8 +394,8 @@ def _ways(
     # y points south, so that left of the heading (c, s) is (s, -c).
     return tuple(
         {
-            "ahead": shown(c * (one.x - pose.x) + s * (one.y - pose.y), 0),
-            "left": shown(s * (one.x - pose.x) - c * (one.y - pose.y), 0),
+            "ahead": rounded(c * (one.x - pose.x) + s * (one.y - pose.y), 0),
+            "left": rounded(s * (one.x - pose.x) - c * (one.y - pose.y), 0),
         }
         for one in coming[::WAYPOINT_STEP]
     )
@@ -198,7 +429,7 @@ def sign_facts(name: str, sign: Sign, front: float | None) -> dict[str, Any]:
         "id": name,
         "label": name,
         "kind": sign.kind if known else PerceivedText(sign.kind, 40),
-        "distance": None if at is None or front is None else shown(at - front),
+        "distance": None if at is None or front is None else rounded(at - front),
         "text": "" if said else PerceivedText(sign.text),
         "state": sign.state if isinstance(sign.state, str) and sign.state in LIGHTS else "",
     }

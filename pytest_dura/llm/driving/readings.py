@@ -1,14 +1,9 @@
-"""Percepts as prompts take them: a number, or nothing, whatever a fault has put there.
-
-The built-in roles let a number beyond what its sensor can report saturate, since they must reckon
-with it. A prompt says instead that there is no data, and so does it of what is no number at all.
-The ranges are those of ``driving.plausible``.
-"""
+"""Percepts as prompts take them: a number, a picture, or nothing, whatever a fault put there."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from numbers import Real
 from typing import Any, NamedTuple
 
@@ -17,7 +12,7 @@ from numpy.typing import NDArray
 
 from pytest_dura.driving.bodies import BodyList
 from pytest_dura.driving.junction import Route
-from pytest_dura.driving.plausible import (
+from pytest_dura.driving.percepts import (
     ACCELERATION,
     ANGLE,
     BODY_SPEED,
@@ -27,6 +22,7 @@ from pytest_dura.driving.plausible import (
     YAW_RATE,
 )
 from pytest_dura.driving.sensors import Pose, RouteMap, Sign, Waypoint
+from pytest_dura.llm.port import Image
 
 Row = tuple[float | None, ...]
 
@@ -57,7 +53,7 @@ def number(value: object, low: float, high: float) -> float | None:
     return found if low <= found <= high else None
 
 
-def shown(value: float | None, decimals: int = 1) -> float | int | None:
+def rounded(value: float | None, decimals: int = 1) -> float | int | None:
     """A number as it stands in a prompt: rounded, and never -0. Without decimals it is whole."""
     if value is None or not math.isfinite(value):
         return None
@@ -171,3 +167,33 @@ def _rows(value: object, limits: tuple[tuple[float, float], ...]) -> list[Row] |
         tuple(number(one, *limit) for one, limit in zip(row, limits, strict=True))
         for row in value.tolist()
     ]
+
+
+LARGEST_IMAGE = 1024
+"""Pixels of a side."""
+
+VIEWS: Mapping[str, str] = {
+    "camera_front": "what is ahead, seen through your windscreen",
+    "camera_third_person": "your own car, turquoise, and what is ahead, seen from behind and above",
+}
+
+
+def camera_images(
+    percept: Mapping[str, Any], names: Sequence[str]
+) -> tuple[tuple[Image, ...], dict[str, Any]]:
+    """The pictures of some channels, and facts of the block CAMERA.
+
+    A channel that is not there, or that holds no picture, is told as missing.
+
+    Args:
+        percept: Sensor channels by name.
+        names: Camera channels, in the order in which their pictures are shown.
+    """
+    images, told = [], []
+    for name in names:
+        pixels = picture(channel(percept, name), LARGEST_IMAGE)
+        if pixels is not None:
+            images.append(Image(name, pixels))
+        place = len(images) if pixels is not None else 0
+        told.append({"name": name, "shown": place, "view": VIEWS.get(name, "")})
+    return tuple(images), {"pictures": tuple(told)}

@@ -1,11 +1,129 @@
-"""MonitorQuality: how well a monitor's alarms foretell violations, or alerts tell of faults."""
+"""Quality of monitors: their alarms against violations, their alerts against faults."""
 
 from __future__ import annotations
 
+import math
 import statistics
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, field
 from typing import Any
+
+from pytest_dura.core.episode import Episode, Validity
+from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict
+
+Stretch = tuple[float, float]
+"""The first and the last tick of an alarm, in seconds."""
+
+
+@dataclass(frozen=True, slots=True)
+class MonitorTimeline:
+    """What the monitors of one episode said; plain data that crosses processes.
+
+    Args:
+        episode: Id of the episode.
+        component: Name of the component under test.
+        validity: ``valid``, ``invalid`` or ``missing``.
+        duration: Simulated seconds.
+        alarms: By name of each monitor that was asked, its alarms in order. One stands from the
+            first tick at which the monitor found the proposal unsafe to the last tick before the
+            monitor, when it was asked again, did not: a monitor that is not asked, as where there
+            is no valid proposal, has not taken its alarm back.
+        alerts: Stretches of neighbouring ticks with alerts of any assessor, whatever they were
+            about; ``None`` where no assessor was asked.
+        manifested_at: Seconds at which a fault manifested first, if one did.
+        detected_at: Seconds at which a manifested fault was detected first, if one was.
+        intervention: How a monitor's word changed what was carried out, if it did.
+        began_at: Seconds from which on an alert could detect a fault that manifested, by then or
+            later: its activation. By default its manifestation.
+    """
+
+    episode: str
+    component: str
+    validity: Validity
+    duration: float
+    alarms: Mapping[str, tuple[Stretch, ...]]
+    alerts: tuple[Stretch, ...] | None = None
+    manifested_at: float | None = None
+    detected_at: float | None = None
+    intervention: str | None = None
+    began_at: float | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data."""
+        alarms = {name: _lists(stretches) for name, stretches in sorted(self.alarms.items())}
+        alerts = None if self.alerts is None else _lists(self.alerts)
+        return {**asdict(self), "alarms": alarms, "alerts": alerts}
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> MonitorTimeline:
+        """The inverse of :meth:`to_json`."""
+        alarms = {name: _tuples(stretches) for name, stretches in data["alarms"].items()}
+        alerts = None if data["alerts"] is None else _tuples(data["alerts"])
+        return cls(**{**data, "alarms": alarms, "alerts": alerts})
+
+
+def monitor_timeline(episode: Episode) -> MonitorTimeline:
+    """What the monitors of an episode said, from its metrics, decisions and fault records.
+
+    The ``unsafe`` events do not suffice for that: between ``unsafe`` and ``unsafe_ended`` there may
+    be ticks at which the monitor was not asked, and a simulator may have events of that kind, too.
+    """
+    metrics = episode.metrics
+    asked = {name: set(map(float, times)) for name, (times, _) in metrics.robustness.items()}
+    flagged = {
+        name: {float(episode.time[tick]) for tick in ticks} for name, ticks in metrics.flags.items()
+    }
+    alerted = {float(episode.time[i]) for ticks in metrics.alert_ticks.values() for i in ticks}
+    faults, time = episode.faults, episode.time.tolist()
+    return MonitorTimeline(
+        episode=episode.id,
+        component=episode.spec.component,
+        validity=episode.validity,
+        duration=float(episode.time[-1] - episode.time[0]) if episode.ticks else 0.0,
+        alarms={
+            name: _stretches(time, asked[name], flagged.get(name, set())) for name in sorted(asked)
+        },
+        alerts=_stretches(time, set(time), alerted) if metrics.alert_ticks else None,
+        manifested_at=_first(fault.manifested_at for fault in faults),
+        detected_at=_first(fault.detected_at for fault in faults),
+        intervention=_intervention(episode),
+        began_at=_first(fault.began_at for fault in faults if fault.success),
+    )
+
+
+def _stretches(times: list[float], asked: set[float], flagged: set[float]) -> tuple[Stretch, ...]:
+    """Runs of times from a flagged one to the last before one that was asked and not flagged."""
+    found: list[Stretch] = []
+    standing = False
+    for time in times:
+        stood, standing = standing, time in flagged or (standing and time not in asked)
+        if standing:
+            found.append((found.pop()[0] if stood else time, time))
+    return tuple(found)
+
+
+def _first(times: Iterable[float | None]) -> float | None:
+    return min((time for time in times if time is not None), default=None)
+
+
+def _intervention(episode: Episode) -> str | None:
+    if (episode.decisions["source"] == "recovery").any():
+        return "recovery acted"
+    if episode.termination == "halt":
+        return "the episode was halted"
+    if (episode.decisions["attempts"] > 0).any():
+        return "a proposal was refined"
+    return None
+
+
+def _lists(stretches: Iterable[Stretch]) -> list[list[float]]:
+    return [list(stretch) for stretch in stretches]
+
+
+def _tuples(stretches: Iterable[Iterable[float]]) -> tuple[Stretch, ...]:
+    return tuple((first, last) for first, last in stretches)
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,3 +235,182 @@ def _spread(times: tuple[float, ...]) -> dict[str, float] | None:
     if not times:
         return None
     return {"min": min(times), "median": statistics.median(times), "max": max(times)}
+
+
+HORIZON = 5.0
+"""Seconds before a violation within which an alarm counts as a warning of it, by default."""
+ALERTS = "alerts"
+"""The name of all alerts together, where they are judged as one monitor."""
+FAULTS = "faults"
+"""What alerts are judged against: that a fault has manifested."""
+_TOLERANCE = 1e-6
+"""Seconds; times are sums of float steps."""
+
+
+def judge_monitor(
+    monitor: str, judged: Iterable[tuple[EpisodeVerdict, MonitorTimeline]], horizon: float = HORIZON
+) -> MonitorQuality:
+    """How well a monitor's alarms foretold the violations of a requirement.
+
+    Args:
+        monitor: The monitor's role name.
+        judged: The verdict on each episode, and what the monitors said in it.
+        horizon: Seconds before a violation within which an alarm counts as a warning of it.
+
+    Raises:
+        ConfigurationError: If a monitor's word changed what was carried out in an episode, if the
+            verdicts are of several requirements or components or not those of the episodes, if the
+            monitor was asked in none of them, or for a horizon that is no positive number.
+    """
+    if not 0.0 < horizon < math.inf:
+        raise ConfigurationError(
+            "a horizon is a positive, finite number of seconds",
+            key="horizon",
+            found=horizon,
+            expected="a number above 0, such as 5.0",
+        )
+    pairs = list(judged)
+    _check_uninvolved(seen for _, seen in pairs)
+    _check_asked(monitor, [seen for _, seen in pairs])
+    tally = _Tally()
+    claims = set()
+    for verdict, seen in pairs:
+        if (verdict.episode, verdict.component) != (seen.episode, seen.component):
+            raise ConfigurationError(
+                "a verdict and what the monitors said are about one episode",
+                found=f"{verdict.episode} and {seen.episode}",
+                remedy="give each episode's verdict with its own watch",
+            )
+        claims.add((verdict.requirement, verdict.component))
+        alarms = seen.alarms.get(monitor, ())
+        if verdict.verdict == "missing":
+            tally.counts["missing"] += 1
+        elif not verdict.valid or verdict.verdict == "open":  # an open one may yet be violated
+            tally.counts["invalid"] += 1
+        elif verdict.verdict == "satisfied":
+            tally.negative(alarms, seen.duration)
+        elif verdict.time is None:
+            tally.counts["untimed"] += 1
+        else:
+            tally.violated(alarms, verdict.time, horizon)
+    requirement, component = _one_claim(claims)
+    return tally.quality(monitor, requirement, component, horizon)
+
+
+def judge_alerts(watches: Iterable[MonitorTimeline]) -> MonitorQuality:
+    """How well the alerts told episodes with a manifested fault from those without one.
+
+    Args:
+        watches: What the monitors said in each episode; it takes episodes with and without faults
+            to tell both kinds of error.
+
+    Raises:
+        ConfigurationError: If a monitor's word changed what was carried out in an episode, if no
+            assessor was asked in a valid one, or the episodes are of several components.
+    """
+    found = list(watches)
+    _check_uninvolved(found)
+    tally = _Tally()
+    for seen in found:
+        if seen.validity != "valid":
+            tally.counts[seen.validity] += 1
+        elif seen.alerts is None:
+            raise ConfigurationError(
+                "alerts are judged where there is somebody to raise them",
+                found=f"no assessor was asked in {seen.episode}",
+                expected="a loop with a SecurityAssessor in it",
+            )
+        elif seen.manifested_at is None:
+            tally.negative(seen.alerts, seen.duration)
+        else:
+            began = seen.manifested_at if seen.began_at is None else seen.began_at
+            tally.attacked(seen.alerts, began, seen.detected_at)
+    target, component = _one_claim({(FAULTS, seen.component) for seen in found})
+    return tally.quality(ALERTS, target, component, None)
+
+
+@dataclass
+class _Tally:
+    counts: Counter[str] = field(default_factory=Counter)
+    lead_times: list[float] = field(default_factory=list)
+    delays: list[float] = field(default_factory=list)
+    seconds: list[float] = field(default_factory=list)
+
+    def negative(self, alarms: tuple[Stretch, ...], duration: float) -> None:
+        self.counts["false_positives" if alarms else "true_negatives"] += 1
+        self.counts["false_alarms"] += len(alarms)
+        self.seconds.append(duration)
+
+    def violated(self, alarms: tuple[Stretch, ...], time: float, horizon: float) -> None:
+        in_time = [alarm for alarm in alarms if alarm[0] < time - _TOLERANCE]
+        warning = [first for first, last in in_time if last >= time - horizon - _TOLERANCE]
+        if warning:
+            self.counts["true_positives"] += 1
+            self.lead_times.append(min(time - min(warning), horizon))
+        else:
+            self._missed(alarms, late=len(in_time) < len(alarms))
+
+    def attacked(
+        self, alerts: tuple[Stretch, ...], began_at: float, detected_at: float | None
+    ) -> None:
+        if detected_at is None:
+            self._missed(alerts, late=any(last >= began_at for _, last in alerts))
+        else:
+            self.counts["true_positives"] += 1
+            self.delays.append(detected_at - began_at)
+
+    def _missed(self, alarms: tuple[Stretch, ...], *, late: bool) -> None:
+        self.counts["false_negatives"] += 1
+        if alarms:
+            self.counts["late" if late else "early"] += 1
+
+    def quality(
+        self, monitor: str, target: str, component: str, horizon: float | None
+    ) -> MonitorQuality:
+        names = (
+            "true_positives", "false_negatives", "false_positives", "true_negatives",
+            "late", "early", "untimed", "invalid", "missing", "false_alarms",
+        )  # fmt: skip
+        return MonitorQuality(
+            monitor=monitor,
+            target=target,
+            component=component,
+            horizon=horizon,
+            lead_times=tuple(self.lead_times),
+            delays=tuple(self.delays),
+            hours=math.fsum(self.seconds) / 3600.0,
+            **{name: self.counts[name] for name in names},
+        )
+
+
+def _check_uninvolved(watches: Iterable[MonitorTimeline]) -> None:
+    for seen in watches:
+        if seen.intervention is not None:
+            raise ConfigurationError(
+                "a monitor is judged where nobody acts on its word: a violation that was averted"
+                " would make its true alarm a false one",
+                found=f"{seen.intervention} in {seen.episode}",
+                expected="episodes of the policy log_only",
+                remedy="run the case with the policy log_only, or without the recovery planner",
+            )
+
+
+def _check_asked(monitor: str, watches: list[MonitorTimeline]) -> None:
+    known = sorted({name for seen in watches for name in seen.alarms})
+    if watches and monitor not in known:
+        raise ConfigurationError(
+            f"no monitor {monitor!r} was asked in any of these episodes",
+            key="monitor",
+            found=monitor,
+            expected="one of " + ", ".join(known) if known else "a loop with a monitor in it",
+        )
+
+
+def _one_claim(claims: set[tuple[str, str]]) -> tuple[str, str]:
+    if len(claims) != 1:
+        raise ConfigurationError(
+            "a monitor is judged on episodes of one component, against one requirement",
+            found=" and ".join(f"{one} of {who}" for one, who in sorted(claims)) or "no episodes",
+            remedy="judge it apart for each",
+        )
+    return claims.pop()

@@ -2,41 +2,43 @@
 
 from __future__ import annotations
 
-from pytest_dura.requirements.statistics.characteristics import (
-    Boundaries,
-    Characteristics,
-    operating_characteristics,
-    simulate,
-)
 from pytest_dura.requirements.statistics.comparison import (
     Comparison,
-    ComparisonWord,
+    ComparisonStatus,
     compare_counts,
     compare_pairs,
-    comparison_word,
+    comparison_status,
     holm,
     mcnemar,
     mcnemar_one_sided,
 )
-from pytest_dura.requirements.statistics.eprocess import EProcess
-from pytest_dura.requirements.statistics.exact import (
-    METHOD,
+from pytest_dura.requirements.statistics.rate_tests import (
+    EXACT_METHOD,
+    METHODS,
+    EProcess,
+    FixedN,
+    Sprt,
     lower_bound,
+    make_test,
     runs_needed,
     upper_bound,
 )
-from pytest_dura.requirements.statistics.fixed import FixedN
-from pytest_dura.requirements.statistics.methods import METHODS, make_test
-from pytest_dura.requirements.statistics.sequential import Decision, SequentialTest
-from pytest_dura.requirements.statistics.sprt import Sprt
+from pytest_dura.requirements.statistics.sequential import (
+    Boundaries,
+    Characteristics,
+    Decision,
+    SequentialTest,
+    operating_characteristics,
+    simulate,
+)
 
 __all__ = [
-    "METHOD",
+    "EXACT_METHOD",
     "METHODS",
     "Boundaries",
     "Characteristics",
     "Comparison",
-    "ComparisonWord",
+    "ComparisonStatus",
     "Decision",
     "EProcess",
     "FixedN",
@@ -44,7 +46,7 @@ __all__ = [
     "Sprt",
     "compare_counts",
     "compare_pairs",
-    "comparison_word",
+    "comparison_status",
     "holm",
     "lower_bound",
     "make_test",

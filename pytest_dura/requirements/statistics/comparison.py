@@ -10,7 +10,7 @@ from typing import Literal
 
 from pytest_dura.requirements.statistics.sequential import error_level, require_between
 
-ComparisonWord = Literal["better", "worse", "no evidence of a change"]
+ComparisonStatus = Literal["better", "worse", "no evidence of a change"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,7 +23,7 @@ class Comparison:
         p_worse: One-sided p-value against "the rate is not higher than the baseline's".
     """
 
-    word: ComparisonWord
+    word: ComparisonStatus
     p_better: float
     p_worse: float
 
@@ -99,7 +99,7 @@ def compare_counts(
             raise ValueError(f"{some} violations in {of} episodes is not a count")
     p_better = float(_as_few(violations, n, baseline_violations, baseline_n))
     p_worse = float(_as_few(baseline_violations, baseline_n, violations, n))
-    return Comparison(comparison_word(p_better, p_worse, confidence), p_better, p_worse)
+    return Comparison(comparison_status(p_better, p_worse, confidence), p_better, p_worse)
 
 
 def compare_pairs(only_new: int, only_baseline: int, confidence: float = 0.95) -> Comparison:
@@ -120,10 +120,10 @@ def compare_pairs(only_new: int, only_baseline: int, confidence: float = 0.95) -
     require_between("confidence", confidence, 0.5, 1.0)
     p_better = mcnemar_one_sided(only_baseline, only_new)
     p_worse = mcnemar_one_sided(only_new, only_baseline)
-    return Comparison(comparison_word(p_better, p_worse, confidence), p_better, p_worse)
+    return Comparison(comparison_status(p_better, p_worse, confidence), p_better, p_worse)
 
 
-def comparison_word(p_better: float, p_worse: float, confidence: float) -> ComparisonWord:
+def comparison_status(p_better: float, p_worse: float, confidence: float) -> ComparisonStatus:
     """What two one-sided p-values say; the two words exclude each other above one half."""
     level = error_level(confidence)
     if p_better <= level:

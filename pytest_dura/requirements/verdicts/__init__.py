@@ -8,13 +8,15 @@ from pytest_dura.requirements.verdicts.campaigns import (
     Counterexample,
     Margins,
 )
-from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict, JudgedEpisode, judge_episode
-from pytest_dura.requirements.verdicts.judging import CampaignJudge, judge_campaign
-from pytest_dura.requirements.verdicts.searched import (
+from pytest_dura.requirements.verdicts.episodes import (
+    EpisodeVerdict,
+    JudgedEpisode,
     SearchedEpisode,
     SearchVerdict,
+    judge_episode,
     judge_searched,
 )
+from pytest_dura.requirements.verdicts.judging import CampaignJudge, judge_campaign
 
 __all__ = [
     "Bound",

@@ -1,18 +1,95 @@
-"""CampaignVerdict: what one requirement says of a campaign, with every figure that it rests on."""
+"""CampaignVerdict: what a requirement says of a campaign, its figures, and whether its runs differ.
+
+Runs with equal trajectories are one observation, however many they are: no rate follows from them.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Literal, get_args
 
 import numpy as np
 
-from pytest_dura.requirements.statistics import METHOD
-from pytest_dura.requirements.verdicts.situations import Situation
+from pytest_dura.core.episode import Episode
+from pytest_dura.requirements.statistics.rate_tests import EXACT_METHOD
 
-CampaignWord = Literal["supported", "violated", "undecided"]
-CAMPAIGN_STATUSES: tuple[str, ...] = get_args(CampaignWord)
+Situation = Literal["repeated", "without effect"]
+REPEATED: Situation = "repeated"
+"""All runs are equal, and nothing is declared to vary: one situation, repeated."""
+WITHOUT_EFFECT: Situation = "without effect"
+"""All runs are equal, though something is declared to vary: it has no effect."""
+
+SITUATIONS: dict[str, str] = {
+    REPEATED: "one situation, repeated",
+    WITHOUT_EFFECT: "the declared variation has no effect",
+}
+"""How users are told of them."""
+EQUAL_RUNS = 2
+"""Runs after which a campaign ends if nothing is declared to vary and they are equal."""
+
+
+class Situations:
+    """Takes in the runs of a campaign, and of its twins, in any order; none of them is kept.
+
+    Args:
+        varies: Whether something is declared to vary, see :func:`varies`.
+    """
+
+    def __init__(self, *, varies: bool) -> None:
+        self._varies = varies
+        self._first: dict[str, tuple[int, str]] = {}
+        self._several: set[str] = set()
+        self._differ = False
+
+    def add(self, episode: Episode) -> None:
+        """A run, or its twin."""
+        spec = episode.spec
+        self.add_run(
+            spec.case,
+            spec.run,
+            episode.trajectory,
+            valid=episode.validity == "valid",
+            drawn=episode.drawn,
+        )
+
+    def add_run(self, case: str, number: int, trajectory: str, *, valid: bool, drawn: bool) -> None:
+        """A run as the record has it.
+
+        Args:
+            case: Id of its case.
+            number: Of the run.
+            trajectory: :attr:`Episode.trajectory`.
+            valid: Whether it is valid; others show nothing, and so not that all are equal.
+            drawn: Whether random numbers were drawn in it: what draws declares that it varies.
+        """
+        first, known = self._first.setdefault(case, (number, trajectory))
+        if number != first:
+            self._several.add(case)
+        self._differ |= trajectory != known or not valid
+        self._varies |= drawn
+
+    @property
+    def situation(self) -> Situation | None:
+        """What the runs are if all are equal; ``None`` if they differ, or there is only one."""
+        if self._differ or not self._first or self._several != self._first.keys():
+            return None
+        return WITHOUT_EFFECT if self._varies else REPEATED
+
+
+def varies(paths: Iterable[str], faults: Collection[str]) -> bool:
+    """Whether a scenario varies anything of a case.
+
+    Args:
+        paths: What it varies: ``world.x``, ``faults.id.x``.
+        faults: Ids of the case's faults.
+    """
+    of_faults = {tuple(path.split(".", 2)[:2]) for path in paths}
+    return any(path[0] != "faults" or path[-1] in faults for path in of_faults)
+
+
+CampaignStatus = Literal["supported", "violated", "undecided"]
+CAMPAIGN_STATUSES: tuple[str, ...] = get_args(CampaignStatus)
 
 EVERY_EPISODE = "every episode"
 """The method of a requirement that accepts no violation."""
@@ -32,7 +109,7 @@ class Bound:
 
     confidence: float
     upper: float | None
-    method: str = METHOD
+    method: str = EXACT_METHOD
     at_most: float | None = None
 
 
@@ -71,7 +148,7 @@ class Counterexample:
 
 
 @dataclass(frozen=True, slots=True)
-class Spoilt:
+class UncountedEpisode:
     """An episode that does not decide a requirement, and why."""
 
     episode: str
@@ -119,7 +196,7 @@ class CampaignVerdict:
     requirement: str
     case: str
     component: str
-    verdict: CampaignWord
+    verdict: CampaignStatus
     reason: str
     method: str
     planned: int
@@ -138,7 +215,7 @@ class CampaignVerdict:
     margins: Margins | None
     counterexamples: tuple[Counterexample, ...]
     pairs: Mapping[str, Any] | None = None
-    spoilt: Spoilt | None = None
+    spoilt: UncountedEpisode | None = None
     situation: Situation | None = None
 
     def to_json(self) -> dict[str, Any]:
@@ -161,6 +238,6 @@ class CampaignVerdict:
                 "bound": Bound(**data["bound"]),
                 "margins": None if margins is None else Margins(**margins),
                 "counterexamples": tuple(Counterexample(**one) for one in data["counterexamples"]),
-                "spoilt": None if spoilt is None else Spoilt(**spoilt),
+                "spoilt": None if spoilt is None else UncountedEpisode(**spoilt),
             }
         )

@@ -1,11 +1,15 @@
-"""What one requirement says of one episode, and episodes that answer to formulas."""
+"""Verdicts on episodes: one of a campaign, one by a test's formula, one that a search chose.
+
+A search looks where it expects violations, so that its episodes are no sample of anything. They
+have types of their own, which neither :func:`judge_episode` nor a campaign takes.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, NoReturn, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +17,8 @@ from numpy.typing import NDArray
 from pytest_dura.core.boundary import Boundary
 from pytest_dura.core.episode import Episode
 from pytest_dura.core.errors import ConfigurationError, describe_error
-from pytest_dura.core.loop_signals import PREFIX, loop_signals
+from pytest_dura.core.loop_signals import LOOP_PREFIX, loop_signals
+from pytest_dura.core.loop_signals import PROPOSAL_PREFIX as ACCOUNTS
 from pytest_dura.requirements.checks import (
     Check,
     CheckResult,
@@ -24,17 +29,55 @@ from pytest_dura.requirements.checks import (
     read_formula,
 )
 from pytest_dura.requirements.model import Requirement
-from pytest_dura.requirements.stl.language.formula import Formula, unknown_signal
-from pytest_dura.requirements.stl.language.nodes import conjuncts
-from pytest_dura.requirements.stl.offline.evaluation import Ending, Evaluation, evaluate
-from pytest_dura.requirements.verdicts.accounts import never_measured, untold
-from pytest_dura.requirements.verdicts.sealed import SealedColumns
+from pytest_dura.requirements.stl.evaluation import Ending, Evaluation, evaluate
+from pytest_dura.requirements.stl.formula import Formula, conjuncts, unknown_signal
 
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-EpisodeWord = Literal["satisfied", "violated", "open", "invalid", "missing"]
-EPISODE_STATUSES: tuple[str, ...] = get_args(EpisodeWord)
+
+def unmeasured_failure_modes(formula: Formula, episode: Episode) -> list[str]:
+    """Failure modes in a formula that no decision of the episode could have shown.
+
+    Their signals are 0 throughout. That such a formula holds says nothing.
+    """
+    names = [name.removeprefix(ACCOUNTS) for name in formula.signals if name.startswith(ACCOUNTS)]
+    tallies = episode.metrics.tallies
+    return [name for name in names if name in tallies and tallies[name].of == 0]
+
+
+def signals_without_account(formula: Formula, known: Collection[str]) -> list[str]:
+    """The signals of a formula that only accounts give, of an episode that has none."""
+    if any(name.startswith(ACCOUNTS) for name in known):
+        return []
+    return [name for name in formula.signals if name.startswith(ACCOUNTS)]
+
+
+class SealedColumns(dict[str, NDArray[Any]]):
+    """Columns by name, neither of which can be written; ``dict(columns)`` is a copy that can grow.
+
+    Args:
+        columns: The columns. They are sealed in place.
+    """
+
+    def __init__(self, columns: Mapping[str, NDArray[Any]]) -> None:
+        super().__init__(columns)
+        for column in columns.values():
+            np.asarray(column).flags.writeable = False
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Copies and pickles are plain dictionaries."""
+        return dict, (dict(self),)
+
+    def _refuse(self, *_: object, **__: object) -> NoReturn:
+        raise TypeError("the columns of an episode cannot be changed; take a copy, dict(columns)")
+
+    __setitem__ = __delitem__ = __ior__ = _refuse
+    clear = pop = popitem = setdefault = update = _refuse
+
+
+EpisodeStatus = Literal["satisfied", "violated", "open", "invalid", "missing"]
+EPISODE_STATUSES: tuple[str, ...] = get_args(EpisodeStatus)
 
 EARLY_ENDS = {
     "critical": "the episode ended critical",
@@ -85,7 +128,7 @@ class EpisodeVerdict:
     requirement: str
     episode: str
     component: str
-    verdict: EpisodeWord
+    verdict: EpisodeStatus
     margin: float | None
     time: float | None
     detail: str
@@ -183,7 +226,7 @@ def _violates(check: Check, episode: Episode) -> bool:
         return False
 
 
-def judged(check: Check, episode: Episode) -> tuple[EpisodeWord, CheckResult]:
+def judged(check: Check, episode: Episode) -> tuple[EpisodeStatus, CheckResult]:
     """The word and the result of a check on an episode, of whatever kind.
 
     Raises:
@@ -196,19 +239,19 @@ def judged(check: Check, episode: Episode) -> tuple[EpisodeWord, CheckResult]:
     return _by_function(function, check_name(check), episode)
 
 
-def _by_formula(formula: Formula, episode: Episode) -> tuple[EpisodeWord, CheckResult]:
+def _by_formula(formula: Formula, episode: Episode) -> tuple[EpisodeStatus, CheckResult]:
     found, gap = evaluate_episode(formula, episode)
     if found is None:
         return "missing", CheckResult(False, detail=episode.failure or "the episode has no samples")
     margin = found.margin if math.isfinite(found.margin) else None
 
     def result(detail: str, *, holds: bool = False) -> CheckResult:
-        vacuous = found.vacuous or bool(never_measured(formula, episode))
+        vacuous = found.vacuous or bool(unmeasured_failure_modes(formula, episode))
         return CheckResult(holds, margin, found.time, detail, holds and vacuous)
 
     if found.status == "violated":
         return "violated", result(found.detail)
-    spoilt = _spoilt(episode)
+    spoilt = _uncounted(episode)
     if spoilt is not None:
         return spoilt[0], result(spoilt[1])
     if found.status == "undecided":
@@ -222,7 +265,7 @@ def _by_formula(formula: Formula, episode: Episode) -> tuple[EpisodeWord, CheckR
 
 def _by_function(
     function: Callable[..., Any], name: str, episode: Episode
-) -> tuple[EpisodeWord, CheckResult]:
+) -> tuple[EpisodeStatus, CheckResult]:
     """A function sees complete episodes only: it cannot know what a prefix may become.
 
     An episode that ended critical, or was halted, is complete: nothing follows it.
@@ -244,7 +287,7 @@ def _by_function(
         result = CheckResult(result.holds, None, result.time, result.detail, result.vacuous)
     if not result.holds:
         return "violated", result
-    spoilt = _spoilt(episode)
+    spoilt = _uncounted(episode)
     if spoilt is None and episode.ended_early:
         spoilt = "open", EARLY_ENDS[episode.termination]
     if spoilt is not None:
@@ -252,7 +295,7 @@ def _by_function(
     return "satisfied", result
 
 
-def _spoilt(episode: Episode) -> tuple[EpisodeWord, str] | None:
+def _uncounted(episode: Episode) -> tuple[EpisodeStatus, str] | None:
     """Why an episode that violated nothing says nothing, if so."""
     if episode.failure is not None:
         return "missing", episode.failure
@@ -274,7 +317,7 @@ def evaluate_episode(formula: Formula, episode: Episode) -> tuple[Evaluation | N
     """
     known = _columns(formula, episode)
     missing = [name for name in formula.signals if name not in known]
-    if missing and missing == untold(formula, known) and episode.ticks:
+    if missing and missing == signals_without_account(formula, known) and episode.ticks:
         return _without_account(formula, missing, episode)
     if missing and (episode.signals or episode.failure is None):
         remedy = _WHOLE if episode.termination == "decided" else None
@@ -323,7 +366,7 @@ def _without_account(
 
 def _columns(formula: Formula, episode: Episode) -> Mapping[str, NDArray[np.float64]]:
     """The episode's signals, and those of the loop where the formula reads one."""
-    if any(name.startswith(PREFIX) for name in formula.signals):
+    if any(name.startswith(LOOP_PREFIX) for name in formula.signals):
         return {**episode.signals, **loop_signals(episode)}
     return episode.signals
 
@@ -373,3 +416,59 @@ class JudgedEpisode(Episode):
             ConfigurationError: If a formula cannot be read or names an unknown signal.
         """
         return judged(check, self)[0] == "satisfied"
+
+
+class SearchedEpisode(JudgedEpisode):
+    """An episode that a search or a strategy chose. It answers to formulas, and enters no rate."""
+
+    searched: ClassVar[bool] = True
+
+
+@dataclass(frozen=True, slots=True)
+class SearchVerdict:
+    """What one requirement says of one episode of a search; no :class:`EpisodeVerdict`.
+
+    Args:
+        requirement: Id of the requirement.
+        episode: Id of the episode.
+        word: ``satisfied``, ``violated``, ``open``, ``invalid`` or ``missing``.
+        margin: Robustness; ``None`` where there is no trace to measure it on, and for a check that
+            gives none.
+        time: Seconds at which it was violated first, for a violation.
+        detail: Why, in words.
+        vacuous: Whether it is satisfied only because its condition never held.
+    """
+
+    requirement: str
+    episode: str
+    word: EpisodeStatus
+    margin: float | None
+    time: float | None
+    detail: str
+    vacuous: bool = False
+
+
+def judge_searched(
+    requirement: Requirement, episode: SearchedEpisode, check: Check | None = None
+) -> SearchVerdict:
+    """What a requirement's check says of an episode of a search.
+
+    Args:
+        requirement: The requirement.
+        episode: The episode.
+        check: A check in place of the requirement's own.
+
+    Raises:
+        ConfigurationError: If the check cannot be read or imported, or names a signal that the
+            episode does not have.
+    """
+    word, result = judged(requirement.check if check is None else check, episode)
+    return SearchVerdict(
+        requirement.id,
+        episode.id,
+        word,
+        result.margin,
+        result.time if word == "violated" else None,
+        result.detail,
+        result.vacuous and word == "satisfied",
+    )

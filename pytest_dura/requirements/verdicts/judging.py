@@ -1,34 +1,118 @@
-"""CampaignJudge: takes the verdicts on episodes one by one, and says when they suffice."""
+"""CampaignJudge: takes the verdicts on episodes as they come, and says when they suffice."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from typing import Literal
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.requirements.methods import check_share, method_of, rate_test
 from pytest_dura.requirements.model import Requirement
-from pytest_dura.requirements.statistics import (
-    METHOD,
-    SequentialTest,
+from pytest_dura.requirements.statistics.rate_tests import (
+    EXACT_METHOD,
     lower_bound,
+    make_test,
     runs_needed,
     upper_bound,
 )
+from pytest_dura.requirements.statistics.sequential import SequentialTest
 from pytest_dura.requirements.verdicts.campaigns import (
-    Bound,
-    CampaignVerdict,
-    CampaignWord,
-    Margins,
-)
-from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict, EpisodeWord
-from pytest_dura.requirements.verdicts.situations import (
+    EVERY_EPISODE,
     REPEATED,
     SITUATIONS,
     WITHOUT_EFFECT,
+    Bound,
+    CampaignStatus,
+    CampaignVerdict,
+    Counterexample,
+    Margins,
     Situation,
+    UncountedEpisode,
 )
-from pytest_dura.requirements.verdicts.standing_out import counterexamples, first_spoilt, idle
+from pytest_dura.requirements.verdicts.episodes import EpisodeStatus, EpisodeVerdict
+
+
+def method_of(requirement: Requirement, *, until_decided: bool = False) -> str:
+    """How the requirement is decided: ``every episode``, or a method for its rate.
+
+    Raises:
+        ConfigurationError: For a method without a rate.
+    """
+    if requirement.at_most is not None:
+        return requirement.method or ("e-process" if until_decided else "fixed")
+    for key, value in (("method", requirement.method), ("p0", requirement.p0)):
+        if value is not None:
+            raise ConfigurationError(
+                "a method decides on a rate, and this requirement accepts no violation at all",
+                key=key,
+                found=value,
+                expected="`at_most` with it",
+                remedy=f"add `at_most`, or leave `{key}` out",
+            )
+    return EVERY_EPISODE
+
+
+def check_share(key: str, value: float, *, above: float) -> None:
+    """Refuse a rate or a confidence that makes no sense.
+
+    Raises:
+        ConfigurationError: If it does not lie strictly between ``above`` and 1.
+    """
+    if not above < value < 1.0:
+        raise ConfigurationError(
+            f"{key} lies strictly between {above:g} and 1",
+            key=key,
+            found=value,
+            expected="a share such as 0.05" if above == 0 else "a share such as 0.95",
+            remedy=f"correct {key}",
+        )
+
+
+def rate_test(requirement: Requirement, method: str, planned: int) -> SequentialTest | None:
+    """What decides on the requirement's rate; ``None`` where no violation is accepted.
+
+    Raises:
+        ConfigurationError: For a method that cannot decide on this rate.
+    """
+    if requirement.at_most is None:
+        return None
+    return make_test(
+        method, requirement.at_most, requirement.confidence, requirement.p0, max(planned, 1)
+    )
+
+
+def not_manifested(verdicts: Sequence[EpisodeVerdict]) -> list[str]:
+    """The planned faults that manifested in none of the episodes: nothing is known of them."""
+    if not verdicts:
+        return []
+    return [name for name in verdicts[0].idle if all(name in one.idle for one in verdicts)]
+
+
+def first_uncounted(verdicts: Sequence[EpisodeVerdict]) -> UncountedEpisode | None:
+    """The first missing episode, or else the first invalid one, or else the first open one."""
+    words: tuple[Literal["missing", "invalid", "open"], ...] = ("missing", "invalid", "open")
+    for word in words:
+        for one in verdicts:
+            if one.verdict == word:
+                return UncountedEpisode(one.episode, word, one.detail)
+    return None
+
+
+def counterexamples(judged: Sequence[EpisodeVerdict]) -> tuple[Counterexample, ...]:
+    """The violating episodes, the valid ones first, of each kind the largest violation first."""
+    violated = [one for one in judged if one.verdict == "violated"]
+    violated.sort(
+        key=lambda one: (
+            one.without_effect,
+            one.margin if one.margin is not None else 0.0,
+            one.episode,
+        )
+    )
+    return tuple(
+        Counterexample(one.episode, one.time, one.margin, not one.without_effect)
+        for one in violated
+    )
+
 
 MAX_INVALID_SHARE = 0.2
 """Share of invalid episodes above which a campaign says nothing."""
@@ -119,7 +203,7 @@ class CampaignJudge:
         if self.sequential and verdict.valid:
             self._test(verdict.verdict)
 
-    def _test(self, word: EpisodeWord) -> None:
+    def _test(self, word: EpisodeStatus) -> None:
         """Count a valid episode in the tests of the rate, as far as they have not decided."""
         if self.test is None or self._rejecting is None:
             return
@@ -181,7 +265,7 @@ class CampaignJudge:
             margin=min(margins) if margins else None,
             margins=Margins.of(margins),
             counterexamples=counterexamples(self.verdicts),
-            spoilt=first_spoilt(self.verdicts),
+            spoilt=first_uncounted(self.verdicts),
             situation=self.situation,
         )
 
@@ -200,15 +284,15 @@ class CampaignJudge:
     def _bound(self, valid: int) -> Bound:
         confidence, at_most = self.requirement.confidence, self.requirement.at_most
         if self.situation is not None:
-            method = METHOD if self.test is None else self.test.method
+            method = EXACT_METHOD if self.test is None else self.test.method
             return Bound(confidence, None, method, at_most)
         if self.test is None or self.method == "fixed":
             worst = self._count("violated") + self._count("open")
             upper = upper_bound(worst, valid, confidence) if valid else None
-            return Bound(confidence, upper, METHOD, at_most)
+            return Bound(confidence, upper, EXACT_METHOD, at_most)
         return Bound(confidence, self.test.upper if valid else None, self.test.method, at_most)
 
-    def _decide(self) -> tuple[CampaignWord, str]:
+    def _decide(self) -> tuple[CampaignStatus, str]:
         violations, valid = self._count("violated"), self._valid
         counts = f"{violations} of {valid} valid {self._noun} violated it"
         if self._count("open"):
@@ -230,7 +314,7 @@ class CampaignJudge:
         count = f"{self._count('without effect')} of {self._invalid} invalid {self._noun}"
         return f"violated, without effect of the fault, in {count}"
 
-    def _decide_on_one_situation(self) -> tuple[CampaignWord, str]:
+    def _decide_on_one_situation(self) -> tuple[CampaignStatus, str]:
         """Equal runs are one observation: it violates the requirement or not, at no rate."""
         assert self.situation is not None
         violations, valid, told = self._count("violated"), self._valid, SITUATIONS[self.situation]
@@ -245,7 +329,7 @@ class CampaignJudge:
             return "undecided", "; ".join(obstacles)
         return "supported", f"all {valid} valid {self._noun} satisfied it: {told}"
 
-    def _decide_sequential(self, test: SequentialTest, counts: str) -> tuple[CampaignWord, str]:
+    def _decide_sequential(self, test: SequentialTest, counts: str) -> tuple[CampaignStatus, str]:
         limit, confidence = self.requirement.at_most, self.requirement.confidence
         told = f"{counts}; {self.method} at {confidence:g} confidence"
         if self._rejecting is not None and self._rejecting.decision == "violated":
@@ -263,7 +347,7 @@ class CampaignJudge:
             f"{told} has not decided on at most {limit:g} within {self.planned} runs",
         )
 
-    def _decide_fixed(self, counts: str) -> tuple[CampaignWord, str]:
+    def _decide_fixed(self, counts: str) -> tuple[CampaignStatus, str]:
         at_most, confidence = self.requirement.at_most, self.requirement.confidence
         assert at_most is not None
         violations, valid = self._count("violated"), self._valid
@@ -319,7 +403,7 @@ class CampaignJudge:
         vacuous = sum(one.vacuous for one in self.verdicts)
         if satisfied and satisfied == vacuous and not self._count("violated"):
             found.append(f"its condition held in none of the {valid} valid {self._noun} (vacuous)")
-        never = idle([one for one in self.verdicts if one.valid])
+        never = not_manifested([one for one in self.verdicts if one.valid])
         if never:
             found.append(f"{', '.join(never)} manifested in none of the {valid} valid {self._noun}")
         asked = sum(one.proposals for one in self.verdicts)

@@ -25,7 +25,7 @@ from pytest_dura import (
     check_simulator,
 )
 from pytest_dura.adapters.gymnasium import GymnasiumSimulator, read_only
-from pytest_dura.core.seeding import noting_draws
+from pytest_dura.core.seeding import recording_draws
 
 HERE = __name__
 
@@ -137,11 +137,11 @@ def test_the_seed_of_the_episode_seeds_the_environment() -> None:
 
 
 def test_what_an_environment_draws_is_noted(monkeypatch: pytest.MonkeyPatch) -> None:
-    with noting_draws() as draws:
+    with recording_draws() as draws:
         tank().reset({}, 7)
     assert draws.any
     monkeypatch.setattr(Tank, "reset", dry)
-    with noting_draws() as draws:
+    with recording_draws() as draws:
         tank().reset({}, 7)
     assert not draws.any
 

@@ -10,13 +10,13 @@ from dataclasses import replace
 
 import pytest
 
-from pytest_dura.campaign.components import LocalRole
-from pytest_dura.campaign.episodes import address as module
-from pytest_dura.campaign.episodes.address import Addresses, machine
-from pytest_dura.campaign.episodes.task import EpisodeTask
 from pytest_dura.core.episode import EpisodeSpec, Policy, Termination
 from pytest_dura.core.role_spec import RoleSpec
-from pytest_dura.provenance.imported import own_code
+from pytest_dura.execution import address as module
+from pytest_dura.execution.address import Addresses, describe_machine
+from pytest_dura.execution.task import EpisodeTask
+from pytest_dura.library.roles import LocalRole
+from pytest_dura.provenance import user_code
 from pytest_dura.requirements.model import Requirement
 
 FILES = {
@@ -69,8 +69,8 @@ def test_an_equal_task_has_an_equal_address_in_any_process(project):
     script = f"""
 import json, sys
 sys.path[:0] = json.loads(sys.argv[1])
-from pytest_dura.campaign.episodes.address import Addresses
-from pytest_dura.campaign.episodes.task import EpisodeTask
+from pytest_dura.execution.address import Addresses
+from pytest_dura.execution.task import EpisodeTask
 print(Addresses().of(EpisodeTask.from_json(json.loads({json.dumps(task().to_json())!r}))).name)
 """
     names = set()
@@ -189,9 +189,9 @@ def test_requirements_count_where_they_end_the_episode_and_for_what_ends_it(proj
 
 @pytest.mark.parametrize("part", ["numpy", "other packages", "Python", "code of pytest-dura"])
 def test_versions_of_packages_and_our_own_code_are_named(project, monkeypatch, part):
-    other = {**machine(), part: "0"}
+    other = {**describe_machine(), part: "0"}
     first = Addresses().of(task())
-    monkeypatch.setattr(module, "machine", lambda: other)
+    monkeypatch.setattr(module, "describe_machine", lambda: other)
     assert first.changed(Addresses().of(task()).parts) == [part]
 
 
@@ -245,21 +245,21 @@ def test_a_class_of_a_conftest_is_addressed_by_its_file(project):
 def test_code_that_is_no_python_is_read_as_it_is(tmp_path):
     library = tmp_path / "fast.so"
     library.write_bytes(b"one")
-    first = own_code(library, "fast")
+    first = user_code(library, "fast")
     library.write_bytes(b"two")
-    assert None not in (first, own_code(library, "fast"))
-    assert first != own_code(library, "fast")
+    assert None not in (first, user_code(library, "fast"))
+    assert first != user_code(library, "fast")
     library.unlink()
-    assert own_code(library, "fast") is None
+    assert user_code(library, "fast") is None
 
 
 def test_imports_that_go_around_in_a_circle_end(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
     (tmp_path / "circle_a.py").write_text("import circle_b, circle_a as me\n")
     (tmp_path / "circle_b.py").write_text("from circle_a import *\nimport no_such_module_at_all\n")
-    first = own_code(tmp_path / "circle_a.py", "circle_a")
+    first = user_code(tmp_path / "circle_a.py", "circle_a")
     (tmp_path / "circle_b.py").write_text("from circle_a import *\n")
-    assert own_code(tmp_path / "circle_a.py", "circle_a") != first
+    assert user_code(tmp_path / "circle_a.py", "circle_a") != first
 
 
 @pytest.mark.parametrize(
@@ -286,9 +286,9 @@ def test_what_is_imported_is_found_and_what_is_called_alike_is_not(
     (package / "using.py").write_text(text)
     aside = tmp_path / "aside.py"
     aside.write_text("1")
-    first = own_code(package / "using.py", "packed.using")
+    first = user_code(package / "using.py", "packed.using")
     aside.write_text("2")
-    assert (own_code(package / "using.py", "packed.using") != first) == counts
+    assert (user_code(package / "using.py", "packed.using") != first) == counts
 
 
 def test_a_module_with_letters_of_any_alphabet_counts(tmp_path, monkeypatch):
@@ -297,9 +297,9 @@ def test_a_module_with_letters_of_any_alphabet_counts(tmp_path, monkeypatch):
         (tmp_path / f"{name}.py").write_text("1")
         using = tmp_path / f"using_{name}.py"
         using.write_text(f"from {name} import x\n")
-        first = own_code(using, using.stem)
+        first = user_code(using, using.stem)
         (tmp_path / f"{name}.py").write_text("2")
-        assert own_code(using, using.stem) != first
+        assert user_code(using, using.stem) != first
 
 
 READS = """

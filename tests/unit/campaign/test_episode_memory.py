@@ -10,14 +10,14 @@ from handmade import SPEC, handmade
 from thermostat import Controller
 
 from pytest_dura import RoleSpec
-from pytest_dura.campaign.episodes.memory import EpisodeMemory, size_of
-from pytest_dura.campaign.episodes.store import EpisodeStore
-from pytest_dura.campaign.episodes.task import EpisodeTask, run_episode
-from pytest_dura.campaign.loading import load_library
-from pytest_dura.campaign.runner import Bench
-from pytest_dura.core.episode import EpisodeSpec, Event
+from pytest_dura.core.episode import EpisodeSpec
+from pytest_dura.core.state import Event
+from pytest_dura.execution.store import EpisodeMemory, EpisodeStore, size_of
+from pytest_dura.execution.task import EpisodeTask, run_episode
+from pytest_dura.library.loading import load_library
 from pytest_dura.requirements.model import Requirement
-from pytest_dura.requirements.verdicts import JudgedEpisode
+from pytest_dura.requirements.verdicts.episodes import JudgedEpisode
+from pytest_dura.runner import Runner
 
 WARM = EpisodeSpec(
     "room/warm", 0, 1, RoleSpec("thermostat:Thermostat"),
@@ -154,7 +154,7 @@ def test_what_came_of_faults_is_told_once_and_from_disk_as_well(tmp_path):
     )
     library = load_library([tmp_path], builtin=False)
     told = []
-    bench = Bench(
+    bench = Runner(
         lambda: library,
         on_chains=lambda case, episode, chains: told.append((episode.id, len(chains))),
         store=EpisodeStore(memory=EpisodeMemory(room=0)),

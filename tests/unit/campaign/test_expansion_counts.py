@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from pytest_dura.campaign import planned_faults
-from pytest_dura.campaign.cases import expand_cases
-from pytest_dura.campaign.loading import load_library
-from pytest_dura.campaign.planned_faults import FaultReader
+from pytest_dura.library import planned_faults
+from pytest_dura.library.cases import expand_cases
+from pytest_dura.library.loading import load_library
+from pytest_dura.library.planned_faults import FaultReader
 
 SCENARIO = """\
 name: scale/grid

@@ -9,18 +9,17 @@ from typing import Any, Literal
 import pytest
 
 from pytest_dura import ConfigurationError
-from pytest_dura.campaign import fault_grids
-from pytest_dura.campaign.cases import Case, expand_cases, one_case
-from pytest_dura.campaign.checks import problems_of
-from pytest_dura.campaign.fault_campaigns import catalogue_for, read_campaigns
-from pytest_dura.campaign.scenario import Scenario
-from pytest_dura.campaign.yaml_source import parse_yaml
 from pytest_dura.driving.sensors import FAULT_TARGETS
 from pytest_dura.faults.catalogue import FAULT_TYPES, fault_class, load_fault
 from pytest_dura.faults.model import Moment
-from pytest_dura.faults.types.base import NumberFault
-from pytest_dura.faults.types.numbers import Numeric
+from pytest_dura.faults.types.base import NumberFault, Numeric
 from pytest_dura.faults.types.scalar import GainParameters
+from pytest_dura.library import fault_campaigns
+from pytest_dura.library.cases import Case, case_with_faults, expand_cases
+from pytest_dura.library.checks import scenario_problems
+from pytest_dura.library.documents import parse_yaml
+from pytest_dura.library.fault_campaigns import catalogue_for, read_campaigns
+from pytest_dura.library.scenario import Scenario
 
 GHOST = {"type": "ghost-obstacle", "activation": {"at": 1.0}, "duration": 2.0}
 
@@ -108,7 +107,7 @@ def test_campaigns_of_a_scenario_are_its_cases_and_may_name_its_faults() -> None
         "campaigns: [none, near, near+trajectory-spoof]\n"
     )
     assert list(cases(of=own)) == ["road/free+none", "road/free", "road/free+near+trajectory-spoof"]
-    assert problems_of(own) == []
+    assert scenario_problems(own) == []
 
 
 @pytest.mark.parametrize(
@@ -158,7 +157,7 @@ def test_campaigns_of_a_scenario_are_its_cases_and_may_name_its_faults() -> None
     ],
 )  # fmt: skip
 def test_an_entry_that_cannot_be_used_is_told_with_its_line(entry: str, told: str) -> None:
-    (problem,) = problems_of(scenario(f"campaigns:\n  - none\n  - {entry}\n"))
+    (problem,) = scenario_problems(scenario(f"campaigns:\n  - none\n  - {entry}\n"))
     assert told in str(problem)
     assert (problem.file, problem.line) == ("road.yaml", 6)
     assert (problem.key or "").startswith("campaigns.1")
@@ -187,9 +186,9 @@ def test_a_file_of_another_form_is_refused(tmp_path: Path, text: str) -> None:
 
 
 def test_one_case_is_one_case() -> None:
-    assert one_case(scenario(), "ghost-obstacle").id == "road/free+ghost-obstacle"
+    assert case_with_faults(scenario(), "ghost-obstacle").id == "road/free+ghost-obstacle"
     with pytest.raises(ConfigurationError, match="make 2 cases"):
-        one_case(scenario(), grid(parameters__ahead=[1.0, 2.0]))
+        case_with_faults(scenario(), grid(parameters__ahead=[1.0, 2.0]))
 
 
 def test_a_product_without_bounds_is_refused_before_any_of_it_is_built(
@@ -198,7 +197,7 @@ def test_a_product_without_bounds_is_refused_before_any_of_it_is_built(
     def never(*_: object) -> None:
         raise AssertionError("built")
 
-    monkeypatch.setattr(fault_grids.FaultReader, "read", never)
+    monkeypatch.setattr(fault_campaigns.FaultReader, "read", never)
     values = {f"parameters.p{i}": list(range(100)) for i in range(40)}
     with pytest.raises(ConfigurationError, match="too many cases") as caught:
         cases({"fault": GHOST, "grid": values})
@@ -207,7 +206,7 @@ def test_a_product_without_bounds_is_refused_before_any_of_it_is_built(
 
 
 def test_entries_are_bounded_together(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fault_grids, "MAX_CASES", 3)
+    monkeypatch.setattr(fault_campaigns, "MAX_CASES", 3)
     assert len(cases("none", grid(parameters__ahead=[1.0, 2.0]))) == 3
     with pytest.raises(ConfigurationError, match="too many cases"):
         cases("none", grid(parameters__ahead=[1.0, 2.0]), "bias")
@@ -278,7 +277,7 @@ def test_the_variation_of_an_own_fault_never_overwrites_another_one_of_its_id() 
 def test_each_fault_of_a_grid_is_what_it_is_by_itself(
     fault: dict[str, Any], values: dict[str, list[Any]]
 ) -> None:
-    found = list(fault_grids.grid(scenario(), {"fault": fault, "grid": values}))
+    found = list(fault_campaigns.expand_grid(scenario(), {"fault": fault, "grid": values}))
     combinations = list(itertools.product(*values.values()))
     assert len(found) == len(combinations)
     for one, chosen in zip(found, combinations, strict=True):
@@ -286,7 +285,7 @@ def test_each_fault_of_a_grid_is_what_it_is_by_itself(
             "fault": fault,
             "grid": {key: [value] for key, value in zip(values, chosen, strict=True)},
         }
-        (expected,) = fault_grids.grid(scenario(), alone)
+        (expected,) = fault_campaigns.expand_grid(scenario(), alone)
         assert one == expected
         assert list(one) == list(expected)
         assert load_fault(one) == load_fault(expected)

@@ -10,10 +10,10 @@ import yaml
 from test_search_space import BIAS, WARM, case
 
 from pytest_dura import ConfigurationError, Requirement
-from pytest_dura.campaign.cases import expand_cases
-from pytest_dura.campaign.loading import load_library
-from pytest_dura.campaign.search.found import keep
-from pytest_dura.campaign.search.space.search_space import SearchSpace
+from pytest_dura.library.cases import expand_cases
+from pytest_dura.library.loading import load_library
+from pytest_dura.search.counterexamples import write_counterexample
+from pytest_dura.search.space import SearchSpace
 
 
 def made(**more: Any) -> Any:
@@ -24,7 +24,7 @@ def made(**more: Any) -> Any:
 
 def test_what_is_kept_reads_as_the_same_episode(tmp_path) -> None:
     searched = made()
-    kept = keep(tmp_path, searched, WARM, defined=True, told=["by a test"])
+    kept = write_counterexample(tmp_path, searched, WARM, defined=True, told=["by a test"])
     (again,) = expand_cases([kept.scenario])
     one, other = searched.spec(0, 0), again.spec(0, 5)
     assert (one.seed, one.faults, one.roles) == (other.seed, other.faults, other.roles)
@@ -35,7 +35,7 @@ def test_what_is_kept_reads_as_the_same_episode(tmp_path) -> None:
 
 
 def test_only_what_is_not_so_by_default_is_written(tmp_path) -> None:
-    kept = keep(tmp_path, made(), WARM, defined=True)
+    kept = write_counterexample(tmp_path, made(), WARM, defined=True)
     data = yaml.safe_load(kept.file.read_text())
     (fault,) = data["faults"]
     assert set(fault) == {"type", "target", "activation", "duration", "parameters"}
@@ -47,7 +47,7 @@ def test_only_what_is_not_so_by_default_is_written(tmp_path) -> None:
 def test_a_role_that_was_switched_off_stays_off(tmp_path) -> None:
     roles = {"generator": "thermostat:Controller", "safety_monitor": "thermostat:Monitor"}
     searched = made(roles=roles).switched_off("safety_monitor")
-    kept = keep(tmp_path, searched, WARM, defined=True)
+    kept = write_counterexample(tmp_path, searched, WARM, defined=True)
     (again,) = expand_cases([kept.scenario])
     assert "safety_monitor" not in again.spec(0, 0).roles
 
@@ -64,7 +64,7 @@ def test_a_role_that_was_switched_off_stays_off(tmp_path) -> None:
 def test_a_requirement_that_no_episode_may_violate_is_written_beside(
     tmp_path, requirement, check, defined
 ) -> None:
-    kept = keep(tmp_path, made(), requirement, check, defined=defined)
+    kept = write_counterexample(tmp_path, made(), requirement, check, defined=defined)
     library = load_library([tmp_path])
     (name,) = library.scenarios[kept.scenario.name].requirements
     named = library.requirements[name]
@@ -75,7 +75,9 @@ def test_a_requirement_that_no_episode_may_violate_is_written_beside(
 
 def test_a_check_that_no_file_can_name_is_refused_and_nothing_is_written(tmp_path) -> None:
     with pytest.raises(ConfigurationError, match="no file can name this check"):
-        keep(tmp_path, made(), Requirement("X"), lambda episode: True, defined=False)
+        write_counterexample(
+            tmp_path, made(), Requirement("X"), lambda episode: True, defined=False
+        )
     assert list(tmp_path.rglob("*.yaml")) == []
 
 
@@ -83,14 +85,14 @@ def test_a_check_that_no_file_can_name_is_refused_and_nothing_is_written(tmp_pat
     "text", ["x\nname: evil", "x\r\nseed: 1", "x\u2028y: 1", "\x85a: b", "x" * 999]
 )
 def test_no_text_breaks_out_of_the_comment(tmp_path, text) -> None:
-    kept = keep(tmp_path, made(), WARM, defined=True, told=[text])
-    plain = keep(tmp_path / "plain", made(), WARM, defined=True)
+    kept = write_counterexample(tmp_path, made(), WARM, defined=True, told=[text])
+    plain = write_counterexample(tmp_path / "plain", made(), WARM, defined=True)
     assert yaml.safe_load(kept.file.read_text()) == yaml.safe_load(plain.file.read_text())
 
 
 def test_no_name_leads_out_of_the_folder(tmp_path) -> None:
     requirement = Requirement("../../etc/passwd", check=WARM.check)
-    kept = keep(tmp_path / "in", made(), requirement, defined=False)
+    kept = write_counterexample(tmp_path / "in", made(), requirement, defined=False)
     assert kept.file.parent == tmp_path / "in" / "found"
     written = {file.parent for file in tmp_path.rglob("*.yaml")}
     assert written == {kept.file.parent, kept.file.parent / "requirements"}
@@ -99,14 +101,14 @@ def test_no_name_leads_out_of_the_folder(tmp_path) -> None:
 def test_a_folder_that_cannot_be_written_is_one_clear_error(tmp_path) -> None:
     (tmp_path / "found").write_text("a file")
     with pytest.raises(ConfigurationError, match="cannot be kept"):
-        keep(tmp_path, made(), WARM, defined=True)
+        write_counterexample(tmp_path, made(), WARM, defined=True)
 
 
 def test_a_file_that_does_not_read_back_is_taken_away(tmp_path, monkeypatch) -> None:
     problem = ConfigurationError("no")
-    monkeypatch.setattr("pytest_dura.campaign.search.found.problems_of", lambda _: [problem])
+    monkeypatch.setattr("pytest_dura.search.counterexamples.scenario_problems", lambda _: [problem])
     with pytest.raises(ConfigurationError, match="no"):
-        keep(tmp_path, made(), WARM, defined=True)
+        write_counterexample(tmp_path, made(), WARM, defined=True)
     assert [file for file in Path(tmp_path).rglob("*") if file.is_file()] == []
 
 
@@ -115,7 +117,7 @@ def test_checks_that_are_alike_do_not_write_over_each_other(tmp_path) -> None:
     long = "always (temperature > 10 and temperature > 10 and temperature > 10 and temperature > "
     texts += [f"{long}11)", f"{long}12)"]
     for text in texts:
-        keep(tmp_path, made(), Requirement(text, check=text), defined=False)
+        write_counterexample(tmp_path, made(), Requirement(text, check=text), defined=False)
     library = load_library([tmp_path])
     kept = [one for name, one in library.scenarios.items() if name.startswith("found/")]
     checks = {library.requirements[name].check for one in kept for name in one.requirements}
@@ -125,12 +127,13 @@ def test_checks_that_are_alike_do_not_write_over_each_other(tmp_path) -> None:
 def test_requirements_of_long_names_that_begin_alike_have_a_file_each(tmp_path) -> None:
     names = [f"{'WARM-' * 15}{number}" for number in (1, 2)]
     kept = [
-        keep(tmp_path, made(), Requirement(name, check=WARM.check), defined=True) for name in names
+        write_counterexample(tmp_path, made(), Requirement(name, check=WARM.check), defined=True)
+        for name in names
     ]
     assert [one.scenario.requirements for one in kept] == [(name,) for name in names]
     assert kept[0].file != kept[1].file
 
 
 def test_a_long_name_of_a_scenario_still_has_a_file(tmp_path) -> None:
-    kept = keep(tmp_path, made(name="room/" + "long" * 60), WARM, defined=True)
+    kept = write_counterexample(tmp_path, made(name="room/" + "long" * 60), WARM, defined=True)
     assert kept.file.exists()

@@ -7,13 +7,13 @@ from pathlib import Path
 import pytest
 
 from pytest_dura import ConfigurationError
-from pytest_dura.campaign import loading
-from pytest_dura.campaign.loading import (
+from pytest_dura.library import loading
+from pytest_dura.library.loading import (
     builtin_paths,
     load_library,
     load_requirements,
     load_scenarios,
-    select,
+    select_names,
 )
 
 
@@ -197,10 +197,10 @@ def test_the_built_in_folder_of_a_wheel_comes_before_a_neighbour_of_the_package(
 
 def test_select_by_globs() -> None:
     names = ["b/two", "a/one", "b/three"]
-    assert select(names, []) == ["a/one", "b/three", "b/two"]
-    assert select(names, ["b/t*"]) == ["b/three", "b/two"]
-    assert select(names, ["b/two", "a/*"]) == ["a/one", "b/two"]
+    assert select_names(names, []) == ["a/one", "b/three", "b/two"]
+    assert select_names(names, ["b/t*"]) == ["b/three", "b/two"]
+    assert select_names(names, ["b/two", "a/*"]) == ["a/one", "b/two"]
     with pytest.raises(ConfigurationError) as caught:
-        select(names, ["a/*", "b/tow"])
+        select_names(names, ["a/*", "b/tow"])
     assert caught.value.found == "b/tow"
     assert caught.value.remedy == "did you mean 'b/two'?"

@@ -5,11 +5,11 @@ import signal
 import pytest
 from thermostat import Thermostat
 
-from pytest_dura.campaign.components import given_role
-from pytest_dura.campaign.following import TWINS
-from pytest_dura.campaign.loading import load_library
-from pytest_dura.campaign.runner import Bench
+from pytest_dura.campaign.fault_tracing import TWINS_SUBJECT
+from pytest_dura.library.loading import load_library
+from pytest_dura.library.roles import role_of_fixture
 from pytest_dura.requirements.model import Requirement
+from pytest_dura.runner import Runner
 
 SCENARIO = """
 name: room/{name}
@@ -40,7 +40,7 @@ def bench(tmp_path, told):
         varied + "world: {start: 18.0}\nvariation: {world.start: {min: 15.0, max: 20.0}}\n"
     )
     library = load_library([tmp_path], builtin=False)
-    found = Bench(lambda: library)
+    found = Runner(lambda: library)
 
     def tell(running):
         if running.budget:  # there may be no twins to be run
@@ -125,7 +125,7 @@ def test_the_end_is_told_also_of_a_campaign_that_is_broken_off(bench, told):
         break
     assert ends(told) == [False, True]
     told.clear()
-    bench.simulator = given_role("simulator", Interrupted)
+    bench.simulator = role_of_fixture("simulator", Interrupted)
     with pytest.raises(KeyboardInterrupt):
         bench.campaign("room/warm").judge(RATE)
     assert ends(told) == [False, True]
@@ -135,6 +135,7 @@ def test_runs_in_place_of_invalid_ones_join_the_budget_and_twins_are_told_as_suc
     # There is no injector, so that no fault ever manifests.
     bench.campaign("room/faulty").judge(RATE)
     assert shown(told, "subject", "done", "budget") == [
-        ("T-1", 0, 2), ("T-1", 1, 3), ("T-1", 2, 3), (TWINS, 0, 3), (TWINS, 1, 3), (TWINS, 2, 3),
+        ("T-1", 0, 2), ("T-1", 1, 3), ("T-1", 2, 3),
+        (TWINS_SUBJECT, 0, 3), (TWINS_SUBJECT, 1, 3), (TWINS_SUBJECT, 2, 3),
     ]  # fmt: skip
     assert ends(told) == [False, False, False, True] * 2

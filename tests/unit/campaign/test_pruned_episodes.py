@@ -10,10 +10,17 @@ import pytest
 from counted_rooms import counted_store, counted_task, simulated
 
 from pytest_dura.__main__ import main
-from pytest_dura.campaign.episodes.address import Addresses
-from pytest_dura.campaign.episodes.pruning import prune, read_age, read_size
-from pytest_dura.campaign.episodes.shelf import CLAIM, EPISODE, NEW, Shelf
 from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.execution.address import Addresses
+from pytest_dura.execution.cache import (
+    CLAIM,
+    EPISODE,
+    NEW,
+    EpisodeCache,
+    prune,
+    read_age,
+    read_size,
+)
 
 DAY = 86400.0
 
@@ -72,7 +79,7 @@ def test_a_session_that_has_an_episode_keeps_it_and_no_claim_of_its_is_touched(
     tmp_path: Path,
 ) -> None:
     (file,) = shelf_of(tmp_path, 1)
-    shelf = Shelf(tmp_path / "shelf", "second", earlier=True)
+    shelf = EpisodeCache(tmp_path / "shelf", "second", earlier=True)
     held = counted_task(tmp_path, 7)
     address = Addresses().of(held)
     assert address is not None

@@ -6,11 +6,11 @@ import pytest
 from thermostat import Controller, Thermostat
 
 from pytest_dura import ConfigurationError, RoleSpec
-from pytest_dura.campaign.campaigns import RequirementViolated
-from pytest_dura.campaign.components import LocalRole, generator_option, given_role
-from pytest_dura.campaign.loading import load_library
-from pytest_dura.campaign.runner import Bench
+from pytest_dura.campaign.campaign import RequirementViolated
+from pytest_dura.library.loading import load_library
+from pytest_dura.library.roles import LocalRole, generator_of_option, role_of_fixture
 from pytest_dura.requirements.model import Requirement
+from pytest_dura.runner import Runner
 
 SCENARIO = """
 name: room/{name}
@@ -27,7 +27,7 @@ requirements: []
 def bench(tmp_path: Path):
     write(tmp_path, "warm")
     library = load_library([tmp_path], builtin=False)
-    return Bench(lambda: library)
+    return Runner(lambda: library)
 
 
 def write(folder, name, runs=3, roles="", faults="[]"):
@@ -46,7 +46,7 @@ def test_an_episode_is_simulated_once(bench):
 
 
 def test_the_seed_follows_from_the_base_seed(bench):
-    other = Bench(bench.library, base_seed=1)
+    other = Runner(bench.library, base_seed=1)
     assert bench.run("room/warm").spec.seed != other.run("room/warm").spec.seed
     assert bench.run("room/warm", seed=7).spec.seed == 7
 
@@ -55,7 +55,7 @@ def test_instances_of_one_class_are_told_apart(bench):
     first, second = Controller(), Controller()
     episodes = []
     for instance in (first, second, first):
-        bench.roles = {"generator": given_role("generator", instance)}
+        bench.roles = {"generator": role_of_fixture("generator", instance)}
         episodes.append(bench.run("room/warm"))
     assert episodes[0] is episodes[2] is not episodes[1]
 
@@ -79,10 +79,10 @@ class Counting(Thermostat):
 
 
 def test_a_simulator_is_closed_unless_it_is_the_users_own_instance(bench):
-    bench.simulator = given_role("simulator", Counting)
+    bench.simulator = role_of_fixture("simulator", Counting)
     bench.run("room/warm")
     assert Counting.closed == 1
-    bench.simulator = given_role("simulator", Counting())
+    bench.simulator = role_of_fixture("simulator", Counting())
     bench.run("room/warm")
     assert Counting.closed == 1
 
@@ -146,20 +146,20 @@ def test_the_library_is_read_when_it_is_first_needed():
     def library():
         raise ConfigurationError("not yet")
 
-    bench = Bench(library)
+    bench = Runner(library)
     with pytest.raises(ConfigurationError, match="not yet"):
         bench.run("room/warm")
 
 
 def test_short_names_and_paths_of_generators():
-    assert generator_option("thermostat:Controller") == RoleSpec("thermostat:Controller")
-    assert generator_option("reactive").path.endswith(":Reactive")
+    assert generator_of_option("thermostat:Controller") == RoleSpec("thermostat:Controller")
+    assert generator_of_option("reactive").path.endswith(":Reactive")
 
 
 def test_what_is_defined_in_a_conftest_is_known_by_its_file():
-    spec = given_role("generator", Controller, "tests/a/conftest.py")
+    spec = role_of_fixture("generator", Controller, "tests/a/conftest.py")
     assert isinstance(spec, LocalRole)
     assert spec.factory() is Controller
     assert spec.path == "tests/a/conftest.py:Controller"
     assert spec.label == "Controller (tests/a)"
-    assert given_role("generator", Controller, "conftest.py").label == "Controller"
+    assert role_of_fixture("generator", Controller, "conftest.py").label == "Controller"

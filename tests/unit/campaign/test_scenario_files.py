@@ -8,9 +8,9 @@ from typing import NamedTuple
 import pytest
 
 from pytest_dura import ConfigurationError
-from pytest_dura.campaign.loading import load_library, load_scenarios
-from pytest_dura.campaign.scenario import Scenario
-from pytest_dura.campaign.yaml_source import parse_yaml
+from pytest_dura.library.documents import parse_yaml
+from pytest_dura.library.loading import load_library, load_scenarios
+from pytest_dura.library.scenario import Scenario
 
 HEAD = """\
 name: room/warm

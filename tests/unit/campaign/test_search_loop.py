@@ -6,8 +6,7 @@ import math
 
 import numpy as np
 
-from pytest_dura.campaign.search.loop import Outcome, search
-from pytest_dura.campaign.search.portfolio import Batch
+from pytest_dura.search.portfolio import Batch, Outcome, search
 
 
 class Counting:

@@ -7,19 +7,17 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from pytest_dura.campaign.search.portfolio import (
-    OPENING,
-    SHARES,
-    Batch,
-    Portfolio,
-    trivial_searchers,
+from pytest_dura.search.portfolio import OPENING, SHARES, Batch, Portfolio, trivial_searchers
+from pytest_dura.search.searchers import (
+    GENERATIONS,
+    BangBang,
+    CmaEs,
+    CmaEsOfPulses,
+    Constants,
+    Pulses,
+    QuasiRandom,
 )
-from pytest_dura.campaign.search.searchers.bangbang import BangBang
-from pytest_dura.campaign.search.searchers.cmaes import GENERATIONS, CmaEs, CmaEsOfPulses
-from pytest_dura.campaign.search.searchers.constants import Constants
-from pytest_dura.campaign.search.searchers.quasirandom import QuasiRandom
-from pytest_dura.campaign.search.searchers.shapes import Pulses
-from pytest_dura.campaign.search.space.layout import Group, Layout
+from pytest_dura.search.space import Group, Layout
 
 OVER_TIME = Layout((Group("throttle", 10), Group("brake", 10), Group("speed")))
 NUMBERS = Layout((Group("speed"), Group("grip")))

@@ -9,23 +9,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pytest_dura import Bench, ConfigurationError, Requirement, SearchedCase, SearchedEpisode
-from pytest_dura.campaign.cases import Case, expand_cases, one_case
-from pytest_dura.campaign.loading import Library
-from pytest_dura.campaign.scenario import Scenario
-from pytest_dura.campaign.search.falsify import falsify
-from pytest_dura.campaign.search.limits import Limits
-from pytest_dura.campaign.search.space.coverage import CoverageCount
-from pytest_dura.campaign.search.space.layout import Group, Layout
-from pytest_dura.campaign.search.space.numbers import on_grid
-from pytest_dura.campaign.search.space.search_space import SearchSpace
-from pytest_dura.campaign.search.trials import Asked
-from pytest_dura.requirements.verdicts import (
-    CampaignJudge,
-    SearchVerdict,
-    judge_episode,
-    judge_searched,
-)
+from pytest_dura import ConfigurationError, Requirement, Runner, SearchedCase, SearchedEpisode
+from pytest_dura.campaign.falsification import Limits
+from pytest_dura.library.cases import Case, case_with_faults, expand_cases
+from pytest_dura.library.loading import Library
+from pytest_dura.library.scenario import Scenario
+from pytest_dura.requirements.verdicts.episodes import SearchVerdict, judge_episode, judge_searched
+from pytest_dura.requirements.verdicts.judging import CampaignJudge
+from pytest_dura.search.falsify import falsify
+from pytest_dura.search.space import CoverageCount, Group, Layout, SearchSpace, on_grid
+from pytest_dura.search.trials import Objective
 
 WARM = Requirement("WARM", check="always (temperature > 10)")
 
@@ -43,7 +36,7 @@ def room(**more: Any) -> Scenario:
 
 
 def case(**more: Any) -> Case:
-    return one_case(room(**more), "none")
+    return case_with_faults(room(**more), "none")
 
 
 BIAS = {
@@ -143,7 +136,7 @@ def test_faults_of_one_kind_that_differ_may_each_be_added() -> None:
 def test_a_fault_of_the_scenario_may_be_called_as_room_for_one_is() -> None:
     spread = {"faults.search-1.duration": {"min": 0.5, "max": 1.5}}
     scenario = room(faults=[BIAS | {"id": "search-1"}], variation=spread)
-    space = SearchSpace.of(one_case(scenario, ["search-1"]))
+    space = SearchSpace.of(case_with_faults(scenario, ["search-1"]))
     made = space.made(space.values([1.0]), 1)
     assert [(one["id"], one["duration"]) for one in made.faults] == [("search-1", 1.5)]
 
@@ -160,7 +153,7 @@ def test_faults_that_act_together_are_no_entry() -> None:
 
 def test_no_rate_is_made_of_what_a_search_chose() -> None:
     library = Library({"room": room()}, {"WARM": WARM})
-    bench = Bench(lambda: library)
+    bench = Runner(lambda: library)
     used: list[object] = []
     bench.on_episode = lambda *told: used.append(told)
     made = SearchSpace.of(case()).made({"world.start": 16.5}, 7)
@@ -223,10 +216,10 @@ def test_a_violation_that_only_a_baseline_met_is_confirmed_and_claimed() -> None
     ends = Requirement("ENDS", check="always[0:0] (temperature < 19.9)")
     middle = Requirement("MIDDLE", check="always[0:0] (temperature < 16 or temperature > 19)")
     library = Library({"room": room()}, {})
-    bench = Bench(lambda: library)
+    bench = Runner(lambda: library)
     told: list[object] = []
     bench.on_search = lambda *one: told.append(one)
-    found = falsify(bench, case(), [Asked(ends), Asked(middle)], limits=Limits(2, shrink=0))
+    found = falsify(bench, case(), [Objective(ends), Objective(middle)], limits=Limits(2, shrink=0))
     by_end, by_middle = found.outcomes
     assert (by_end.word, by_middle.word) == ("falsified", "falsified")
     assert by_end.searcher in {one.name for one in found.searchers}

@@ -6,9 +6,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from pytest_dura.campaign.problems import LISTED
-from pytest_dura.campaign.selection import may_match, selected
+from pytest_dura.core.error_messages import MAX_LISTED_NAMES
 from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.library.cases import may_match_scenario, select_cases
 
 
 def case(name):
@@ -19,7 +19,7 @@ CASES = [case("a/x"), case("a/x+ghost"), case("b/y+ghost")]
 
 
 def ids(*globs):
-    return [one.id for one in selected(CASES, globs)]
+    return [one.id for one in select_cases(CASES, globs)]
 
 
 def test_a_glob_names_cases_by_their_id_or_by_their_scenario_in_the_order_of_the_cases():
@@ -31,19 +31,19 @@ def test_a_glob_names_cases_by_their_id_or_by_their_scenario_in_the_order_of_the
 
 def test_one_glob_that_names_nothing_is_an_error_whatever_the_others_name():
     with pytest.raises(ConfigurationError, match="no case matches 'c/z'"):
-        selected(CASES, ["a/x", "c/z"])
+        select_cases(CASES, ["a/x", "c/z"])
 
 
 def test_of_a_great_many_cases_an_error_lists_the_first():
     many = [case(f"a/x+f{number:04}") for number in range(5000)]
     with pytest.raises(ConfigurationError) as caught:
-        selected(many, ["nothing"])
+        select_cases(many, ["nothing"])
     told = str(caught.value)
-    assert f"a/x+f{LISTED - 1:04}, {5000 - LISTED} more" in told
-    assert f"a/x+f{LISTED:04}" not in told
+    assert f"a/x+f{MAX_LISTED_NAMES - 1:04}, {5000 - MAX_LISTED_NAMES} more" in told
+    assert f"a/x+f{MAX_LISTED_NAMES:04}" not in told
 
 
 def test_what_a_glob_says_of_faults_does_not_rule_out_the_scenario():
-    assert may_match("a/x", ["a/*+ghost"])
-    assert may_match("a/x", ["b/y", "a/x~recovery_planner"])
-    assert not may_match("a/x", ["b/*+ghost"])
+    assert may_match_scenario("a/x", ["a/*+ghost"])
+    assert may_match_scenario("a/x", ["b/y", "a/x~recovery_planner"])
+    assert not may_match_scenario("a/x", ["b/*+ghost"])

@@ -6,10 +6,9 @@ import pytest
 from thermostat import Controller
 
 from pytest_dura import ConfigurationError, Generator, Proposal, RoleSpec, SafetyMonitor
-from pytest_dura.campaign.cases import expand_cases
-from pytest_dura.campaign.components import LocalRole
-from pytest_dura.campaign.loading import load_library
-from pytest_dura.campaign.settling import ParameterResolver
+from pytest_dura.library.cases import expand_cases
+from pytest_dura.library.loading import load_library
+from pytest_dura.library.roles import LocalRole, ParameterResolver
 
 ASKED: list[dict] = []
 

@@ -19,15 +19,15 @@ from counted_rooms import (
     simulated,
 )
 
-from pytest_dura.campaign.episodes import store as store_module
-from pytest_dura.campaign.episodes.address import Addresses
-from pytest_dura.campaign.episodes.codec import pack
-from pytest_dura.campaign.episodes.shelf import CLAIM, EPISODE, Shelf
-from pytest_dura.campaign.episodes.store import EpisodeStore
-from pytest_dura.campaign.loading import load_library
-from pytest_dura.campaign.runner import Bench
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.role_spec import RoleSpec
+from pytest_dura.execution import store as store_module
+from pytest_dura.execution.address import Addresses
+from pytest_dura.execution.cache import CLAIM, EPISODE, EpisodeCache
+from pytest_dura.execution.codec import pack
+from pytest_dura.execution.store import EpisodeStore
+from pytest_dura.library.loading import load_library
+from pytest_dura.runner import Runner
 
 needs_forks = pytest.mark.skipif(FORKS is None, reason="the system does not fork")
 N = 12
@@ -131,7 +131,10 @@ def test_who_has_to_wait_does_what_is_free_meanwhile(tmp_path):
 @needs_forks
 def test_a_copy_of_the_process_holds_no_claim(tmp_path):
     """A simulator's own process may outlive the one that started it."""
-    shelf, address = Shelf(tmp_path / "shelf", "s"), Addresses().of(counted_task(tmp_path, 0))
+    shelf, address = (
+        EpisodeCache(tmp_path / "shelf", "s"),
+        Addresses().of(counted_task(tmp_path, 0)),
+    )
     told, tell = os.pipe()
     holder = os.fork()
     if holder == 0:
@@ -201,11 +204,11 @@ def test_an_earlier_session_counts_only_where_it_is_asked_for(shelved):
 
 
 def test_what_was_missing_in_an_earlier_session_is_tried_again(tmp_path):
-    from pytest_dura.campaign.episodes.missing import missing_episode
+    from pytest_dura.execution.task import missing_episode
 
     task = counted_task(tmp_path, 0)
     address = Addresses().of(task)
-    earlier = Shelf(tmp_path / "shelf", "before")
+    earlier = EpisodeCache(tmp_path / "shelf", "before")
     earlier.put(address, task.spec, pack(missing_episode(task.spec, "gone")))
     store = counted_store(tmp_path, earlier=True)
     assert store.get(task).validity == "valid"
@@ -284,13 +287,13 @@ def test_clearing_touches_nothing_but_what_is_ours(shelved):
     outside.mkdir()
     (outside / f"x{EPISODE}").write_text("mine")
     (shelf / "zz").symlink_to(outside)
-    Shelf(shelf, "s").clear()
+    EpisodeCache(shelf, "s").clear()
     assert not file.exists()
     assert (outside / f"x{EPISODE}").exists()
     assert {one.name for one in shelf.rglob("*.txt")} == {"mine.txt"}
     link = folder / "link"
     link.symlink_to(outside)
-    Shelf(link, "s").clear()
+    EpisodeCache(link, "s").clear()
     assert not link.is_symlink()
     assert (outside / f"x{EPISODE}").exists()
 
@@ -309,7 +312,7 @@ def test_where_a_twin_is_simulated_elsewhere_the_next_pairs_are_begun(tmp_path):
             return super().get(task, ahead)
 
     library = load_library([tmp_path], builtin=False)
-    campaign = Bench(lambda: library, store=Store()).campaign("room/warm")
+    campaign = Runner(lambda: library, store=Store()).campaign("room/warm")
     pairs = list(campaign.paired("recovery_planner"))
     assert len(pairs) == 3
     own, twin = "room/warm#{}".format, "room/warm~recovery_planner#{}".format
@@ -318,17 +321,17 @@ def test_where_a_twin_is_simulated_elsewhere_the_next_pairs_are_begun(tmp_path):
 
 
 def test_nobody_waits_for_ever_for_an_episode_that_another_process_has(tmp_path, monkeypatch):
-    monkeypatch.setattr(store_module, "MOST_WAIT", 0.1)
+    monkeypatch.setattr(store_module, "MAX_WAIT", 0.1)
     task = counted_task(tmp_path, 1)
     address = Addresses().of(task)
-    claim = Shelf(tmp_path / "shelf", "s").claim(address)
+    claim = EpisodeCache(tmp_path / "shelf", "s").claim(address)
     assert counted_store(tmp_path).get(task).digest == task.run().digest
     claim.release()
-    assert Shelf(tmp_path / "shelf", "s").has(address)
+    assert EpisodeCache(tmp_path / "shelf", "s").has(address)
 
 
 def test_a_claim_whose_file_somebody_closed_closes_nothing_else(tmp_path):
-    claim = Shelf(tmp_path / "shelf", "s").claim(Addresses().of(counted_task(tmp_path, 1)))
+    claim = EpisodeCache(tmp_path / "shelf", "s").claim(Addresses().of(counted_task(tmp_path, 1)))
     number = claim._handle.number
     with (tmp_path / "other").open("w") as other:
         os.dup2(other.fileno(), number)  # as if it were closed, and its number given away

@@ -14,10 +14,9 @@ from hypothesis import strategies as st
 from shrinkable import crossing, fault, found, ids
 
 from pytest_dura import ConfigurationError, Orchestrator, RoleSpec
-from pytest_dura.campaign.search.shrinking.changes import changes_of, count_parameters
-from pytest_dura.campaign.search.shrinking.minimal import minimal
-from pytest_dura.campaign.search.shrinking.shrink import shrink
-from pytest_dura.campaign.search.shrinking.simpler import rounder, simpler
+from pytest_dura.search.differences import changes_of, count_parameters
+from pytest_dura.search.shrinking import minimise, shrink
+from pytest_dura.search.simplification import rounded_values, simpler_values
 
 DELAY = fault("delay", "odometry", activation__at=3.21, duration=7.31)
 BIAS = fault("bias", "odometry.speed", activation__at=1.23, parameters__offset=-3.7)
@@ -41,16 +40,16 @@ def offsets(searched: Any) -> list[float]:
     ],
 )
 def test_nearer_to_the_nominal_value_is_simpler(value: Any, nominal: Any, expected: Any) -> None:
-    assert simpler(value, nominal) == expected
+    assert simpler_values(value, nominal) == expected
 
 
 def test_rounding_past_the_found_value_stays_within_the_limits() -> None:
-    assert 58.0 not in simpler(57.3, 50.0, (50.0, 57.5))
+    assert 58.0 not in simpler_values(57.3, 50.0, (50.0, 57.5))
 
 
 def test_a_number_without_a_nominal_value_is_rounded() -> None:
-    assert rounder(37.4291) == (40.0, 37.0, 37.4, 37.4291)
-    assert rounder("east") == ("east",)
+    assert rounded_values(37.4291) == (40.0, 37.0, 37.4, 37.4291)
+    assert rounded_values("east") == ("east",)
 
 
 def test_what_does_not_matter_is_left_out_or_as_the_scenario_has_it() -> None:
@@ -244,14 +243,14 @@ def test_no_number_grows_again() -> None:
             return True
         return False
 
-    assert sum(minimal(least, interesting, 0)) == 11
+    assert sum(minimise(least, interesting, 0)) == 11
     assert all(
         one <= most for places, most in asked for one, most in zip(places, most, strict=True)
     )
 
 
 def test_what_hypothesis_leaves_untried_is_tried(monkeypatch: pytest.MonkeyPatch) -> None:
-    module = sys.modules[minimal.__module__]
+    module = sys.modules[minimise.__module__]
     monkeypatch.setattr(module, "_shrunk", lambda start, *_: start)
     asked: list[tuple[int, ...]] = []
 
@@ -259,7 +258,7 @@ def test_what_hypothesis_leaves_untried_is_tried(monkeypatch: pytest.MonkeyPatch
         asked.append(places)
         return places[0] == 1 and places[1] >= 2
 
-    assert minimal((1, 4, 3), interesting, 0) == (1, 2, 0)
+    assert minimise((1, 4, 3), interesting, 0) == (1, 2, 0)
     assert len(set(asked)) == len(asked)
 
 
@@ -270,9 +269,9 @@ def test_a_pass_that_takes_long_is_taken_up_again(monkeypatch: pytest.MonkeyPatc
 
     found = []
     for patience in (100.0, 0.0):
-        monkeypatch.setattr(sys.modules[minimal.__module__], "_PATIENCE", patience)
+        monkeypatch.setattr(sys.modules[minimise.__module__], "_PATIENCE", patience)
         asked: list[tuple[int, ...]] = []
-        found.append((minimal((1, 4, 9, 6), interesting, 0), asked))
+        found.append((minimise((1, 4, 9, 6), interesting, 0), asked))
     assert found[0] == found[1]
     assert found[0][0] == (1, 0, 3, 0)
 
@@ -280,7 +279,7 @@ def test_a_pass_that_takes_long_is_taken_up_again(monkeypatch: pytest.MonkeyPatc
 @given(wanted=st.integers(1, 5))
 @settings(max_examples=3, deadline=None, derandomize=True)
 def test_it_works_within_a_test_of_hypothesis(wanted: int) -> None:
-    assert minimal((1, 9, 9), lambda places: places[1] >= wanted, 0) == (0, wanted, 0)
+    assert minimise((1, 9, 9), lambda places: places[1] >= wanted, 0) == (0, wanted, 0)
 
 
 PROGRAM = """
@@ -289,7 +288,7 @@ settings.register_profile("odd", derandomize=True, max_examples=1, phases=[Phase
 settings.load_profile("odd")
 import hypothesis.core
 hypothesis.core.global_force_seed = 7
-from pytest_dura.campaign.search.shrinking.minimal import minimal
+from pytest_dura.search.shrinking import minimal
 tried = []
 def interesting(places):
     tried.append(places)
@@ -321,7 +320,7 @@ def test_it_is_the_same_under_any_profile_and_leaves_nothing_behind(tmp_path: Pa
 COPIED = """
 import os, threading, warnings
 warnings.simplefilter("ignore")  # a copy of a process with threads is what this is about
-from pytest_dura.campaign.search.shrinking.minimal import minimal
+from pytest_dura.search.shrinking import minimal
 def found():
     return minimal((9, 9, 30), lambda places: places[2] > 11, 5)
 assert found() == found() == minimal((3,), lambda places: found() == (0, 0, 12), 5) + (0, 12)

@@ -14,19 +14,22 @@ from hypothesis import Phase, find, given, settings
 from hypothesis.vendor.pretty import pretty
 
 from pytest_dura import strategies
-from pytest_dura.campaign.cases import Case, expand_cases
-from pytest_dura.campaign.current import current_library, library_at_hand
-from pytest_dura.campaign.loading import Library, load_library
-from pytest_dura.campaign.scenario import Scenario
-from pytest_dura.campaign.search.drawing.cases import RARELY, SEEDS, CaseDrawing
-from pytest_dura.campaign.search.drawing.omissions import omissions, without
-from pytest_dura.campaign.search.drawing.scales import NumberScale, WordScale, scaled
-from pytest_dura.campaign.search.space.numbers import on_grid
-from pytest_dura.campaign.search.space.parameters import Interval, OneOf
-from pytest_dura.campaign.search.space.search_space import SearchSpace
-from pytest_dura.campaign.search.space.searched import SearchedCase
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.faults.catalogue import FAULT_TYPES
+from pytest_dura.library.cases import Case, SearchedCase, expand_cases
+from pytest_dura.library.loading import Library, current_library, load_library, use_library
+from pytest_dura.library.scenario import Scenario
+from pytest_dura.search.drawing import (
+    OMISSION_ODDS,
+    SEEDS,
+    CaseDrawing,
+    NumberScale,
+    WordScale,
+    omissions,
+    scaled,
+    without_omissions,
+)
+from pytest_dura.search.space import Interval, OneOf, SearchSpace, on_grid
 
 ROOM = f"{rooms.__name__}:Room"
 simplest = settings(database=None, derandomize=True, deadline=None, max_examples=20)
@@ -146,7 +149,7 @@ def test_a_part_that_comes_back_by_itself_is_not_left_out(monkeypatch) -> None:
 def test_entries_are_left_out_by_the_places_that_they_have_in_the_whole() -> None:
     world = {"cars": [{"n": n} for n in range(12)], "light": {"lamp": {"w": 1}}}
     places = [("cars", 2), ("cars", 10), ("light", "lamp")]
-    found = without(world, places)
+    found = without_omissions(world, places)
     assert [one["n"] for one in found["cars"]] == [0, 1, 3, 4, 5, 6, 7, 8, 9, 11]
     assert found["light"] == {"lamp": None}
     assert len(world["cars"]) == 12, "the world itself stays as it is"
@@ -187,7 +190,7 @@ def test_the_simplest_choices_make_the_simplest_case(library: Library) -> None:
     assert found.scenario.world["ego"] == {"distance": 50.0, "speed": 8.0, "turn": "straight"}
     assert found.scenario.seed == 0
     assert not found.scenario.variation
-    assert picks.counts[:4] == [2, 2, RARELY, RARELY]
+    assert picks.counts[:4] == [2, 2, OMISSION_ODDS, OMISSION_ODDS]
     assert picks.counts[-1] == SEEDS
 
 
@@ -287,7 +290,7 @@ def test_worlds_that_contradict_themselves_are_not_drawn() -> None:
     def draw(one: SearchedCase) -> None:
         starts.append(one.scenario.world["start"])
 
-    with library_at_hand(lambda: one_library(cold.scenario)):
+    with use_library(lambda: one_library(cold.scenario)):
         draw()
     assert min(starts) >= 0.0
     assert max(starts) > 1.0
@@ -314,11 +317,11 @@ def test_more_faults_than_there_are_cannot_be_drawn(at_least: int, at_most: int)
 
 def test_names_are_looked_up_in_the_library_at_hand() -> None:
     mine = one_library(room(name="room/mine").scenario)
-    with library_at_hand(lambda: mine):
+    with use_library(lambda: mine):
         assert current_library() is mine
         found = find(strategies.cases("room/*"), lambda _: True, settings=simplest)
         assert found.scenario.name == "room/mine"
-        with library_at_hand(lambda: one_library(room(name="room/inner").scenario)):
+        with use_library(lambda: one_library(room(name="room/inner").scenario)):
             assert list(current_library().scenarios) == ["room/inner"]
         assert current_library() is mine
     assert "intersection/congested" in current_library().scenarios
@@ -328,7 +331,7 @@ def test_names_are_looked_up_in_the_library_at_hand() -> None:
 def test_a_strategy_follows_the_library() -> None:
     strategy = strategies.cases("room/*")
     for name in ("room/a", "room/b"):
-        with library_at_hand(lambda name=name: one_library(room(name=name).scenario)):
+        with use_library(lambda name=name: one_library(room(name=name).scenario)):
             assert find(strategy, lambda _: True, settings=simplest).scenario.name == name
 
 

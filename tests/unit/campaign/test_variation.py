@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 
 from pytest_dura import ConfigurationError
-from pytest_dura.campaign.loading import load_scenarios
-from pytest_dura.campaign.scenario import Choice, Range
-from pytest_dura.campaign.variation import draw, replaced, split
+from pytest_dura.library.loading import load_scenarios
+from pytest_dura.library.scenario import Choice, Range
+from pytest_dura.library.variation import draw_value, replace_value, split_path
 
 ROOM = (
     "name: room\nsimulator: rooms:Room\nduration: 4.0\n"
@@ -21,17 +21,17 @@ ROOM = (
 
 def test_each_path_and_each_seed_has_draws_of_its_own() -> None:
     spread = Range(min=0.0, max=1.0)
-    drawn = {draw(path, spread, seed) for path in ("world.a", "world.b") for seed in (1, 2)}
+    drawn = {draw_value(path, spread, seed) for path in ("world.a", "world.b") for seed in (1, 2)}
     assert len(drawn) == 4
-    assert draw("world.a", spread, 1) == draw("world.a", spread, 1)
+    assert draw_value("world.a", spread, 1) == draw_value("world.a", spread, 1)
 
 
 def test_an_interval_of_one_point() -> None:
-    assert draw("world.a", Range(min=2.0, max=2.0), 1) == 2.0
+    assert draw_value("world.a", Range(min=2.0, max=2.0), 1) == 2.0
 
 
 def test_a_choice_of_one() -> None:
-    assert draw("world.a", Choice(choice=({"x": 1},)), 1) == {"x": 1}
+    assert draw_value("world.a", Choice(choice=({"x": 1},)), 1) == {"x": 1}
 
 
 @pytest.mark.parametrize(
@@ -45,28 +45,28 @@ def test_a_choice_of_one() -> None:
 def test_a_value_is_replaced_in_a_copy(path: str, value: Any) -> None:
     data = {"a": 0, "b": [1, {"c": 2}]}
     before = copy.deepcopy(data)
-    assert replaced(data, path, 9) == value
+    assert replace_value(data, path, 9) == value
     assert data == before
 
 
 @pytest.mark.parametrize("path", ["x", "a.x", "b.2", "b.x", "b.-1", "b.1.x"])
 def test_a_place_that_does_not_exist(path: str) -> None:
     with pytest.raises(ConfigurationError, match="to vary"):
-        replaced({"a": 0, "b": [1, {"c": 2}]}, path, 9)
+        replace_value({"a": 0, "b": [1, {"c": 2}]}, path, 9)
 
 
 def test_only_the_last_key_may_be_new() -> None:
-    assert replaced({"a": {}}, "a.b", 1, create=True) == {"a": {"b": 1}}
+    assert replace_value({"a": {}}, "a.b", 1, create=True) == {"a": {"b": 1}}
     with pytest.raises(ConfigurationError):
-        replaced({"a": {}}, "a.b.c", 1, create=True)
+        replace_value({"a": {}}, "a.b.c", 1, create=True)
 
 
 def test_paths_into_world_and_faults() -> None:
-    assert split("world.traffic.headway") == ("", "traffic.headway")
-    assert split("faults.ghost.activation.at") == ("ghost", "activation.at")
+    assert split_path("world.traffic.headway") == ("", "traffic.headway")
+    assert split_path("faults.ghost.activation.at") == ("ghost", "activation.at")
     for path in ("world", "faults.ghost", "faults", "duration", "roles.generator"):
         with pytest.raises(ConfigurationError, match="cannot be varied"):
-            split(path)
+            split_path(path)
 
 
 def test_a_key_that_the_world_leaves_out_may_vary_where_the_simulator_allows_it(

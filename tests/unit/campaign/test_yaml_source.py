@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from pytest_dura import ConfigurationError
-from pytest_dura.campaign.yaml_source import MAX_BYTES, parse_yaml, read_yaml
+from pytest_dura.library.documents import MAX_BYTES, parse_yaml, read_yaml
 
 
 def refused(path: Path) -> ConfigurationError:

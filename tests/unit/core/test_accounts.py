@@ -10,7 +10,7 @@ from loops import Says, run_loop
 from thermostat import Thermostat
 
 from pytest_dura import Proposal
-from pytest_dura.core.accounts import DEEPEST, LONGEST, accounted, copied
+from pytest_dura.core.loop_signals import DEEPEST, LONGEST, account_columns, copied_account
 from pytest_dura.core.metrics import Tally
 
 
@@ -186,7 +186,7 @@ def test_what_a_component_changes_afterwards_changes_nothing():
 
 def test_a_copy_shares_nothing_with_its_original():
     account = {"a": [1, {"b": (2,)}]}
-    found = copied(account)
+    found = copied_account(account)
     account["a"][1]["b"] = 3
     assert found == {"a": [1, {"b": [2]}]}
 
@@ -195,7 +195,7 @@ def test_without_any_account_there_is_nothing_to_measure():
     episode = run_loop(Says(lambda _: Proposal(0.5)), simulator=Told(), seconds=0.3)
     assert not [name for name in episode.signals if name.startswith("proposal.")]
     assert episode.metrics.tallies == {}
-    assert accounted(Told(), [], [], [{}, {}]) is None
+    assert account_columns(Told(), [], [], [{}, {}]) is None
 
 
 @pytest.mark.parametrize("hook", ["account_measures", "account_signals"])

@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from pytest_dura.core.anomaly import AnomalyModel, average_depth
+from pytest_dura.core.anomaly_monitor import AnomalyModel, average_depth
 from pytest_dura.core.errors import ConfigurationError
 
 FOREST = {"sample": 4, "trees": [[[0, -1, 1, -1, -1], [1.0, 1.0, 0.5, 2.0, 3.0]], [[-1], [2.0]]]}
@@ -67,7 +67,7 @@ def rewritten(file, change, *, honest=True):
     whole = json.loads(file.read_text())
     change(whole["model"])
     if honest:
-        from pytest_dura.core.anomaly import _digest
+        from pytest_dura.core.anomaly_monitor import _digest
 
         whole["sha256"] = _digest(whole["model"])
     file.write_text(json.dumps(whole))

@@ -18,7 +18,7 @@ from thermostat import Thermostat
 
 from pytest_dura import ActionError, Assessment, Lazy, Proposal, SafetyMonitor, Simulator, sealed
 from pytest_dura.core.boundary import Boundary, ExitRefusedError, lasting_guard, let_pass
-from pytest_dura.core.plain import exact_copy
+from pytest_dura.core.component import exact_copy
 
 
 class PluginError(BaseException):

@@ -9,7 +9,7 @@ import pytest
 from handmade import decided, handmade
 
 from pytest_dura.core.loop_signals import LOOP_SIGNALS, loop_signals
-from pytest_dura.core.switching import switching
+from pytest_dura.core.propagation import switching
 
 
 def found(sources: str, verdicts: str | None = None, *, dt: float = 0.5) -> dict[str, Any]:

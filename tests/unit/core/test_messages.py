@@ -9,7 +9,7 @@ import pytest
 from loops import Says, doing, run_loop
 
 from pytest_dura import FaultInjector, Injection, Proposal, Recovery, RecoveryPlanner, SafetyMonitor
-from pytest_dura.core.outside import OutsideError
+from pytest_dura.core.errors import ComponentEnvironmentError
 from pytest_dura.core.roles import Assessed, Assessment
 from pytest_dura.core.state import NOTHING
 
@@ -73,7 +73,7 @@ def test_an_injector_that_fails_within_a_proposal_is_no_failure_of_the_component
     def talk(view):
         try:
             view.transmit("prompt", "cold")
-        except OutsideError:
+        except ComponentEnvironmentError:
             if not catches:
                 raise
         return Proposal(1.0)

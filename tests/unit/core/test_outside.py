@@ -6,19 +6,23 @@ import pytest
 from loops import Says, run_loop
 
 from pytest_dura import Proposal
-from pytest_dura.core.outside import OutsideError, listening, told
+from pytest_dura.core.errors import (
+    ComponentEnvironmentError,
+    environment_errors,
+    report_environment_error,
+)
 
 
 def fails(view):
     if view.index == 3:
-        raise told(OutsideError("cassette", "it has no answer"))
+        raise report_environment_error(ComponentEnvironmentError("cassette", "it has no answer"))
     return Proposal(1.0)
 
 
 def fails_and_goes_on(view):
     try:
         return fails(view)
-    except OutsideError:
+    except ComponentEnvironmentError:
         return Proposal(0.0)
 
 
@@ -32,7 +36,7 @@ def test_it_ends_the_episode_as_missing_whatever_the_component_makes_of_it(compo
 
 def test_an_error_that_nobody_was_told_of_is_the_components():
     def raises(view):
-        raise OutsideError("cassette", "made up")
+        raise ComponentEnvironmentError("cassette", "made up")
 
     episode = run_loop(Says(raises))
     assert episode.validity == "valid"
@@ -42,24 +46,24 @@ def test_an_error_that_nobody_was_told_of_is_the_components():
 def test_it_may_come_up_in_the_reset():
     class Begins(Says):
         def reset(self, context):
-            raise told(OutsideError("cassette", "gone"))
+            raise report_environment_error(ComponentEnvironmentError("cassette", "gone"))
 
     episode = run_loop(Begins(fails))
     assert episode.failure == "infrastructure: cassette at tick 0 (t = 0.0 s): gone"
 
 
 def test_a_loop_within_a_component_hears_of_its_own_failures_only():
-    with listening() as outer:
-        with listening() as inner:
-            told(OutsideError("cassette", "inner"))
-        told(OutsideError("cassette", "outer"))
+    with environment_errors() as outer:
+        with environment_errors() as inner:
+            report_environment_error(ComponentEnvironmentError("cassette", "inner"))
+        report_environment_error(ComponentEnvironmentError("cassette", "outer"))
     assert [str(one) for one in inner] == ["inner"]
     assert [str(one) for one in outer] == ["outer"]
 
 
 def test_without_a_loop_nobody_listens():
-    error = OutsideError("cassette", "alone")
-    assert told(error) is error
-    with listening() as heard:
+    error = ComponentEnvironmentError("cassette", "alone")
+    assert report_environment_error(error) is error
+    with environment_errors() as heard:
         pass
     assert heard == []

@@ -19,7 +19,7 @@ from thermostat import (
 )
 
 from pytest_dura import ConfigurationError, Generator, Orchestrator, Role, SafetyMonitor
-from pytest_dura.core.schedule import schedule
+from pytest_dura.core.roles import schedule
 
 
 def user_role(*after: str) -> Any:

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from pytest_dura.core.limits import CallNotStopped, TimeBudgetExceeded, call_within
+from pytest_dura.core.boundary import CallNotStopped, TimeBudgetExceeded, call_within
 
 context: ContextVar[str] = ContextVar("context", default="none")
 

@@ -22,9 +22,8 @@ from pytest_dura import (
     StateManager,
     Tick,
 )
-from pytest_dura.core.percepts import shared
-from pytest_dura.core.roles import Alert, SecurityAssessment
-from pytest_dura.core.state import NOTHING, History
+from pytest_dura.core.roles import SecurityAssessment
+from pytest_dura.core.state import NOTHING, Alert, History, shared
 
 
 def state_with(*channels: dict[str, Any]) -> StateManager:

@@ -12,12 +12,11 @@ import pytest
 from thermostat import Controller, HeatMonitor, Thermostat
 
 from pytest_dura import Assessment, Generator, Proposal
+from pytest_dura.core.boundary import CallBlocked, CallTimer, alarms, call_within
 from pytest_dura.core.component import ABANDON_AFTER
 from pytest_dura.core.episode import Episode, EpisodeSpec, Termination
-from pytest_dura.core.limits import alarms, call_within
 from pytest_dura.core.orchestrator import Orchestrator
 from pytest_dura.core.role_spec import RoleSpec
-from pytest_dura.core.watchdog import CallBlocked, Watch
 
 pytestmark = pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="there is no alarm")
 
@@ -136,7 +135,7 @@ def test_many_short_calls_are_not_one_long_one() -> None:
 
 
 def test_the_watch_goes_on_after_calls_with_a_limit_of_their_own() -> None:
-    watch = Watch(LIMIT)
+    watch = CallTimer(LIMIT)
     with alarms(watch):
         for _ in range(3):
             assert call_within(5.0, divmod, 7, 2) == (3, 1)
@@ -151,7 +150,7 @@ def test_the_alarm_of_somebody_else_is_left_alone() -> None:
     before = signal.signal(signal.SIGALRM, lambda number, _: rung.append(number))
     signal.setitimer(signal.ITIMER_REAL, 0.2)
     try:
-        with alarms(Watch(LIMIT)):
+        with alarms(CallTimer(LIMIT)):
             time.sleep(0.3)
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
@@ -160,11 +159,11 @@ def test_the_alarm_of_somebody_else_is_left_alone() -> None:
 
 
 def test_a_stroke_of_the_watch_that_comes_late_ends_no_call_of_the_component() -> None:
-    watch = Watch(LIMIT)
+    watch = CallTimer(LIMIT)
     with alarms(watch):
         assert call_within(5.0, signal.raise_signal, signal.SIGALRM) is None
 
 
 def test_without_a_limit_there_is_no_timer() -> None:
-    with alarms(Watch(None)):
+    with alarms(CallTimer(None)):
         assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from pytest_dura.core.whole_files import Written, replace_file, temporary_prefix
+from pytest_dura.core.files import WrittenFile, replace_file, temporary_prefix
 
 
 @pytest.mark.parametrize("durable", [False, True])
@@ -19,7 +19,7 @@ def test_what_is_written_has_the_size_and_digest_that_are_told(
     told = replace_file(file, ["é", b"\x00", "\udcff"], durable=durable)
     data = file.read_bytes()
     assert data == "é".encode() + b"\x00\\udcff"
-    assert told == Written(hashlib.sha256(data).hexdigest(), len(data))
+    assert told == WrittenFile(hashlib.sha256(data).hexdigest(), len(data))
     assert file.stat().st_mode & 0o777 == 0o644
 
 

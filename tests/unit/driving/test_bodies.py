@@ -8,10 +8,10 @@ import pickle
 import numpy as np
 import pytest
 
-from pytest_dura.core.comparing import first_difference, leaves, mutable_parts
+from pytest_dura.core.conformance import first_difference, leaves, mutable_parts
 from pytest_dura.driving.bodies import NO_BODIES, Body, BodyList
-from pytest_dura.driving.ego import ego_of
 from pytest_dura.driving.junction import all_routes, route
+from pytest_dura.driving.scene import ego_of
 from pytest_dura.driving.sensors import Odometry, Pose, route_map
 
 CARS = [

@@ -41,7 +41,7 @@ def gap_to(tick: Tick, name: str) -> float:
     assert body is not None
     mine = np.array([[ego.x, ego.y, ego.heading, 5.0, 2.0]])
     other = np.array([[body.x, body.y, body.heading, body.length, body.width]])
-    return float(geometry.gap(mine, other)[0])
+    return float(geometry.box_gap(mine, other)[0])
 
 
 def check_contact(simulator: HighwaySimulator, ticks: list[Tick], code: int, partner: str) -> str:

@@ -10,11 +10,11 @@ import pytest
 from roads import SCENARIOS, always, begin, bodies_at, drive, run
 
 from pytest_dura import ConfigurationError, RoleSpec
-from pytest_dura.campaign.cases import one_case
-from pytest_dura.campaign.loading import load_scenarios
-from pytest_dura.driving.concrete import concrete_world
 from pytest_dura.driving.highway import HighwaySimulator
 from pytest_dura.driving.junction import ARM_LENGTH, route
+from pytest_dura.driving.scenario import concrete_world
+from pytest_dura.library.cases import case_with_faults
+from pytest_dura.library.loading import load_scenarios
 
 
 @pytest.mark.parametrize(
@@ -22,7 +22,9 @@ from pytest_dura.driving.junction import ARM_LENGTH, route
     [("congested", 1), ("nominal", 2), ("conflicting-traffic", 3), ("pedestrian-crossing", 4)],
 )
 def test_the_world_written_out_gives_the_same_episode(name: str, seed: int) -> None:
-    case = one_case(load_scenarios([SCENARIOS / "intersection"])[f"intersection/{name}"], "none")
+    case = case_with_faults(
+        load_scenarios([SCENARIOS / "intersection"])[f"intersection/{name}"], "none"
+    )
     spec = case.spec(seed, 9, {"generator": RoleSpec("reactive")})
     spec = replace(spec, termination=replace(spec.termination, time_limit=12.0))
     world = concrete_world(spec.scenario["world"], spec.scenario["duration"], spec.seed)

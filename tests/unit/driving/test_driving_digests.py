@@ -13,8 +13,8 @@ import pytest
 from roads import SCENARIOS, SIX, run
 
 from pytest_dura import EpisodeSpec, RoleSpec
-from pytest_dura.campaign.cases import expand_cases
-from pytest_dura.campaign.loading import load_scenarios
+from pytest_dura.library.cases import expand_cases
+from pytest_dura.library.loading import load_scenarios
 
 GENERATORS = ("rule_based", "reactive", "random")
 

@@ -11,8 +11,8 @@ from handmade import handmade
 from roads import always, drive, run, spec_of_drive
 
 from pytest_dura import ConfigurationError, Episode, RoleSpec
-from pytest_dura.core.roles import Generator, Proposal
-from pytest_dura.core.state import GeneratorView
+from pytest_dura.core.roles import Generator
+from pytest_dura.core.state import GeneratorView, Proposal
 from pytest_dura.driving.junction import route
 from pytest_dura.driving.maneuvers import Command, Maneuver
 from pytest_dura.driving.measures import (

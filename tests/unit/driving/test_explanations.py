@@ -11,11 +11,11 @@ import pytest
 from roads import car, channels_of, run, spec_of_drive, walker
 
 from pytest_dura import Episode, RoleSpec
-from pytest_dura.core.roles import Generator, Proposal
-from pytest_dura.core.state import GeneratorView, Percept, Tick
-from pytest_dura.driving.accounts import FAILURE_CLASSES
+from pytest_dura.core.roles import Generator
+from pytest_dura.core.state import GeneratorView, Percept, Proposal, Tick
 from pytest_dura.driving.bodies import BodyList
 from pytest_dura.driving.explanations import (
+    FAILURE_CLASSES,
     KINDS,
     NAMES,
     SIGNALS,

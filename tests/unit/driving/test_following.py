@@ -7,19 +7,19 @@ import pytest
 from roads import always, car, car_on, drive, walker
 
 from pytest_dura.driving.bodies import Body, BodyList
-from pytest_dura.driving.following import (
+from pytest_dura.driving.junction import route
+from pytest_dura.driving.traffic_rules import (
     CUT_IN_GRACE,
     LEADER_CAP,
     Leaders,
+    find_leaders,
     following_margin,
-    leaders,
     safe_distance,
 )
-from pytest_dura.driving.junction import route
 
 
 def leader_of(*bodies: Body, s: float = 50.0, turn: str = "straight") -> tuple[float, float, str]:
-    found = leaders(route(0, turn), np.array([s]), [BodyList.of(bodies)])
+    found = find_leaders(route(0, turn), np.array([s]), [BodyList.of(bodies)])
     return float(found.gap[0]), float(found.speed[0]), found.ids[0]
 
 

@@ -16,7 +16,7 @@ from highway_env.envs.intersection_env import IntersectionEnv
 from highway_env.vehicle.behavior import IDMVehicle
 from roads import always, begin, bodies_at, drive, run, spec_of_drive
 
-from pytest_dura.core.comparing import leaves
+from pytest_dura.core.conformance import leaves
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.state import Percept, Tick
 from pytest_dura.driving import camera

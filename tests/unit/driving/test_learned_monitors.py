@@ -14,22 +14,26 @@ import pytest
 from roads import SCENARIOS, SIX, Views, car, channels_of, run, spec_of_drive, truth_of
 
 from pytest_dura.__main__ import main
-from pytest_dura.campaign.cases import expand_cases
 from pytest_dura.campaign.detector_training import Training, detector_class, train
-from pytest_dura.campaign.domains import DOMAINS
-from pytest_dura.campaign.episodes.address import Addresses
-from pytest_dura.campaign.episodes.task import EpisodeTask
-from pytest_dura.campaign.loading import load_library, load_scenarios
-from pytest_dura.campaign.settling import ParameterResolver
-from pytest_dura.core.anomaly import AnomalyModel
+from pytest_dura.core.anomaly_monitor import AnomalyModel
 from pytest_dura.core.conformance import check_role
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.roles import Assessed, RoleContext
+from pytest_dura.domains import DOMAINS
 from pytest_dura.driving.bodies import BodyList
-from pytest_dura.driving.features import CAP, DrivingFeatures
 from pytest_dura.driving.highway import HighwaySimulator
-from pytest_dura.driving.roles.learned import IsolationForestMonitor, OneClassSvmMonitor
+from pytest_dura.driving.roles.learned import (
+    CAP,
+    DrivingFeatures,
+    IsolationForestMonitor,
+    OneClassSvmMonitor,
+)
+from pytest_dura.execution.address import Addresses
+from pytest_dura.execution.task import EpisodeTask
+from pytest_dura.library.cases import expand_cases
+from pytest_dura.library.loading import load_library, load_scenarios
+from pytest_dura.library.roles import ParameterResolver
 
 KINDS = ["isolation_forest", "one_class_svm"]
 BUSY = {

@@ -9,8 +9,8 @@ import pytest
 
 from pytest_dura.driving.bodies import BodyList
 from pytest_dura.driving.junction import SPEED_LIMIT, all_routes, route
-from pytest_dura.driving.nearest import nearest
 from pytest_dura.driving.prediction import Predictor
+from pytest_dura.driving.roles.safety import nearest
 from pytest_dura.driving.scene import Scene
 
 CAP = 10.0

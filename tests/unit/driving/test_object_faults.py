@@ -13,7 +13,7 @@ from roads import run, spec_of_drive, truth_of
 
 from pytest_dura import Episode, RoleSpec
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.core.roles import Proposal
+from pytest_dura.core.state import Proposal
 from pytest_dura.driving.roles.planners import Aggressive
 from pytest_dura.faults.catalogue import FAULT_TYPES, default_fault, fault_class, load_fault
 

@@ -15,10 +15,10 @@ from pytest_dura.core.roles import (
     Assessment,
     Generator,
     PerformanceAssessment,
-    Proposal,
     RoleContext,
     SafetyMonitor,
 )
+from pytest_dura.core.state import Proposal
 from pytest_dura.driving.highway import HighwaySimulator
 from pytest_dura.driving.maneuvers import Command, Maneuver
 from pytest_dura.driving.roles import performance

@@ -10,9 +10,9 @@ import pytest
 from roads import Views, car, car_on, channels_of, run, spec_of_drive, walker
 
 from pytest_dura.core.conformance import check_role
-from pytest_dura.core.roles import Generator, Proposal, RoleContext
+from pytest_dura.core.roles import Generator, RoleContext
 from pytest_dura.core.seeding import derive_seed
-from pytest_dura.core.state import GeneratorView
+from pytest_dura.core.state import GeneratorView, Proposal
 from pytest_dura.driving.highway import HighwaySimulator
 from pytest_dura.driving.maneuvers import (
     MAX_ACCELERATION,

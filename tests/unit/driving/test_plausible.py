@@ -12,22 +12,22 @@ from roads import Views, car, car_on, channels_of, run, spec_of_drive
 
 from pytest_dura.core.roles import Assessed, Assessment, RoleContext
 from pytest_dura.driving.bodies import BodyList
-from pytest_dura.driving.now import percept_at
-from pytest_dura.driving.plausible import (
+from pytest_dura.driving.percepts import (
     PLACE,
     SIZE,
     all_objects,
-    doubtful,
-    objects,
+    implausible_values,
     out_of_range,
     own_motion,
     own_pose,
     own_speed,
-    returns,
+    plausible_objects,
+    plausible_returns,
 )
 from pytest_dura.driving.roles.performance import DrivingOracle
 from pytest_dura.driving.roles.safety import SEPARATION_CAP, SeparationMonitor
 from pytest_dura.driving.roles.security import PlausibilityAssessor
+from pytest_dura.driving.signals import percept_at
 
 AHEAD = car_on(0, "straight", 90.0, 5.0, "AHEAD")
 OWN = [
@@ -77,11 +77,11 @@ def test_what_is_within_the_ranges_is_handed_on_as_it_is() -> None:
     percept = channels_of(AHEAD, car("EDGE", -70.0, 2.0, 99.0, -70.0, length=30.0, width=0.1))
     assert own_pose(percept) is percept["localisation"]
     assert own_motion(percept) is percept["imu"]
-    assert objects(percept) is percept["lidar"]
-    assert returns(percept) is percept["radar"]
+    assert plausible_objects(percept) is percept["lidar"]
+    assert plausible_returns(percept) is percept["radar"]
     for speed in (-1.0, 0.0, 70.0):
         assert own_speed(altered("odometry", speed=speed)) == speed
-    assert out_of_range(percept) == doubtful(percept) == []
+    assert out_of_range(percept) == implausible_values(percept) == []
     assert patterns(percept) == []
     assert judged(percept).verdict is Assessed.SAFE
 
@@ -94,24 +94,24 @@ def test_what_is_beyond_saturates() -> None:
     )
     assert own_motion(altered("imu", acceleration=-51.0))[0] == -50.0
     assert own_motion(altered("imu", yaw_rate=1e9))[2] == 10.0
-    assert returns(with_return(0, -1.0))[0, 0] == 0.0
-    assert returns(with_return(2, 1e300))[0, 2] == 140.0
-    (body,) = objects(with_object(vx=-1e300, y=1e300))
+    assert plausible_returns(with_return(0, -1.0))[0, 0] == 0.0
+    assert plausible_returns(with_return(2, 1e300))[0, 2] == 140.0
+    (body,) = plausible_objects(with_object(vx=-1e300, y=1e300))
     assert (body.vx, body.y, body.x, body.vy) == (-70.0, PLACE, AHEAD.x, AHEAD.vy)
 
 
 def test_of_an_angle_whole_turns_are_left_out() -> None:
     turned = 2 * math.pi * 1e6 + 1.0
     assert own_pose(altered("localisation", heading=turned)).heading == pytest.approx(1.0, abs=1e-6)
-    assert returns(with_return(1, -turned))[0, 1] == pytest.approx(-1.0, abs=1e-6)
-    assert objects(with_object(heading=turned))[0].heading == pytest.approx(1.0, abs=1e-6)
+    assert plausible_returns(with_return(1, -turned))[0, 1] == pytest.approx(-1.0, abs=1e-6)
+    assert plausible_objects(with_object(heading=turned))[0].heading == pytest.approx(1.0, abs=1e-6)
 
 
 @pytest.mark.parametrize("size", [-5.0, -1e-308, 0.0, 1e-308, 0.09])
 def test_a_size_too_small_is_a_cars(size: float) -> None:
-    (body,) = objects(with_object(length=size, width=size))
+    (body,) = plausible_objects(with_object(length=size, width=size))
     assert (body.length, body.width) == (5.0, 2.0)
-    (body,) = objects(with_object(length=1e300))
+    (body,) = plausible_objects(with_object(length=1e300))
     assert (body.length, body.width) == (SIZE[1], 2.0)
 
 
@@ -171,7 +171,7 @@ def test_imu_and_radar_are_alerted_and_are_no_matter_of_safety(
 ) -> None:
     assert (f"out_of_range:{channel}", channel) in patterns(percept)
     assert [one.detail for one in out_of_range(percept)] == [told]
-    assert doubtful(percept) == []
+    assert implausible_values(percept) == []
 
 
 def test_what_the_oracle_measures_stays_finite_and_fails() -> None:
@@ -224,6 +224,6 @@ def test_of_many_percepts_it_tells_the_same_as_of_each() -> None:
     percepts += [altered("odometry", speed=1e300), altered("localisation", x=1e300)]
     for some in (percepts, percepts[:1] + percepts[3:], percepts[3:4], []):
         bodies, doubts = all_objects(some)
-        assert bodies == [objects(percept) for percept in some]
-        assert doubts == [bool(doubtful(percept)) for percept in some]
+        assert bodies == [plausible_objects(percept) for percept in some]
+        assert doubts == [bool(implausible_values(percept)) for percept in some]
     assert all_objects(percepts)[1] == [False, True, False, False, True, True]

@@ -20,10 +20,8 @@ from roads import (
 )
 
 from pytest_dura import Episode, RoleSpec
-from pytest_dura.campaign.domains import DOMAINS
 from pytest_dura.core.conformance import check_role
 from pytest_dura.core.roles import (
-    Alert,
     Assessed,
     Assessment,
     Recovery,
@@ -32,6 +30,8 @@ from pytest_dura.core.roles import (
     SafetyMonitor,
     SecurityAssessment,
 )
+from pytest_dura.core.state import Alert
+from pytest_dura.domains import DOMAINS
 from pytest_dura.driving.bodies import Body
 from pytest_dura.driving.highway import HighwaySimulator
 from pytest_dura.driving.junction import SPEED_LIMIT
@@ -42,8 +42,8 @@ from pytest_dura.driving.roles.recovery import (
     IgnoreUntrusted,
     Replan,
     SafeStop,
+    SecondOpinion,
 )
-from pytest_dura.driving.roles.recovery.outlook import SecondOpinion
 from pytest_dura.driving.roles.safety import SeparationMonitor
 
 PLANNERS = DOMAINS["driving"].short_names["recovery_planner"]

@@ -11,18 +11,23 @@ import numpy as np
 import pytest
 from roads import SCENARIOS, SIX, Views, car, channels_of, drive, run, spec_of_drive, truth_of
 
-from pytest_dura.campaign.cases import expand_cases
-from pytest_dura.campaign.domains import DOMAINS
-from pytest_dura.campaign.loading import load_scenarios
 from pytest_dura.core.conformance import check_role
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.roles import Assessed, RoleContext, SecurityAssessment
+from pytest_dura.domains import DOMAINS
 from pytest_dura.driving.bodies import BodyList
 from pytest_dura.driving.highway import HighwaySimulator
 from pytest_dura.driving.maneuvers import Command, Maneuver
-from pytest_dura.driving.residuals import ACTUATOR_SLEW, Snapshot, residuals
-from pytest_dura.driving.roles.residuals import LIMITS, ResidualMonitor
+from pytest_dura.driving.roles.residuals import (
+    ACTUATOR_SLEW,
+    LIMITS,
+    ResidualMonitor,
+    Snapshot,
+    residuals,
+)
+from pytest_dura.library.cases import expand_cases
+from pytest_dura.library.loading import load_scenarios
 
 MONITOR = RoleSpec(DOMAINS["driving"].short_names["residual_monitor"]["cusum"])
 TURNS = {"left": 1.0, "straight": 0.01, "right": 1.0}

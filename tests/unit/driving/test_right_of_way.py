@@ -13,7 +13,7 @@ from pytest_dura.core.state import Tick
 from pytest_dura.driving.bodies import BodyList
 from pytest_dura.driving.junction import ARM_LENGTH, conflict, route
 from pytest_dura.driving.maneuvers import Command, Maneuver
-from pytest_dura.driving.right_of_way import BRAKING_CAP, CAP, demanded_braking, right_of_way
+from pytest_dura.driving.traffic_rules import BRAKING_CAP, CAP, demanded_braking, right_of_way
 
 
 def crossing(

@@ -7,12 +7,12 @@ import math
 import numpy as np
 import pytest
 
-from pytest_dura.core.recording import POSE
+from pytest_dura.core.simulator import POSE
 from pytest_dura.core.state import Percept
 from pytest_dura.driving.bodies import Body, BodyList
 from pytest_dura.driving.highway import HighwaySimulator
 from pytest_dura.driving.maneuvers import Command, Maneuver
-from pytest_dura.driving.plausible import PLACE
+from pytest_dura.driving.percepts import PLACE
 from pytest_dura.driving.sensors import Pose
 
 WORLD = {

@@ -11,9 +11,9 @@ from roads import car, car_on, channels_of, walker
 from pytest_dura.driving import geometry, prediction
 from pytest_dura.driving.bodies import NO_BODIES, Body, BodyList
 from pytest_dura.driving.junction import route
-from pytest_dura.driving.radar import CrossCheck, compare, with_unexplained_returns
+from pytest_dura.driving.percepts import CrossCheck, compare_sensors, with_unexplained_returns
+from pytest_dura.driving.roles.security import Tracker
 from pytest_dura.driving.scene import Scene, crossing, time_to_cover
-from pytest_dura.driving.tracking import Tracker
 
 A, B, P = car("A", 1.0, 2.0, 0.5, 3.0), car("B", 4.0, 5.0), walker("P1", 0.0, 0.0, 1.0)
 
@@ -131,7 +131,7 @@ def test_predicted_separation_is_never_more_than_the_gap() -> None:
         x, y, heading = (float(value) for value in way.pose(s))
         mine = np.array([[x, y, heading, 5.0, 2.0]])
         box = np.array([[other.x, other.y, other.heading, 5.0, 2.0]])
-        gap = float(geometry.gap(mine, box)[0])
+        gap = float(geometry.box_gap(mine, box)[0])
         assert apart <= gap + 1e-9, "discs cover the boxes: it errs to the safe side"
         assert apart >= gap - 2.6 or gap == 0.0
 
@@ -143,15 +143,15 @@ def test_who_cannot_be_reached_is_left_out() -> None:
 
 def test_radar_and_lidar_are_compared_by_place_and_rate() -> None:
     seen = car("V1", 2.0, 40.0, -math.pi / 2, 5.0)
-    confirmed, explained = compare(channels_of(seen))
+    confirmed, explained = compare_sensors(channels_of(seen))
     assert confirmed.all()
     assert explained.all()
-    confirmed, explained = compare(channels_of(seen, radar=[]))
+    confirmed, explained = compare_sensors(channels_of(seen, radar=[]))
     assert confirmed.tolist() == [False]
     assert explained.shape == (0,)
-    confirmed, explained = compare(channels_of(radar=[seen]))
+    confirmed, explained = compare_sensors(channels_of(radar=[seen]))
     assert explained.tolist() == [False]
-    confirmed, explained = compare(channels_of(seen, radar=[B, seen]))
+    confirmed, explained = compare_sensors(channels_of(seen, radar=[B, seen]))
     assert confirmed.tolist() == [True]
     assert explained.tolist() == [False, True]
 

@@ -7,9 +7,8 @@ from pathlib import Path
 import pytest
 from baseline_records import record, spec, verdict
 
-from pytest_dura.evidence.baseline.claims import claims_of
-from pytest_dura.evidence.baseline.comparisons import compare_claims
-from pytest_dura.evidence.record.session_record import SessionRecord
+from pytest_dura.evidence.baseline import claims_of, compare_claims
+from pytest_dura.evidence.model import SessionRecord
 
 
 def compared(new, old):

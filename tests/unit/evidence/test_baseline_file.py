@@ -12,8 +12,8 @@ import pytest
 from baseline_records import record, verdict
 
 from pytest_dura import ConfigurationError
-from pytest_dura.evidence.baseline.file import Baseline
-from pytest_dura.evidence.record.session_record import SessionRecord
+from pytest_dura.evidence.baseline import Baseline
+from pytest_dura.evidence.model import SessionRecord
 
 
 def written(folder, told):

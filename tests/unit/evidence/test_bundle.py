@@ -7,17 +7,16 @@ import numpy as np
 import pytest
 
 from pytest_dura import ConfigurationError
-from pytest_dura.core import whole_files
-from pytest_dura.evidence.bundle import directory
-from pytest_dura.evidence.bundle.manifest import MANIFEST
-from pytest_dura.evidence.formats import all_formats
-from pytest_dura.evidence.plain import plain
-from pytest_dura.evidence.record.evidence_record import SCHEMA_VERSION
-from pytest_dura.evidence.record.session_record import SessionRecord
+from pytest_dura.core import files
+from pytest_dura.evidence import bundle
+from pytest_dura.evidence.bundle import all_formats
+from pytest_dura.evidence.files import MANIFEST_FILE
+from pytest_dura.evidence.gather import SCHEMA_VERSION
+from pytest_dura.evidence.model import SessionRecord, plain_data
 
 
 def test_plain_data_holds_builtins_only():
-    made = plain(
+    made = plain_data(
         {
             "a": np.float64(1.5),
             "b": (np.int64(2), [True, None]),
@@ -32,7 +31,7 @@ def test_plain_data_holds_builtins_only():
 
 def test_what_is_no_data_is_refused():
     with pytest.raises(TypeError, match="object is not plain data"):
-        plain({"a": [object()]})
+        plain_data({"a": [object()]})
 
 
 RECORD = {
@@ -45,12 +44,12 @@ RECORD = {
 
 
 def write(folder, record):
-    return directory.write_record(folder, SessionRecord.of(record, folder))
+    return bundle.write_record(folder, SessionRecord.of(record, folder))
 
 
 def test_what_is_written_and_read_back_is_equal(tmp_path):
     file = write(tmp_path / "new" / "folder", RECORD)
-    assert directory.read_record(file.parent) == RECORD
+    assert bundle.read_record(file.parent) == RECORD
 
 
 def test_a_failed_write_leaves_the_old_record_and_no_rubbish(tmp_path, monkeypatch):
@@ -59,7 +58,7 @@ def test_a_failed_write_leaves_the_old_record_and_no_rubbish(tmp_path, monkeypat
     def full(descriptor):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(whole_files.os, "fsync", full)
+    monkeypatch.setattr(files.os, "fsync", full)
     with pytest.raises(ConfigurationError, match="No space left on device"):
         write(tmp_path, {**RECORD, "number": 2})
     assert [file.name for file in tmp_path.iterdir()] == ["evidence.json"]
@@ -68,10 +67,10 @@ def test_a_failed_write_leaves_the_old_record_and_no_rubbish(tmp_path, monkeypat
 
 def test_reading_explains_what_is_wrong(tmp_path):
     with pytest.raises(ConfigurationError, match="there is no evidence here"):
-        directory.read_record(tmp_path)
+        bundle.read_record(tmp_path)
     (tmp_path / "evidence.json").write_bytes(b"\xff\x00")
     with pytest.raises(ConfigurationError, match="this is no evidence record"):
-        directory.read_record(tmp_path)
+        bundle.read_record(tmp_path)
 
 
 def test_the_text_is_that_of_the_whole_record_at_once(tmp_path):
@@ -91,13 +90,13 @@ def test_what_a_terminal_would_act_on_is_escaped_and_letters_are_themselves(tmp_
     text = write(tmp_path, record).read_text()
     assert "naïve 漢字 😀 " in text
     assert text.replace("\n", "").isprintable()
-    assert directory.read_record(tmp_path) == record
+    assert bundle.read_record(tmp_path) == record
 
 
 def test_a_name_that_is_no_text_can_be_written_and_read(tmp_path):
     record = {**RECORD, "file": "caf\udce9"}
     write(tmp_path, record)
-    assert directory.read_record(tmp_path) == record
+    assert bundle.read_record(tmp_path) == record
 
 
 def test_a_link_is_replaced_and_never_followed(tmp_path):
@@ -107,10 +106,10 @@ def test_a_link_is_replaced_and_never_followed(tmp_path):
     folder.mkdir()
     (folder / "evidence.json").symlink_to(outside)
     with pytest.raises(ConfigurationError, match="symbolic link"):
-        directory.read_session_record(folder)
+        bundle.read_session_record(folder)
     write(folder, RECORD)
     assert outside.read_text() == "mine"
-    assert directory.read_session_record(folder).head == {
+    assert bundle.read_session_record(folder).head == {
         key: value for key, value in RECORD.items() if key != "episodes"
     }
 
@@ -120,18 +119,18 @@ def test_a_record_without_episodes_is_none(tmp_path):
         json.dumps({"schema_version": SCHEMA_VERSION, "episodes": {}})
     )
     with pytest.raises(ConfigurationError, match="no episodes"):
-        directory.read_session_record(tmp_path)
+        bundle.read_session_record(tmp_path)
 
 
 def test_every_file_of_a_bundle_is_known_to_whoever_clears_it():
-    known = {MANIFEST, "evidence.schema.json", *(one.FILE for one in all_formats())}
-    assert set(directory.RENDERED) == known
+    known = {MANIFEST_FILE, "evidence.schema.json", *(one.FILE for one in all_formats())}
+    assert set(bundle.RENDERED_FILES) == known
 
 
 def test_a_session_that_begins_removes_what_is_left_of_the_last_one(tmp_path):
     folder, outside = tmp_path / "evidence", tmp_path / "outside"
     write(folder, RECORD)
-    own = [*directory.RENDERED, ".evidence.json-x7", ".session-q",
+    own = [*bundle.RENDERED_FILES, ".evidence.json-x7", ".session-q",
            "episodes/a-0123abcd.mcap", "episodes/.b-0123abcd.mcap-x7_y"]  # fmt: skip
     others = ["notes.txt", "report.html.bak", "episodes/notes.txt", "reduced/evidence.json",
               ".hidden", "episodes/drive.mcap", "episodes/.drive.mcap-x7"]  # fmt: skip
@@ -142,10 +141,10 @@ def test_a_session_that_begins_removes_what_is_left_of_the_last_one(tmp_path):
     (folder / "report.html").unlink()
     (folder / "report.html").symlink_to(outside)
     new = {**RECORD, "text": "new"}
-    directory.begin_bundle(SessionRecord.of(new, folder))
+    bundle.begin_bundle(SessionRecord.of(new, folder))
     left = {str(one.relative_to(folder)) for one in folder.rglob("*") if not one.is_dir()}
     assert left == {"evidence.json", *others}
-    assert directory.read_record(folder) == new
+    assert bundle.read_record(folder) == new
     assert outside.read_text() == "mine"
 
 
@@ -155,12 +154,12 @@ def test_a_linked_folder_of_traces_is_not_followed(tmp_path):
     (outside / "a.mcap").write_text("mine")
     write(folder, RECORD)
     (folder / "episodes").symlink_to(outside)
-    directory.clear_bundle(folder)
+    bundle.clear_bundle(folder)
     assert not (folder / "episodes").exists()
     assert (outside / "a.mcap").read_text() == "mine"
 
 
 def test_files_of_others_are_left_alone_where_no_record_was(tmp_path):
     (tmp_path / "summary.md").write_text("mine")
-    directory.begin_bundle(SessionRecord.of(RECORD, tmp_path))
+    bundle.begin_bundle(SessionRecord.of(RECORD, tmp_path))
     assert (tmp_path / "summary.md").read_text() == "mine"

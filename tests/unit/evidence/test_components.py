@@ -6,7 +6,7 @@ import itertools
 
 import pytest
 
-from pytest_dura.evidence.record.components import Components
+from pytest_dura.evidence.gather import Components
 
 
 def described(name, path, **params):

@@ -3,8 +3,8 @@ import json
 import pytest
 from session_records import episode, session_record
 
-from pytest_dura.evidence.record import coverage as module
-from pytest_dura.evidence.record.coverage import coverage
+from pytest_dura.evidence import conclude as module
+from pytest_dura.evidence.conclude import coverage
 
 
 def case(name, *faults, component="C", requirements=("R",), variation=None, without=()):

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from pytest_dura.evidence.record.effectiveness import Courses, effectiveness
+from pytest_dura.evidence.conclude import PairedCourses, effectiveness
 
 OWN, TWIN = "a/b", "a/b~recovery_planner"
 
@@ -35,7 +35,7 @@ def monitor(target: str, tp: int = 0, fn: int = 0, fp: int = 0, tn: int = 0) -> 
 
 
 def of_recovery(*verdicts: dict[str, Any], episodes: Any = ()) -> dict[str, Any]:
-    courses = Courses(verdicts)
+    courses = PairedCourses(verdicts)
     for one in episodes:
         courses.add(one)
     (found,) = effectiveness(verdicts, [], courses)
@@ -101,7 +101,7 @@ def test_one_run_that_went_otherwise_is_enough() -> None:
 def test_pairs_without_something_else_say_nothing_of_recovery() -> None:
     other = verdict(only_without=1)
     other["pairs"]["without"] = "faults"
-    assert effectiveness([other], [], Courses([other])) == []
+    assert effectiveness([other], [], PairedCourses([other])) == []
 
 
 @pytest.mark.parametrize(
@@ -115,7 +115,7 @@ def test_pairs_without_something_else_say_nothing_of_recovery() -> None:
     ],
 )
 def test_what_runs_without_recovery_show_of_a_monitor(told: Any, finding: str, detail: str) -> None:
-    (found,) = effectiveness([], told, Courses([]))
+    (found,) = effectiveness([], told, PairedCourses([]))
     assert (found["role"], found["requirement"]) == ("watch", None)
     assert found["finding"] == finding
     assert detail in found["detail"]
@@ -123,6 +123,6 @@ def test_what_runs_without_recovery_show_of_a_monitor(told: Any, finding: str, d
 
 def test_an_assessor_that_speaks_by_alerts_alone_is_no_silent_monitor() -> None:
     told = [{**monitor("R", fn=2), "monitor": "security_assessor"}]
-    assert effectiveness([], told, Courses([])) == []
+    assert effectiveness([], told, PairedCourses([])) == []
     told = [{**monitor("R", tp=2), "monitor": "security_assessor"}]
-    assert effectiveness([], told, Courses([]))[0]["finding"] == "warned"
+    assert effectiveness([], told, PairedCourses([]))[0]["finding"] == "warned"

@@ -14,9 +14,19 @@ from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 from session_records import session_record
 
-from pytest_dura.evidence.baseline.file import Baseline
-from pytest_dura.evidence.bundle.schema import MOST, check_record, schema, schema_text, words
-from pytest_dura.evidence.bundle.schema_page import BEGIN, END, PAGE, page_of, tables
+from pytest_dura.evidence.baseline import Baseline
+from pytest_dura.evidence.schema import (
+    MAX_PROBLEMS,
+    PAGE,
+    TABLES_BEGIN,
+    TABLES_END,
+    check_record,
+    record_schema,
+    record_vocabulary,
+    schema_tables,
+    schema_text,
+    updated_page,
+)
 
 DOCS = Path(__file__).parents[3] / "docs"
 lawful = settings(derandomize=True, deadline=None, max_examples=40)
@@ -34,7 +44,7 @@ RECORD["verdicts"] = RECORD["verdicts"][1:3]
 
 def properties(part=None, path=""):
     """Each property of the schema, with its path."""
-    part = schema() if part is None else part
+    part = record_schema() if part is None else part
     for name, one in part.get("properties", {}).items():
         yield f"{path}.{name}", one
         yield from properties(one, f"{path}.{name}")
@@ -77,9 +87,9 @@ def at(data, step):
 
 
 def test_the_schema_is_one_of_its_draft():
-    Draft202012Validator.check_schema(schema())
-    assert schema()["$id"] == "urn:pytest-dura:evidence:1"
-    assert json.loads(schema_text()) == schema()
+    Draft202012Validator.check_schema(record_schema())
+    assert record_schema()["$id"] == "urn:pytest-dura:evidence:1"
+    assert json.loads(schema_text()) == record_schema()
 
 
 def test_every_property_is_described():
@@ -205,24 +215,22 @@ def test_what_is_wrong_is_told_in_few_words():
 
 def test_the_problems_of_a_foreign_file_are_bounded():
     assert check_record([]) == ["/: found array, expected object"]
-    assert len(check_record({"episodes": [{}] * 10**4})) == MOST
+    assert len(check_record({"episodes": [{}] * 10**4})) == MAX_PROBLEMS
 
 
 def test_the_words_of_a_record():
-    assert {"episodes", "undecided", "violations", "complete"} <= words()
-    assert "nobody knows" not in words()
+    assert {"episodes", "undecided", "violations", "complete"} <= record_vocabulary()
+    assert "nobody knows" not in record_vocabulary()
 
 
 def test_the_committed_page_is_up_to_date():
     committed = (DOCS / PAGE).read_text("utf-8")
-    assert committed == page_of(committed), (
-        "run `python -m pytest_dura.evidence.bundle.schema_page`"
-    )
-    assert committed.count(BEGIN) == committed.count(END) == 1
+    assert committed == updated_page(committed), "run `python -m pytest_dura.evidence.schema`"
+    assert committed.count(TABLES_BEGIN) == committed.count(TABLES_END) == 1
 
 
 def test_every_key_has_its_row_in_the_page():
-    page = tables()
+    page = schema_tables()
     for path, one in properties():
         name = path.rpartition(".")[2]
         told = one.get("description", "").replace("|", "\\|")

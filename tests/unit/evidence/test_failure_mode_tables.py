@@ -5,13 +5,19 @@ from __future__ import annotations
 import pytest
 from session_records import session_record
 
-from pytest_dura.evidence.bundle.schema import check_record
-from pytest_dura.evidence.formats import summary
-from pytest_dura.evidence.formats.report import failure_modes as part
-from pytest_dura.evidence.formats.report import render
-from pytest_dura.evidence.record.failure_modes import FailureModes
-from pytest_dura.evidence.views.failure_modes import ages, answers, by_kind, percent, summed
-from pytest_dura.plugin.failure_mode_lines import failure_mode_table
+from pytest_dura.evidence.metrics import FailureModes
+from pytest_dura.evidence.schema import check_record
+from pytest_dura.plugin.terminal_tables import failure_mode_table
+from pytest_dura.reports import summary
+from pytest_dura.reports.html import episode_sections as part
+from pytest_dura.reports.html.page import render
+from pytest_dura.reports.tables import (
+    decision_age_lines,
+    decision_time_lines,
+    failure_modes_by_component,
+    measured_failure_modes,
+    percent_text,
+)
 
 NASTY = "<script>x</script>\x1b[2J|`@team\n# Gate passed"
 
@@ -44,7 +50,7 @@ def record_with(*told, component="C"):
 
 def test_shares_are_summed_and_not_averaged():
     found = record_with(metrics({"a": tally(1, 2)}), metrics({"a": tally(0, 98)}))
-    (mode,) = summed(found["cases"])["C"]
+    (mode,) = failure_modes_by_component(found["cases"])["C"]
     assert (mode["hits"], mode["of"], mode["share"]) == (1, 100, 0.01)
     assert (mode["episodes"], mode["of_episodes"]) == (1, 2)
     assert "upper" not in mode
@@ -65,7 +71,10 @@ def test_components_are_told_apart_and_arms_left_out():
     told = metrics({"a": tally(1, 2)})
     rows = [{**cases[0], "component": name, "metrics": cases[0]["metrics"] | told} for name in "AB"]
     rows.append({**rows[0], "id": "a/clear~monitor", "without": ["monitor"]})
-    assert {name: modes[0]["of"] for name, modes in summed(rows).items()} == {"A": 2, "B": 2}
+    assert {name: modes[0]["of"] for name, modes in failure_modes_by_component(rows).items()} == {
+        "A": 2,
+        "B": 2,
+    }
     lines = failure_mode_table(rows)
     assert [line.split("  ")[0] for line in lines if "failure modes" in line] == [
         "failure modes of A", "failure modes of B"
@@ -77,7 +86,7 @@ def test_controls_stand_below_and_what_could_not_show_nowhere():
         "control": tally(kind="control"), "idle": tally(0, 0, 0, 0),
         "other": tally(kind="comparison"), "failure": tally(),
     })["failure_modes"]  # fmt: skip
-    assert [one["name"] for one in by_kind(modes)] == ["failure", "control", "other"]
+    assert [one["name"] for one in measured_failure_modes(modes)] == ["failure", "control", "other"]
 
 
 def test_what_the_null_component_alone_could_show_is_told():
@@ -96,12 +105,12 @@ def test_what_the_null_component_alone_could_show_is_told():
 def test_percentiles_of_several_cases_are_a_range():
     quick, slow = metrics({}, seconds=(0.1, 0.2)), metrics({}, seconds=(3.0,))
     one = record_with(quick | metrics({"a": tally()}) | {"answer_times": quick["answer_times"]})
-    assert dict(answers(one["cases"])) == {
+    assert dict(decision_time_lines(one["cases"])) == {
         "C": "2 decisions, median 0.10 s, 95th percentile 0.20 s, longest 0.20 s"
     }
     modes = {"failure_modes": metrics({"a": tally()})["failure_modes"]}
     both = record_with(quick | modes, slow | modes)
-    (told,) = dict(answers(both["cases"])).values()
+    (told,) = dict(decision_time_lines(both["cases"])).values()
     assert told == (
         "3 decisions, median 0.10 to 3.00 s by case, 95th percentile 0.20 to 3.00 s by case, "
         "longest 3.00 s"
@@ -115,12 +124,12 @@ def test_past_the_time_budget_are_timeouts_and_nothing_else():
     )
     late = metrics({"timeout": tally(1, 50)}, {"timeout": tally(0, 0)}, seconds=[0.1])
     both = record_with(quick, late)
-    (told,) = dict(answers(both["cases"])).values()
+    (told,) = dict(decision_time_lines(both["cases"])).values()
     assert told.endswith(", longest 0.10 s; 1 of 55 (1.8 %) past the time budget")
-    (none,) = dict(answers(record_with(quick)["cases"])).values()
+    (none,) = dict(decision_time_lines(record_with(quick)["cases"])).values()
     assert none.endswith("; 0 of 5 (0.0 %) past the time budget")
     unknown = metrics({"timeout": tally(0, 0), "a": tally()}, seconds=[0.1])
-    (untold,) = dict(answers(record_with(unknown)["cases"])).values()
+    (untold,) = dict(decision_time_lines(record_with(unknown)["cases"])).values()
     assert untold.endswith(", longest 0.10 s")
 
 
@@ -130,7 +139,7 @@ def test_ages_are_told_where_a_decision_came_into_force_later_than_its_percept()
     told = "median 0.4 s, 95th percentile 1.2 s, oldest 1.2 s"
     record = record_with(late)
     assert check_record(record) == []
-    assert dict(ages(record["cases"])) == {"C": told}
+    assert dict(decision_age_lines(record["cases"])) == {"C": told}
     line = f"decisions came into force at an age of {told}"
     assert line in failure_mode_table(record["cases"])
     assert f"- decisions of `C` came into force at an age of {told}\n" in summary.render(record)
@@ -139,7 +148,7 @@ def test_ages_are_told_where_a_decision_came_into_force_later_than_its_percept()
 
 def test_ages_of_several_cases_are_a_range_and_components_are_told_apart():
     told = [metrics({"a": tally()}, ages=one) for one in ((0.25,), (0.5, 12.3), (0.0,))]
-    assert dict(ages(record_with(*told)["cases"])) == {
+    assert dict(decision_age_lines(record_with(*told)["cases"])) == {
         "C": "median 0.25 to 0.5 s by case, 95th percentile 0.25 to 12.3 s by case, oldest 12.3 s"
     }
     case = session_record()["cases"][0]
@@ -147,7 +156,7 @@ def test_ages_of_several_cases_are_a_range_and_components_are_told_apart():
         {**case, "component": name, "metrics": case["metrics"] | one}
         for name, one in zip("ABC", told, strict=True)
     ]
-    assert list(dict(ages(rows))) == ["A", "B"]
+    assert list(dict(decision_age_lines(rows))) == ["A", "B"]
     lines = [line for line in failure_mode_table(rows) if line.startswith("decisions of ")]
     assert [line.partition(" at an age of ")[0] for line in lines] == [
         "decisions of A came into force", "decisions of B came into force"
@@ -158,7 +167,7 @@ def test_where_no_decision_is_older_than_its_percept_ages_are_not_told():
     for these in ((), (0.0, 0.0)):
         record = record_with(metrics({"a": tally()}, ages=these))
         assert check_record(record) == []
-        assert list(ages(record["cases"])) == []
+        assert list(decision_age_lines(record["cases"])) == []
         lines = failure_mode_table(record["cases"])
         for page in ("\n".join(lines), summary.render(record), render(record)):
             assert "failure" in page.lower()
@@ -171,7 +180,7 @@ def test_where_no_decision_is_older_than_its_percept_ages_are_not_told():
     [(None, "-"), (0.0, "0.0"), (1.0, "100.0"), (1e-6, "<0.1"), (0.9999, ">99.9"), (0.5, "50.0")],
 )
 def test_rare_is_not_never(part, expected):
-    assert percent(part) == expected
+    assert percent_text(part) == expected
 
 
 def test_without_accounts_there_is_no_table_anywhere():
@@ -206,7 +215,7 @@ def test_names_of_components_and_failure_modes_do_no_harm():
 
 
 def test_rows_of_single_cases_are_bounded(monkeypatch):
-    monkeypatch.setattr(part, "MOST_ROWS", 2)
+    monkeypatch.setattr(part, "MAX_MODE_ROWS", 2)
     told = metrics({name: tally() for name in "abc"})
     page = render(record_with(told, told))
     assert "4 further rows are in evidence.json" in page

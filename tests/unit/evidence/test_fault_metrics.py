@@ -6,8 +6,8 @@ from dataclasses import asdict
 from typing import Any
 
 from pytest_dura.core.metrics import FaultRecord
-from pytest_dura.evidence.record.faults import UNFOLLOWED, FaultMetrics, with_chains
-from pytest_dura.plugin.fault_lines import chain_line, fault_table
+from pytest_dura.evidence.metrics import UNTRACED_FAULT, FaultMetrics, with_chains
+from pytest_dura.plugin.terminal_tables import chain_line, fault_table
 
 
 def fault_metrics(episodes):
@@ -18,9 +18,9 @@ def fault_metrics(episodes):
 
 
 def told(**fields: Any) -> dict[str, Any]:
-    chain = {key: fields.pop(key) for key in list(fields) if key in UNFOLLOWED}
+    chain = {key: fields.pop(key) for key in list(fields) if key in UNTRACED_FAULT}
     record = FaultRecord("f", "lidar", **fields)
-    return {**asdict(record), **record.latencies(), **UNFOLLOWED, **chain}
+    return {**asdict(record), **record.latencies(), **UNTRACED_FAULT, **chain}
 
 
 def metrics(*faults: dict[str, Any]) -> dict[str, Any]:
@@ -80,7 +80,7 @@ def test_faults_of_a_case_are_told_apart_in_declared_order() -> None:
 def test_what_no_verdict_followed_is_unknown() -> None:
     bare = asdict(FaultRecord("f", "lidar"))
     plain = {"id": "road/free#0", "faults": [bare]}
-    assert with_chains(plain, {})["faults"] == [{**bare, **UNFOLLOWED}]
+    assert with_chains(plain, {})["faults"] == [{**bare, **UNTRACED_FAULT}]
     (fault,) = with_chains(plain, {"f": SPREAD})["faults"]
     assert fault["manifested_at"] is None, "the loop's own record stays"
     assert fault["propagated_at"] == 1.2

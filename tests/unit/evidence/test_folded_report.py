@@ -12,10 +12,11 @@ from typing import Any
 import pytest
 from session_records import session_record
 
-from pytest_dura.evidence.formats.gsn import yaml_file
-from pytest_dura.evidence.formats.report import folding, read_counts, render
-from pytest_dura.evidence.formats.report.anchors import case_anchor, verdict_anchor
-from pytest_dura.evidence.record.session_record import SessionRecord
+from pytest_dura.evidence.model import SessionRecord
+from pytest_dura.reports.gsn import yaml_file
+from pytest_dura.reports.html import contents
+from pytest_dura.reports.html.contents import case_anchor, verdict_anchor
+from pytest_dura.reports.html.page import read_counts, render
 
 MOST = 3
 NUMBER = 10
@@ -24,7 +25,7 @@ CASE, VERDICT = "a/clear+ghost", "SAF-1"
 
 @pytest.fixture(autouse=True)
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(folding, "MOST", MOST)
+    monkeypatch.setattr(contents, "MAX_PLAIN_CASES", MOST)
 
 
 def passing(number: int, changes: Mapping[int, Any] | None = None) -> SessionRecord:

@@ -7,10 +7,10 @@ import pytest
 import yaml
 from session_records import REQUIREMENTS, episode, session_record, verdict
 
-from pytest_dura.evidence.formats.gsn import svg_file, yaml_file
-from pytest_dura.evidence.formats.gsn.argument import argument_of
-from pytest_dura.evidence.formats.gsn.rules import problems, roots
-from pytest_dura.evidence.record.counts import Counts
+from pytest_dura.evidence.model import Counts
+from pytest_dura.reports.gsn import svg_file, yaml_file
+from pytest_dura.reports.gsn.argument import generated_argument
+from pytest_dura.reports.gsn.element import root_ids, rule_problems
 
 WAIVER = {"kind": "xfail", "reason": "known"}
 
@@ -27,9 +27,9 @@ def test_the_file_is_yaml_that_keeps_the_rules():
     text = yaml_file.render(session_record())
     data = yaml.safe_load(text)
     assert data.pop("module")["name"] == "assurance-case"
-    assert problems(data) == []
-    assert roots(data) == ["GTop"]
-    told = {id_: one.to_yaml() for id_, one in argument_of(session_record()).items()}
+    assert rule_problems(data) == []
+    assert root_ids(data) == ["GTop"]
+    told = {id_: one.to_yaml() for id_, one in generated_argument(session_record()).items()}
     assert data == json.loads(json.dumps(told))
 
 
@@ -125,7 +125,7 @@ def test_an_incomplete_session_claims_nothing(gate):
     }
     record = session_record(**changes)
     found = elements(record)
-    assert roots(found) == ["GIncomplete"]
+    assert root_ids(found) == ["GIncomplete"]
     assert found["GIncomplete"]["text"].startswith("INCOMPLETE SESSION")
     assert found["GTop"]["undeveloped"]
     assert "supportedBy" not in found["GTop"]
@@ -177,7 +177,7 @@ def test_twin_verdicts_and_several_components_are_told_apart():
 
 def test_a_verdict_on_an_unlisted_requirement_is_refused():
     with pytest.raises(ValueError, match="PERF-1, which is not listed"):
-        argument_of(session_record(requirements=[]))
+        generated_argument(session_record(requirements=[]))
 
 
 def test_reading_notices_what_was_tampered_with():

@@ -6,10 +6,10 @@ import pytest
 from session_records import session_record
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.evidence.formats.gsn import svg_file, yaml_file
-from pytest_dura.evidence.formats.gsn.rules import problems, roots
-from pytest_dura.evidence.formats.gsn.user_file import check_requirements, read_user_argument
-from pytest_dura.evidence.record.counts import Counts
+from pytest_dura.evidence.model import Counts
+from pytest_dura.reports.gsn import svg_file, yaml_file
+from pytest_dura.reports.gsn.element import root_ids, rule_problems
+from pytest_dura.reports.gsn.user_argument import check_requirements, read_user_argument
 
 GOOD = """\
 module:
@@ -51,8 +51,8 @@ def rendered(told, **changes):
 
 def test_the_users_goal_is_the_root_over_our_requirements(user):
     found = rendered(user(GOOD))
-    assert roots(found) == ["G1"]
-    assert problems(found) == []
+    assert root_ids(found) == ["G1"]
+    assert rule_problems(found) == []
     assert found["S1"]["supportedBy"] == ["G-SAF-1", "G-SEC-1"]
     assert found["G2"] == {
         "text": "Operators are trained.", "undeveloped": True, "layer1": "more"

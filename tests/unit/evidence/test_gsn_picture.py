@@ -7,9 +7,9 @@ from xml.etree import ElementTree as ET
 import pytest
 from session_records import REQUIREMENTS, session_record, verdict
 
-from pytest_dura.evidence.formats.gsn import svg_file
-from pytest_dura.evidence.formats.gsn.wrapping import text_width, wrapped
-from pytest_dura.evidence.record.counts import Counts
+from pytest_dura.evidence.model import Counts
+from pytest_dura.reports.gsn import svg_file
+from pytest_dura.reports.gsn.drawing import text_width, wrap_text
 
 SUPPORTED = verdict("SAF-1", "a/clear", ("satisfied",))
 VIOLATED = verdict("SAF-1", "a/clear", ("violated",))
@@ -116,8 +116,8 @@ def test_reading_refuses_what_is_no_picture_and_what_contradicts_itself():
 
 def test_lines_keep_their_width_and_what_is_left_out_is_told():
     for text in ("a few words of prose " * 9, "W" * 300, "path/to/" * 40, "語" * 90):
-        lines = wrapped(text, 180, 6)
+        lines = wrap_text(text, 180, 6)
         assert len(lines) <= 6
         assert all(text_width(line) <= 180 for line in lines)
         assert lines[-1].endswith("…")
-    assert wrapped("short", 180, 6) == ["short"]
+    assert wrap_text("short", 180, 6) == ["short"]

@@ -2,8 +2,7 @@
 
 import pytest
 
-from pytest_dura.evidence.formats.gsn.element import derived_id, kind_of
-from pytest_dura.evidence.formats.gsn.rules import problems
+from pytest_dura.reports.gsn.element import derived_id, kind_of, rule_problems
 
 GOOD = {
     "G1": {"text": "top", "supportedBy": ["S1"], "inContextOf": ["C1", "A1", "J1"]},
@@ -26,7 +25,7 @@ def broken(**changes):
 
 
 def test_a_good_argument_breaks_no_rule():
-    assert problems(GOOD) == []
+    assert rule_problems(GOOD) == []
 
 
 @pytest.mark.parametrize(
@@ -57,14 +56,14 @@ def test_a_good_argument_breaks_no_rule():
     ],
 )  # fmt: skip
 def test_each_rule_is_told_by_its_code(code, changes):
-    assert any(one.startswith(code) for one in problems(broken(**changes)))
+    assert any(one.startswith(code) for one in rule_problems(broken(**changes)))
 
 
 def test_elements_beside_the_tree_are_not_reached():
     circle = {
         "G8": {"text": "one", "supportedBy": ["G9"]}, "G9": {"text": "two", "supportedBy": ["G8"]}
     }  # fmt: skip
-    found = problems(GOOD | circle)
+    found = rule_problems(GOOD | circle)
     assert [one for one in found if one.startswith("C08")] == [
         "C08 G8: it cannot be reached from the top", "C08 G9: it cannot be reached from the top"
     ]  # fmt: skip
@@ -80,17 +79,19 @@ def test_elements_beside_the_tree_are_not_reached():
     ],
 )  # fmt: skip
 def test_what_is_no_element_is_told(node):
-    assert any(one.startswith("G3: ") for one in problems({**GOOD, "G3": node}))
+    assert any(one.startswith("G3: ") for one in rule_problems({**GOOD, "G3": node}))
 
 
 def test_a_challenge_to_a_relation_defeats_neither_of_its_ends():
-    assert problems(broken(CG1={"challenges": "S1 -> G2"}, G2={"defeated": False})) == []
-    assert any(one.startswith("V10") for one in problems(broken(CG1={"challenges": "S1 -> G2"})))
+    assert rule_problems(broken(CG1={"challenges": "S1 -> G2"}, G2={"defeated": False})) == []
+    assert any(
+        one.startswith("V10") for one in rule_problems(broken(CG1={"challenges": "S1 -> G2"}))
+    )
 
 
 def test_an_argument_deeper_than_the_stack_is_judged():
     deep = {f"G{i}": {"text": "x", "supportedBy": [f"G{i + 1}"]} for i in range(5000)}
-    assert problems(deep | {"G5000": {"text": "x", "undeveloped": True}}) == []
+    assert rule_problems(deep | {"G5000": {"text": "x", "undeveloped": True}}) == []
 
 
 def test_ids_keep_their_kind_whatever_they_are_about():

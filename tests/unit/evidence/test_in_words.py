@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 from session_records import session_record, verdict
 
-from pytest_dura.evidence.formats import summary
-from pytest_dura.evidence.formats.in_words import not_shown, shown
-from pytest_dura.evidence.formats.report import render
+from pytest_dura.reports import summary
+from pytest_dura.reports.html.page import render
+from pytest_dura.reports.wording import conclusion_sentences, limitation_sentences
 
 SUPPORTED = verdict("SAF-1", "a/clear", ("satisfied",) * 14)
 WIDER = verdict("SAF-1", "a/clear+ghost", ("satisfied",) * 3)
@@ -20,7 +20,10 @@ def told(sentences, **changes):
 
 
 def test_what_is_violated_and_supported_comes_with_the_weakest_bound_and_its_n():
-    text = told(shown, verdicts=[SUPPORTED, WIDER, verdict("PERF-1", "a/clear", ("violated",))])
+    text = told(
+        conclusion_sentences,
+        verdicts=[SUPPORTED, WIDER, verdict("PERF-1", "a/clear", ("violated",))],
+    )
     assert text.startswith("1 of 3 verdicts is violated (PERF-1)")
     assert "2 of 3 verdicts are supported." in text
     # The bound of three runs without a violation is one minus the cube root of 0.05.
@@ -29,10 +32,10 @@ def test_what_is_violated_and_supported_comes_with_the_weakest_bound_and_its_n()
 
 
 def test_a_session_that_supports_nothing_says_so():
-    assert told(shown, verdicts=[]) == "No requirement led to a verdict."
-    text = told(shown, verdicts=[UNDECIDED])
+    assert told(conclusion_sentences, verdicts=[]) == "No requirement led to a verdict."
+    text = told(conclusion_sentences, verdicts=[UNDECIDED])
     assert text == "None of 1 verdicts is supported."
-    assert "no violation" not in told(not_shown, verdicts=[UNDECIDED])
+    assert "no violation" not in told(limitation_sentences, verdicts=[UNDECIDED])
 
 
 def test_what_was_not_tried_or_did_not_count_is_told():
@@ -40,7 +43,9 @@ def test_what_was_not_tried_or_did_not_count_is_told():
     recovered = {**cases[0]["metrics"], "recoveries": 7}
     cases = [{**cases[0], "missing_runs_total": 4, "metrics": recovered}, cases[1]]
     coverage = {**session_record()["coverage"], "left_out": 5}
-    text = told(not_shown, verdicts=[SUPPORTED, UNDECIDED], cases=cases, coverage=coverage)
+    text = told(
+        limitation_sentences, verdicts=[SUPPORTED, UNDECIDED], cases=cases, coverage=coverage
+    )
     assert "1 of 2 verdicts is undecided, 1 of them without a single valid episode" in text
     assert "6 of 10 combinations of requirement, scenario and faults were not tried" in text
     assert "4 planned episodes were not run" in text
@@ -48,18 +53,20 @@ def test_what_was_not_tried_or_did_not_count_is_told():
     assert "Recovery acted 7 times" in text
     assert "simulated" in text
     assert "holds by itself" not in text
-    assert "holds by itself" in told(not_shown, verdicts=[SUPPORTED, WIDER])
+    assert "holds by itself" in told(limitation_sentences, verdicts=[SUPPORTED, WIDER])
 
 
 def test_recovery_in_reference_arms_is_not_counted():
     case = session_record()["cases"][0]
     arm = {**case, "without": ["x"], "metrics": {**case["metrics"], "recoveries": 7}}
-    assert "Recovery acted" not in told(not_shown, cases=[case, arm])
+    assert "Recovery acted" not in told(limitation_sentences, cases=[case, arm])
 
 
 @pytest.mark.parametrize("status, end", [("complete", False), ("interrupted", True)])
 def test_an_incomplete_session_shows_no_more_than_it_ran(status, end):
-    assert ("did not come to its end" in told(not_shown, status=status, gate=PASSED)) is end
+    assert (
+        "did not come to its end" in told(limitation_sentences, status=status, gate=PASSED)
+    ) is end
 
 
 def test_report_and_summary_say_the_same_and_names_in_it_are_escaped():
@@ -70,6 +77,6 @@ def test_report_and_summary_say_the_same_and_names_in_it_are_escaped():
     page, text = render(record), summary.render(record)
     assert "violated (&lt;b&gt;|x): the episodes" in page
     assert "violated (<b>" not in text
-    for sentence in not_shown(record):
+    for sentence in limitation_sentences(record):
         assert sentence in text
         assert sentence in page

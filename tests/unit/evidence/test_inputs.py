@@ -5,10 +5,14 @@ import time
 
 import pytest
 
-from pytest_dura.evidence.record.inputs import Inputs
-from pytest_dura.provenance.environment import describe_component, describe_environment
-from pytest_dura.provenance.places import installed, told_path
-from pytest_dura.provenance.sources import sources_of
+from pytest_dura.evidence.files import InputFiles
+from pytest_dura.provenance import (
+    describe_component,
+    describe_environment,
+    installed_folders,
+    recorded_path,
+    sources_of,
+)
 
 
 def sha256(text):
@@ -41,7 +45,7 @@ def described(root, path="ownpkg.planners:Planner"):
 
 
 def told(files, root, known=None):
-    inputs = Inputs(root, known)
+    inputs = InputFiles(root, known)
     for kind, file in files:
         inputs.add(kind, file)
     return inputs.to_json()
@@ -168,17 +172,17 @@ def test_inputs_are_named_from_the_root_and_never_by_the_machine(tmp_path):
 
 
 def test_a_file_of_an_installed_package_is_named_by_the_package(tmp_path):
-    file = installed()[0] / "somewhere/data.yaml"
-    assert told_path(file, tmp_path) == "somewhere/data.yaml"
+    file = installed_folders()[0] / "somewhere/data.yaml"
+    assert recorded_path(file, tmp_path) == "somewhere/data.yaml"
     # Also where the virtual environment lies in the project.
-    assert told_path(file, installed()[0].parents[2]) == "somewhere/data.yaml"
+    assert recorded_path(file, installed_folders()[0].parents[2]) == "somewhere/data.yaml"
 
 
 def test_a_link_keeps_the_name_that_the_user_gave_it(tmp_path):
     (tmp_path / "real.yaml").write_text("a")
     (tmp_path / "root").mkdir()
     (tmp_path / "root/link.yaml").symlink_to(tmp_path / "real.yaml")
-    assert told_path(tmp_path / "root/link.yaml", tmp_path / "root") == "link.yaml"
+    assert recorded_path(tmp_path / "root/link.yaml", tmp_path / "root") == "link.yaml"
 
 
 @pytest.mark.parametrize("change", ["write", "delete"])
@@ -186,7 +190,7 @@ def test_a_file_that_changed_meanwhile_is_told(tmp_path, change):
     file, same = tmp_path / "a.yaml", tmp_path / "b.yaml"
     file.write_text("before")
     same.write_text("same")
-    inputs = Inputs(tmp_path)
+    inputs = InputFiles(tmp_path)
     inputs.add("scenario", file)
     inputs.add("scenario", same)
     if change == "write":
@@ -202,7 +206,7 @@ def test_a_file_that_changed_meanwhile_is_told(tmp_path, change):
 
 def test_what_the_session_itself_replaces_has_not_changed(tmp_path):
     file = tmp_path / "evidence.json"
-    inputs = Inputs(tmp_path)
+    inputs = InputFiles(tmp_path)
     inputs.add("baseline", file, sha256("old"))
     file.write_text("new")
     assert inputs.to_json() == [
@@ -212,7 +216,7 @@ def test_what_the_session_itself_replaces_has_not_changed(tmp_path):
 
 def test_files_that_another_process_read(tmp_path):
     (tmp_path / "a.py").write_text("a")
-    inputs = Inputs(tmp_path)
+    inputs = InputFiles(tmp_path)
     inputs.add_told("component", [{"path": "a.py", "sha256": sha256("older")}])
     inputs.add_told("component", [{"path": "pkg/b.py", "sha256": sha256("b")}])
     assert [(one["path"], one["changed"]) for one in inputs.to_json()] == [

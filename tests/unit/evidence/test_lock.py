@@ -9,12 +9,12 @@ import sys
 import pytest
 
 from pytest_dura import ConfigurationError
-from pytest_dura.evidence.bundle.lock import LOCK, DirectoryLock
+from pytest_dura.evidence.files import LOCK_FILE, DirectoryLock
 
 HOLD = """
 import sys
 from pathlib import Path
-from pytest_dura.evidence.bundle.lock import DirectoryLock
+from pytest_dura.evidence.files import DirectoryLock
 lock = DirectoryLock(Path(sys.argv[1]))
 print("held", flush=True)
 sys.stdin.read()
@@ -41,13 +41,13 @@ def test_a_killed_session_blocks_nobody(tmp_path):
             DirectoryLock(tmp_path)
         other.kill()
         other.wait(10)
-    assert (tmp_path / LOCK).exists()
+    assert (tmp_path / LOCK_FILE).exists()
     DirectoryLock(tmp_path).release()
 
 
 def test_a_file_that_was_removed_by_its_holder_is_no_lock(tmp_path, monkeypatch):
     """The holder releases it between the moments at which another one opens and locks it."""
-    from pytest_dura.evidence.bundle import lock as module
+    from pytest_dura.evidence import files as module
 
     first = DirectoryLock(tmp_path)
     really = module.lock
@@ -69,7 +69,7 @@ def test_a_link_in_its_place_is_not_followed(tmp_path):
     outside.write_text("mine")
     folder = tmp_path / "evidence"
     folder.mkdir()
-    (folder / LOCK).symlink_to(outside)
+    (folder / LOCK_FILE).symlink_to(outside)
     with pytest.raises(ConfigurationError, match="cannot be written"):
         DirectoryLock(folder)
     assert outside.read_text() == "mine"

@@ -6,9 +6,9 @@ import re
 import pytest
 from session_records import session_record, verdict
 
-from pytest_dura.evidence.bundle.directory import write_record
-from pytest_dura.evidence.formats import cyclonedx, intoto, summary
-from pytest_dura.evidence.record.counts import Counts
+from pytest_dura.evidence.bundle import write_record
+from pytest_dura.evidence.model import Counts
+from pytest_dura.reports import cyclonedx, intoto, summary
 
 PASSED = {"result": "passed", "exit_code": 0, "reasons": []}
 SUPPORTED = verdict("SAF-1", "a/clear", ("satisfied",) * 3)
@@ -306,7 +306,7 @@ def test_a_summary_that_is_too_long_keeps_the_failures_and_says_what_it_leaves_o
     many = [SUPPORTED | {"case": f"{long}{one}"} for one in range(6000)]
     record = session_record(verdicts=[*many, VIOLATED, UNDECIDED])
     text = summary.render(record)
-    assert len(text.encode()) <= summary.LIMIT
+    assert len(text.encode()) <= summary.MAX_BYTES
     assert re.search(r"_\d+ of 6002 are left out here", text)
     rows = re.findall(r"^\| (violated|undecided|supported) ", text, re.MULTILINE)
     assert rows[:3] == ["violated", "undecided", "supported"]

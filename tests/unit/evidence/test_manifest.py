@@ -4,12 +4,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from pytest_dura.evidence.bundle.manifest import (
-    MANIFEST,
-    file_entry,
-    manifest_problems,
-    manifest_text,
-)
+from pytest_dura.evidence.files import MANIFEST_FILE, file_entry, manifest_problems, manifest_text
 
 FILES = {
     "evidence.json": b'{"status": "complete"}\n',
@@ -25,7 +20,7 @@ def bundle(tmp_path):
         file.parent.mkdir(exist_ok=True)
         file.write_bytes(data)
     listed = {name: file_entry(tmp_path / name) for name in FILES}
-    (tmp_path / MANIFEST).write_text(manifest_text(listed))
+    (tmp_path / MANIFEST_FILE).write_text(manifest_text(listed))
     return tmp_path
 
 
@@ -41,7 +36,7 @@ def test_an_untouched_bundle_has_no_problem(bundle):
 )
 @given(st.data())
 def test_one_flipped_bit_anywhere_is_found(bundle, data):
-    name = data.draw(st.sampled_from(["evidence.json", "episodes/a-0.mcap", MANIFEST]))
+    name = data.draw(st.sampled_from(["evidence.json", "episodes/a-0.mcap", MANIFEST_FILE]))
     file = bundle / name
     before = file.read_bytes()
     place = data.draw(st.integers(0, len(before) - 1))
@@ -53,7 +48,7 @@ def test_one_flipped_bit_anywhere_is_found(bundle, data):
         file.write_bytes(before)
 
 
-@pytest.mark.parametrize("name", [*FILES, MANIFEST])
+@pytest.mark.parametrize("name", [*FILES, MANIFEST_FILE])
 def test_a_file_that_is_gone_is_found(bundle, name):
     (bundle / name).unlink()
     assert any(one.startswith(name) for one in manifest_problems(bundle))
@@ -77,14 +72,14 @@ def test_a_link_in_the_place_of_a_file_is_found_though_its_content_is_the_same(b
 def test_a_manifest_that_was_written_anew_for_a_shorter_list_is_still_compared_with_the_files(
     bundle,
 ):
-    listed = json.loads((bundle / MANIFEST).read_text())["files"]
+    listed = json.loads((bundle / MANIFEST_FILE).read_text())["files"]
     del listed["empty.md"]
-    (bundle / MANIFEST).write_text(manifest_text(listed))
+    (bundle / MANIFEST_FILE).write_text(manifest_text(listed))
     assert list(manifest_problems(bundle)) == ["empty.md: not in the manifest"]
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"files": 3}', '{"files": {"a": 1}}', "\udcff"])
 def test_a_damaged_manifest_is_one_problem_and_no_traceback(bundle, text):
-    (bundle / MANIFEST).write_text(text, errors="surrogateescape")
+    (bundle / MANIFEST_FILE).write_text(text, errors="surrogateescape")
     (problem,) = manifest_problems(bundle)
-    assert problem.startswith(f"{MANIFEST}: damaged")
+    assert problem.startswith(f"{MANIFEST_FILE}: damaged")

@@ -13,11 +13,9 @@ from typing import Any
 import pytest
 from session_records import session_record
 
-from pytest_dura.evidence.bundle.directory import RECORD
-from pytest_dura.evidence.formats import all_formats
-from pytest_dura.evidence.record.coverage import coverage
-from pytest_dura.evidence.record.evidence_record import UNKNOWN, EvidenceRecord
-from pytest_dura.evidence.record.missing_runs import missing_runs, verdicts_on_cases
+from pytest_dura.evidence.bundle import RECORD_FILE, all_formats
+from pytest_dura.evidence.conclude import coverage, missing_runs, verdicts_on_cases
+from pytest_dura.evidence.gather import UNKNOWN_COMPONENT, RecordBuilder
 from pytest_dura.plugin.xdist import MOST, shares
 
 SIZES = (20, 40, 80)
@@ -61,12 +59,12 @@ def case(number: int, component: str) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def gathered(number: int) -> EvidenceRecord:
+def gathered(number: int) -> RecordBuilder:
     """A session that stopped early: half of its items were excused, and the others never ran."""
-    made = EvidenceRecord({"created": "now"})
+    made = RecordBuilder({"created": "now"})
     for one in range(number):
         name = f"t.py::test_{one}" if one % 4 == 0 else f"a/b+f{one}::R"
-        made.expect(name, requirement(), case(one, UNKNOWN))
+        made.expect(name, requirement(), case(one, UNKNOWN_COMPONENT))
         if one % 2:
             made.waive(f"{name}[x]", "xfail", "known")
     return made
@@ -96,7 +94,7 @@ def many_cases(number: int) -> Any:
 
 @pytest.mark.parametrize("form", list(all_formats()), ids=lambda form: form.FILE)
 def test_each_format_of_the_bundle(form: Any, tmp_path: Path) -> None:
-    (tmp_path / RECORD).write_text("{}")  # one of them states the digest of this file
+    (tmp_path / RECORD_FILE).write_text("{}")  # one of them states the digest of this file
     assert_linear(lambda number: replace(many_cases(number), directory=tmp_path), form.render)
 
 

@@ -13,10 +13,16 @@ from hypothesis import given, settings
 from player_traces import ASTRAY, GHOST, TICKS, UNSEEN, VERDICTS, crossing
 from traces import traces
 
-from pytest_dura.core.recording import Recording, Scene, Tracks
-from pytest_dura.evidence.player import assets, content_hash, packed, player_data, player_page
-from pytest_dura.evidence.player.data import MAX_MARGINS
+from pytest_dura.core.simulator import Recording, Scene, Tracks
 from pytest_dura.evidence.text import LIMIT
+from pytest_dura.reports.html.player import (
+    MAX_MARGINS,
+    content_hash,
+    pack_data,
+    player_assets,
+    player_data,
+    player_page,
+)
 
 
 def unpacked(text):
@@ -154,7 +160,7 @@ def test_texts_are_bounded_and_names_stay_apart():
 @given(traces())
 def test_any_trace_is_packed_and_unpacked(trace):
     data = player_data(trace)
-    text = packed(data)
+    text = pack_data(data)
     assert re.fullmatch(r"[A-Za-z0-9+/]*=*", text)
     assert unpacked(text) == data
 
@@ -175,7 +181,7 @@ def test_the_policy_allows_the_pages_own_script_and_style_alone():
     )
 
 
-@pytest.mark.parametrize("text", assets(), ids=["script", "style"])
+@pytest.mark.parametrize("text", player_assets(), ids=["script", "style"])
 def test_script_and_style_end_no_element_and_reach_nothing(text):
     assert "</" not in text
     assert "<!--" not in text
@@ -185,7 +191,7 @@ def test_script_and_style_end_no_element_and_reach_nothing(text):
 
 def test_the_page_is_the_same_each_time_and_small():
     assert player_page(crossing(), VERDICTS) == player_page(crossing(), VERDICTS)
-    assert len(packed(player_data(crossing(), VERDICTS))) < 3000
+    assert len(pack_data(player_data(crossing(), VERDICTS))) < 3000
 
 
 def test_what_the_component_told_is_shown_line_by_line():

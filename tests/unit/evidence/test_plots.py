@@ -6,7 +6,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 
-from pytest_dura.evidence.views.plots import POINTS, Panel, signal_plot
+from pytest_dura.reports.episode_view import POINTS, Panel, signal_plot
 
 SVG = "{http://www.w3.org/2000/svg}"
 

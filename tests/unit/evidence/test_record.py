@@ -2,10 +2,11 @@ from __future__ import annotations
 
 import copy
 
-from pytest_dura.evidence.record.case_metrics import CaseMetrics, Pooled
-from pytest_dura.evidence.record.evidence_record import UNKNOWN, EvidenceRecord
+from pytest_dura.evidence.gather import UNKNOWN_COMPONENT, RecordBuilder
+from pytest_dura.evidence.metrics import CaseMetrics, PooledMetrics
 from pytest_dura.requirements.model import Requirement
-from pytest_dura.requirements.verdicts import EpisodeVerdict, judge_campaign
+from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict
+from pytest_dura.requirements.verdicts.judging import judge_campaign
 
 REQUIREMENT = {"id": "R", "text": "t", "kind": "safety", "source": "", "check": "", "reason": ""}
 
@@ -81,7 +82,7 @@ def looked_at(told, planned=2):
 
 
 def record():
-    return EvidenceRecord({"created": "now"})
+    return RecordBuilder({"created": "now"})
 
 
 def evidence(made, status="complete"):
@@ -167,10 +168,10 @@ def test_an_expected_item_that_never_reports_is_undecided():
 
 def test_an_expected_item_takes_the_components_name_when_it_is_known():
     made = record()
-    made.expect("a/b::R", REQUIREMENT, case(component=UNKNOWN))
-    assert evidence(made, "running")["verdicts"][0]["component"] == UNKNOWN
+    made.expect("a/b::R", REQUIREMENT, case(component=UNKNOWN_COMPONENT))
+    assert evidence(made, "running")["verdicts"][0]["component"] == UNKNOWN_COMPONENT
     made = record()
-    made.expect("a/b::R", REQUIREMENT, case(component=UNKNOWN))
+    made.expect("a/b::R", REQUIREMENT, case(component=UNKNOWN_COMPONENT))
     made.add(report("other", components=[{"name": "C"}]))
     assert evidence(made)["verdicts"][0]["component"] == "C"
 
@@ -353,7 +354,7 @@ def test_all_cases_of_a_component_are_pooled_without_their_twins():
         {"case": "a/b", "pairs": {"case": twin["id"]}},
         {"case": "c/d", "pairs": {"case": free["id"]}},
     ]
-    pooled = Pooled(cases, verdicts)
+    pooled = PooledMetrics(cases, verdicts)
     runs = [
         episode(0, clearance_time=8.0, gridlock=False),
         {**episode(0, clearance_time=12.0, gridlock=False), "case": "c/d"},
@@ -367,7 +368,7 @@ def test_all_cases_of_a_component_are_pooled_without_their_twins():
     assert (own["component"], own["cases"], own["metrics"]["planned"]) == ("C", 2, 5)
     assert own["metrics"]["clearance_time"] == {"runs": 2, "mean": 10.0, "sd": 8.0**0.5}
     assert (other["component"], other["metrics"]["valid"]) == ("D", 1)
-    judged = Pooled(cases, [*verdicts, {"case": free["id"], "pairs": None}])
+    judged = PooledMetrics(cases, [*verdicts, {"case": free["id"], "pairs": None}])
     assert judged.to_json()[0]["cases"] == 3, "who is judged for its own sake is no mere twin"
 
 

@@ -5,7 +5,7 @@ import time
 import pytest
 from session_records import session_record
 
-from pytest_dura.evidence.redaction.redactor import Redactor, holds_redaction, redactions_in
+from pytest_dura.evidence.redaction import Redactor, count_redactions, holds_redaction
 
 SECRET = "tok-AbCdEf0123456789"
 
@@ -166,8 +166,8 @@ def test_what_is_redacted_is_not_taken_for_another_secret():
 
 def test_redactions_are_counted_by_name():
     data = {"a": ["[redacted: A_KEY] and [redacted: A_KEY]"], "[redacted: option]": 1}
-    assert redactions_in(data) == {"A_KEY": 2, "option": 1}
-    assert redactions_in(json.dumps(data)) == redactions_in(data)
+    assert count_redactions(data) == {"A_KEY": 2, "option": 1}
+    assert count_redactions(json.dumps(data)) == count_redactions(data)
     assert holds_redaction({"params": {"x": "[redacted: A_KEY]"}})
     assert not holds_redaction({"params": {"x": "redacted", "y": 1.0}})
 

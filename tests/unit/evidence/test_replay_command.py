@@ -7,9 +7,10 @@ import shlex
 import pytest
 from session_records import session_record
 
-from pytest_dura.evidence.formats import report, summary
-from pytest_dura.evidence.formats.gsn import yaml_file
-from pytest_dura.evidence.views.replay_command import evidence_option, model_options, replay_command
+from pytest_dura.reports import summary
+from pytest_dura.reports.gsn import yaml_file
+from pytest_dura.reports.html import page
+from pytest_dura.reports.wording import evidence_option, model_options, replay_command
 
 
 @pytest.mark.parametrize(
@@ -71,4 +72,4 @@ def test_every_format_names_the_cassette_of_the_session():
     words = "--dura-llm=replay --dura-cassette='my tape'"
     assert words in summary.render(record)
     assert words in yaml_file.render(record).replace("''", "'")
-    assert words.replace("'", "&#39;") in "".join(report.render(record))
+    assert words.replace("'", "&#39;") in "".join(page.render(record))

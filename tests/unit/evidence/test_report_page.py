@@ -12,17 +12,17 @@ import pytest
 from report_pages import VIOLATING, Page, record_with_trace
 from session_records import episode, session_record, verdict
 
-from pytest_dura.evidence.formats.report import charts, gathering, players, read_counts, render
-from pytest_dura.evidence.formats.report.anchors import (
+from pytest_dura.evidence.model import Counts, SessionRecord
+from pytest_dura.reports.html import contents, episode_sections, page
+from pytest_dura.reports.html.contents import (
     anchor,
     case_anchor,
     requirement_anchor,
     verdict_anchor,
 )
-from pytest_dura.evidence.formats.report.matrix import heading, matrix
-from pytest_dura.evidence.formats.summary import render as summarised
-from pytest_dura.evidence.record.counts import Counts
-from pytest_dura.evidence.record.session_record import SessionRecord
+from pytest_dura.reports.html.episode_sections import heading, matrix
+from pytest_dura.reports.html.page import read_counts, render
+from pytest_dura.reports.summary import render as summarised
 
 
 @pytest.fixture(scope="module")
@@ -310,11 +310,11 @@ def test_players_are_bounded_in_number_and_size(tmp_path, monkeypatch):
     record = record_with_trace(tmp_path)
     trace = next(one["trace"] for one in record.episodes() if one["trace"])
     many = [episode("a/clear", run, trace=trace) for run in range(20)]
-    found = gathering.Gathered.of(session_record(tmp_path, episodes=many)).candidates
-    assert len(players.embedded(record, found).shown) == players.MAX_PLAYERS
-    one = len(players.embedded(record, found[:1]).rows[0]["packed"])
-    monkeypatch.setattr(players, "MAX_CHARACTERS", 3 * one)
-    assert len(players.embedded(record, found).shown) == 3
+    found = contents.ReportContents.of(session_record(tmp_path, episodes=many)).candidates
+    assert len(page.embed_players(record, found).shown) == page.MAX_PLAYERS
+    one = len(page.embed_players(record, found[:1]).rows[0]["packed"])
+    monkeypatch.setattr(page, "MAX_CHARACTERS", 3 * one)
+    assert len(page.embed_players(record, found).shown) == 3
 
 
 def test_players_show_the_worst_of_each_verdict_before_the_second_of_one():
@@ -328,7 +328,7 @@ def test_players_show_the_worst_of_each_verdict_before_the_second_of_one():
         episode(case, run, trace=trace) for case in ("a/clear", "a/clear+ghost") for run in range(6)
     ]
     record = session_record(verdicts=verdicts, episodes=episodes)
-    found = [one.episode["id"] for one in gathering.Gathered.of(record).candidates]
+    found = [one.episode["id"] for one in contents.ReportContents.of(record).candidates]
     assert found[:4] == ["a/clear#0", "a/clear+ghost#0", "a/clear#1", "a/clear+ghost#1"]
     # Then one of each case that violated nothing.
     assert found[6:8] == ["a/clear#4", "a/clear+ghost#2"]
@@ -337,7 +337,7 @@ def test_players_show_the_worst_of_each_verdict_before_the_second_of_one():
 def test_a_run_by_hand_is_not_blamed_for_the_violation_of_its_namesake():
     found = verdict("SAF-1", "a/clear", ("violated",))
     episodes = [episode("a/clear", 0), episode("a/clear", 0, planned=False, seed=77)]
-    listed = gathering.Gathered.of(session_record(verdicts=[found], episodes=episodes)).listed
+    listed = contents.ReportContents.of(session_record(verdicts=[found], episodes=episodes)).listed
     assert [(one.violates, one.episode["planned"]) for one in listed] == [
         (("SAF-1",), True),
         ((), False),
@@ -349,7 +349,7 @@ def test_clearance_times_are_those_of_valid_planned_runs():
         episode("a/clear", 0), episode("a/clear", 1, planned=False),
         episode("a/clear+ghost", 2, validity="invalid"), episode("a/clear", 3),
     ]  # fmt: skip
-    cases = gathering.Gathered.of(session_record(episodes=episodes)).cases
+    cases = contents.ReportContents.of(session_record(episodes=episodes)).cases
     assert cases["a/clear", "C"].times == [1.5, 1.8]
     assert cases["a/clear+ghost", "C"].times == []
     assert cases["a/clear", "C"].words["valid"] == 3
@@ -394,7 +394,7 @@ def test_memory_does_not_grow_with_the_number_of_episodes():
     def peak(count):
         record = many_episodes(count)
         tracemalloc.start()
-        gathering.Gathered.of(record)
+        contents.ReportContents.of(record)
         used = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
         return used
@@ -437,8 +437,8 @@ def test_another_file_is_no_report():
 
 @pytest.mark.parametrize("greatest", [0.3, 1.0, 9.9, 10.0, 12.0, 47.0, 100.0, 3600.0])
 def test_ticks_are_few_and_reach_beyond_the_greatest_time(greatest):
-    row = charts.ClearanceRow("c", [greatest], 1, greatest, None)
-    chart = charts.clearance_chart([row])
+    row = episode_sections.ClearanceRow("c", [greatest], 1, greatest, None)
+    chart = episode_sections.clearance_chart([row])
     values = [tick["value"] for tick in chart["ticks"]]
     assert 4 <= len(values) <= 12
     assert values[-1] > greatest
@@ -446,7 +446,9 @@ def test_ticks_are_few_and_reach_beyond_the_greatest_time(greatest):
 
 
 def test_dots_and_mean_stand_where_the_axis_says():
-    chart = charts.clearance_chart([charts.ClearanceRow("c", [2.0, 4.0], 2, 3.0, 1.0)])
+    chart = episode_sections.clearance_chart(
+        [episode_sections.ClearanceRow("c", [2.0, 4.0], 2, 3.0, 1.0)]
+    )
     at = {tick["value"]: tick["x"] for tick in chart["ticks"]}
     row = chart["rows"][0]
     assert [dot["x"] for dot in row["dots"]] == [at[2.0], at[4.0]]
@@ -486,7 +488,7 @@ RUN = {"id": "case#1", "planned": True, "run": 1, "validity": "valid"}
     ],
 )
 def test_a_player_says_satisfied_only_where_the_record_does(verdict_, episode_, word):
-    assert players._unviolated(SURE | verdict_, RUN | episode_)[0] == word
+    assert page._satisfied_verdict(SURE | verdict_, RUN | episode_)[0] == word
 
 
 def test_what_was_violated_comes_first():

@@ -12,7 +12,7 @@ def is_valid_syntax(rule, text):
 """
 SCRIPT = """
 import sys
-from pytest_dura.evidence.bundle.schema import check_record
+from pytest_dura.evidence.schema import check_record
 assert check_record({})
 assert "rfc3987_syntax" not in sys.modules, "seconds, in which a grammar is read"
 from jsonschema import FormatChecker

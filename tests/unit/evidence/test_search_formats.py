@@ -11,15 +11,15 @@ from report_pages import Page
 from searches import entry
 from session_records import session_record, verdict
 
-from pytest_dura.evidence.bundle.directory import write_record
-from pytest_dura.evidence.formats import all_formats, intoto, summary
-from pytest_dura.evidence.formats.gsn import yaml_file
-from pytest_dura.evidence.formats.gsn.argument import argument_of
-from pytest_dura.evidence.formats.gsn.merging import merged
-from pytest_dura.evidence.formats.gsn.rules import problems
-from pytest_dura.evidence.formats.report import render
-from pytest_dura.evidence.record.counts import Counts
-from pytest_dura.evidence.views.searches import headline
+from pytest_dura.evidence.bundle import all_formats, write_record
+from pytest_dura.evidence.model import Counts
+from pytest_dura.reports import intoto, summary
+from pytest_dura.reports.gsn import yaml_file
+from pytest_dura.reports.gsn.argument import generated_argument
+from pytest_dura.reports.gsn.element import rule_problems
+from pytest_dura.reports.gsn.user_argument import merge_user_argument
+from pytest_dura.reports.html.page import render
+from pytest_dura.reports.tables import outcome_headline
 
 PASSED = {"result": "passed", "exit_code": 0, "warn_undecided": False, "failed": 0, "reasons": []}
 SUPPORTED = [verdict("SAF-1", "a/clear", ("satisfied",) * 4)]
@@ -66,7 +66,7 @@ def test_the_headline_of_each_word():
     told = {}
     for word in WORDS:
         one = entry(word)
-        told[word] = headline(one, one["outcomes"][0])
+        told[word] = outcome_headline(one, one["outcomes"][0])
     nothing = "nothing found in 37 simulations: least robustness 0.125, coverage 85 % of each range"
     assert told["nothing found"].startswith(f"SAF-1: {nothing}")
     assert told["undecided"].startswith(f"undecided: SAF-1: {nothing}")
@@ -138,7 +138,7 @@ def test_the_sentences_name_what_a_search_violated_and_support_nothing_by_what_i
 
 def elements(*searches, **changes):
     found = yaml_file.elements_of(yaml_file.render(record_of(*searches, **changes)))
-    assert problems(found) == []
+    assert rule_problems(found) == []
     return found
 
 
@@ -182,10 +182,10 @@ def test_what_found_nothing_is_a_context_and_supports_no_goal():
 
 
 def test_a_users_argument_cannot_leave_out_what_a_search_found():
-    generated = argument_of(record_of(entry("falsified"), verdicts=SUPPORTED))
+    generated = generated_argument(record_of(entry("falsified"), verdicts=SUPPORTED))
     user = {"path": "a.yaml", "sha256": "0" * 64,
             "elements": {"G1": {"text": "All is well.", "supportedBy": ["monitors"]}}}  # fmt: skip
-    found = merged(generated, user)
+    found = merge_user_argument(generated, user)
     assert found["CGUnused"].challenges == "G1"
     assert "SAF-1@a/clear" in found["CGUnused"].text
 

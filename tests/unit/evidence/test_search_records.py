@@ -10,31 +10,31 @@ from searches import ITEM, entry, falsification, told
 from session_records import session_record, verdict
 from test_record import case, report
 
-from pytest_dura.campaign.search.result import (
-    Change,
+from pytest_dura.campaign.falsification import (
     Falsification,
     FoundCounterexample,
-    Repeats,
+    ParameterChange,
+    ReplayCount,
     SearcherReport,
     SearchOutcome,
     Shrinking,
     SpaceCoverage,
 )
-from pytest_dura.evidence.bundle.schema import check_record, schema
-from pytest_dura.evidence.plain import plain
-from pytest_dura.evidence.record.evidence_record import EvidenceRecord
-from pytest_dura.evidence.record.gate import Gate
-from pytest_dura.evidence.redaction.redactor import Redactor
+from pytest_dura.evidence.gate import Gate
+from pytest_dura.evidence.gather import RecordBuilder
+from pytest_dura.evidence.model import plain_data
+from pytest_dura.evidence.redaction import Redactor
+from pytest_dura.evidence.schema import check_record, record_schema
 
 WAIVER = {"kind": "xfail", "reason": "ticket 7"}
 
 
 def search(*words, **changes):
-    return plain(told(falsification(*words, **changes)))
+    return plain_data(told(falsification(*words, **changes)))
 
 
 def searches_of(*reports, waived=None):
-    record = EvidenceRecord({})
+    record = RecordBuilder({})
     for one in reports:
         record.add(one)
     if waived:
@@ -76,7 +76,7 @@ def test_what_excuses_a_test_excuses_its_searches_and_changes_no_word():
 
 
 def test_a_search_makes_no_verdict_no_case_and_no_episode():
-    record = EvidenceRecord({})
+    record = RecordBuilder({})
     record.add(report(ITEM, searches=[search("nothing found")]))
     made = record.record("complete")
     assert (made["verdicts"], made["cases"], list(made.episodes())) == ([], [], [])
@@ -85,7 +85,7 @@ def test_a_search_makes_no_verdict_no_case_and_no_episode():
 def test_what_an_item_searched_it_was_not_to_decide():
     claim = {"requirement": "SAF-1", "case": case(), "each_run": False}
     asked = search("nothing found", case="a/b")
-    left = EvidenceRecord({})
+    left = RecordBuilder({})
     left.add(report(ITEM, claims=[claim]))
     assert [one["verdict"] for one in left.verdicts()] == ["undecided"]
     left.add(report(ITEM, searches=[asked]))
@@ -100,7 +100,7 @@ def test_what_it_did_not_search_stays_undecided(changes):
     name = changes.pop("requirement", "SAF-1")
     item = changes.pop("item", ITEM)
     claim = {"requirement": name, "case": case(), "each_run": False}
-    record = EvidenceRecord({})
+    record = RecordBuilder({})
     record.add(report(ITEM, claims=[claim]))
     record.add(report(item, searches=[search("nothing found", **{"case": "a/b", **changes})]))
     assert [one["verdict"] for one in record.verdicts()] == ["undecided"]
@@ -150,7 +150,7 @@ TYPES = {
     "search_outcome": SearchOutcome,
     "found_counterexample": FoundCounterexample,
     "searcher": SearcherReport,
-    "change": Change,
+    "change": ParameterChange,
     "shrinking": Shrinking,
 }
 OF_THE_SESSION = {"item", "waiver", "scenario", "simulator", "roles"}
@@ -160,15 +160,15 @@ OF_THE_SESSION = {"item", "waiver", "scenario", "simulator", "roles"}
 def test_the_schema_has_the_keys_of_a_falsification(definition):
     own = {one.name for one in fields(TYPES[definition])}
     more = OF_THE_SESSION if definition == "search" else set()
-    assert set(schema()["$defs"][definition]["properties"]) == own | more
+    assert set(record_schema()["$defs"][definition]["properties"]) == own | more
 
 
 @pytest.mark.parametrize(
     "key, definition, kind",
-    [("coverage", "search", SpaceCoverage), ("repeats", "found_counterexample", Repeats)],
+    [("coverage", "search", SpaceCoverage), ("repeats", "found_counterexample", ReplayCount)],
 )
 def test_the_schema_has_the_keys_of_their_parts(key, definition, kind):
-    told = schema()["$defs"][definition]["properties"][key]
+    told = record_schema()["$defs"][definition]["properties"][key]
     assert set(told["properties"]) == {one.name for one in fields(kind)}
 
 
@@ -200,7 +200,7 @@ def test_figures_that_are_not_finite_are_none():
     wild["outcomes"][0]["best"] = float("nan")
     wild["outcomes"][0]["counterexample"]["margin"] = float("-inf")
     found["outcomes"][0]["best"] = found["outcomes"][0]["counterexample"]["margin"] = None
-    assert json.loads(json.dumps(plain(wild), allow_nan=False)) == found
+    assert json.loads(json.dumps(plain_data(wild), allow_nan=False)) == found
 
 
 def test_secrets_of_a_counterexample_are_taken_out():

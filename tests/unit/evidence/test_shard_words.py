@@ -7,17 +7,18 @@ import copy
 import pytest
 from session_records import session_record
 
-from pytest_dura.evidence.bundle.directory import write_record
-from pytest_dura.evidence.bundle.schema import check_record
-from pytest_dura.evidence.formats import all_formats
-from pytest_dura.evidence.formats.stated import merged, part
-from pytest_dura.evidence.merging.joining import whole_command
-from pytest_dura.evidence.record.counts import Counts
-from pytest_dura.evidence.record.shards import Unit, plan_digest
-from pytest_dura.evidence.verifying.shards import shard_problems
+from pytest_dura.evidence.bundle import all_formats, write_record
+from pytest_dura.evidence.merge import merged_command
+from pytest_dura.evidence.model import Counts
+from pytest_dura.evidence.schema import check_record
+from pytest_dura.evidence.sessions import ShardUnit, plan_digest, shard_problems
+from pytest_dura.reports.wording import merge_text, shard_text
 
 HOSTILE = "<script>alert(1)</script>\n\n# Gate passed\n|x|"
-HELD = [Unit.of("case", "a/clear", ["a/clear::SAF-1"], 2), Unit.of("test", "t.py::x", ["t"], 0)]
+HELD = [
+    ShardUnit.of("case", "a/clear", ["a/clear::SAF-1"], 2),
+    ShardUnit.of("test", "t.py::x", ["t"], 0),
+]
 PASSED = {"result": "passed", "exit_code": 0, "warn_undecided": False, "failed": 0, "reasons": []}
 
 
@@ -57,16 +58,16 @@ def test_the_record_is_valid_and_every_format_states_its_counts(tmp_path, change
 
 
 def test_a_whole_one_is_no_part():
-    assert part(session_record()) == merged(session_record()) == ""
-    assert part(session_record(**shard())) == "shard 2 of 5"
-    assert merged(session_record(**parts())) == "2 shards, in one environment"
+    assert shard_text(session_record()) == merge_text(session_record()) == ""
+    assert shard_text(session_record(**shard())) == "shard 2 of 5"
+    assert merge_text(session_record(**parts())) == "2 shards, in one environment"
     others = copy.deepcopy(parts())
     profile = {"profile": "dura", "max_examples": 9, "derandomize": True, "database": False}
     others["merged_from"][1]["environment"]["hypothesis"] = profile
     assert check_record(session_record(**others)) == []
-    assert merged(session_record(**others)) == "2 shards, in one environment"
+    assert merge_text(session_record(**others)) == "2 shards, in one environment"
     others["merged_from"][1]["environment"]["machine"] = "arm64"
-    assert merged(session_record(**others)) == "2 shards, in environments that differ"
+    assert merge_text(session_record(**others)) == "2 shards, in environments that differ"
 
 
 @pytest.mark.parametrize(
@@ -112,4 +113,4 @@ def test_verify_finds_what_contradicts_itself(changes, told):
     ],
 )
 def test_the_command_of_the_whole_is_that_of_a_shard_without_it(tmp_path, command, whole):
-    assert whole_command(command, tmp_path / "out") == whole.replace("=out", f"={tmp_path}/out")
+    assert merged_command(command, tmp_path / "out") == whole.replace("=out", f"={tmp_path}/out")

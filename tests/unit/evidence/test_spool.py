@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from pytest_dura import ConfigurationError
-from pytest_dura.evidence.record.faults import UNFOLLOWED
-from pytest_dura.evidence.record.spool import EpisodeSpool
+from pytest_dura.evidence.episodes import EpisodeSpool
+from pytest_dura.evidence.metrics import UNTRACED_FAULT
 
 
 def episode(run=0, case="a/b", component="C", seed=None, faults=(), **changes):
@@ -45,7 +45,7 @@ def test_the_first_of_equal_inputs_stays_and_planned_holds_once_it_was_true():
 
 def test_chains_are_told_of_planned_episodes_whichever_comes_first():
     spool = EpisodeSpool()
-    told = {**UNFOLLOWED, "outcome": "tolerated", "component": "C", "episode": "a/b#0"}
+    told = {**UNTRACED_FAULT, "outcome": "tolerated", "component": "C", "episode": "a/b#0"}
     spool.add_chain({**told, "id": "f"})
     spool.add_chain({**told, "id": "f", "outcome": "violated"})
     spool.add_chain({**told, "id": "f", "component": "D"})

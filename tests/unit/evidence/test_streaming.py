@@ -8,16 +8,16 @@ import pytest
 from session_records import episode, session_record
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.evidence.bundle import directory
-from pytest_dura.evidence.bundle.directory import read_session_record, write_record
-from pytest_dura.evidence.bundle.streaming import stream_record
+from pytest_dura.evidence import bundle
+from pytest_dura.evidence.bundle import read_session_record, write_record
+from pytest_dura.evidence.files import stream_record
 
 HOSTILE = '}\n ],\n "episodes": [\n  {\n'
 
 
 @pytest.fixture(autouse=True)
 def _streamed(monkeypatch):
-    monkeypatch.setattr(directory, "STREAMED", 0)
+    monkeypatch.setattr(bundle, "STREAMED_BYTES", 0)
 
 
 def whole(file):
@@ -88,7 +88,7 @@ def test_a_file_that_changes_is_told(tmp_path):
 
 
 def test_a_small_one_is_in_memory(tmp_path, monkeypatch):
-    monkeypatch.setattr(directory, "STREAMED", 8 << 20)
+    monkeypatch.setattr(bundle, "STREAMED_BYTES", 8 << 20)
     write_record(tmp_path, session_record(tmp_path))
     record = read_session_record(tmp_path)
     (tmp_path / "evidence.json").unlink()

@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 
 import pytest_dura
-from pytest_dura.campaign.episodes.address import machine
-from pytest_dura.provenance import ourselves
+from pytest_dura import provenance
+from pytest_dura.execution.address import describe_machine
 
-TOLD = "from pytest_dura.provenance.ourselves import describe_tool; print(describe_tool()['code'])"
+TOLD = "from pytest_dura.provenance import describe_tool; print(describe_tool()['code'])"
 
 
 def told_by(root: Path) -> str:
@@ -26,7 +26,7 @@ def told_by(root: Path) -> str:
 def test_it_is_the_same_wherever_it_lies_and_another_one_after_a_change(tmp_path: Path) -> None:
     package = Path(pytest_dura.__file__).parent
     shutil.copytree(package, tmp_path / "pytest_dura", ignore=shutil.ignore_patterns("__pycache__"))
-    here = ourselves.describe_tool()
+    here = provenance.describe_tool()
     assert told_by(tmp_path) == here["code"]
     with (tmp_path / "pytest_dura/core/seeding.py").open("a", encoding="utf-8") as file:
         file.write("# edited\n")
@@ -36,14 +36,14 @@ def test_it_is_the_same_wherever_it_lies_and_another_one_after_a_change(tmp_path
 
 
 def test_addresses_of_episodes_hold_it() -> None:
-    assert machine()["code of pytest-dura"] == ourselves.describe_tool()["code"]
+    assert describe_machine()["code of pytest-dura"] == provenance.describe_tool()["code"]
 
 
 def test_where_our_files_cannot_be_read_the_version_stands_for_them(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(ourselves, "__file__", "/nowhere/zipped/pytest_dura/provenance/ours.py")
-    told = ourselves.describe_tool.__wrapped__()
+    monkeypatch.setattr(provenance, "__file__", "/nowhere/zipped/pytest_dura/provenance/ours.py")
+    told = provenance.describe_tool.__wrapped__()
     assert told == {"name": "pytest-dura", "version": pytest_dura.__version__, "code": None}
-    monkeypatch.setattr(ourselves, "describe_tool", lambda: told)
-    assert ourselves.own_code() == f"version {pytest_dura.__version__}"
+    monkeypatch.setattr(provenance, "describe_tool", lambda: told)
+    assert provenance.tool_code() == f"version {pytest_dura.__version__}"

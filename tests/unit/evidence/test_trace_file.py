@@ -16,13 +16,24 @@ from mcap.writer import Writer
 from traces import same, simple_trace
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.core.recording import Recording
-from pytest_dura.evidence.traces import columns
-from pytest_dura.evidence.traces.columns import pack_columns, unpack_columns
-from pytest_dura.evidence.traces.mcap_file import COLUMNS, read_trace, trace_bytes, write_trace
-from pytest_dura.evidence.traces.scene import EGO, GHOST, PERCEIVED
-from pytest_dura.evidence.traces.schemas import CHANNELS, schema_of
-from pytest_dura.evidence.traces.trace import Trace
+from pytest_dura.core.simulator import Recording
+from pytest_dura.evidence import mcap
+from pytest_dura.evidence.foxglove import (
+    CHANNELS,
+    EGO_COLOR,
+    GHOST_COLOR,
+    PERCEIVED_COLOR,
+    schema_of,
+)
+from pytest_dura.evidence.mcap import (
+    COLUMNS_ATTACHMENT,
+    pack_columns,
+    read_trace,
+    trace_bytes,
+    unpack_columns,
+    write_trace,
+)
+from pytest_dura.evidence.traces import Trace
 
 # As published: https://github.com/foxglove/foxglove-sdk, schemas/jsonschema.
 PUBLISHED = {
@@ -69,7 +80,7 @@ def test_the_file_is_what_foxglove_reads():
     assert {"foxglove.SceneUpdate", "foxglove.Log"} < names
     assert summary.statistics.message_count == 4 + 3 + 1 + 1 + 4 + 4
     (attachment,) = reader.iter_attachments()
-    assert (attachment.name, attachment.media_type) == (COLUMNS, "application/x-npz")
+    assert (attachment.name, attachment.media_type) == (COLUMNS_ATTACHMENT, "application/x-npz")
     assert {one.name for one in reader.iter_metadata()} == {"trace", "about"}
 
 
@@ -122,7 +133,7 @@ def test_the_scene_is_turned_upright():
     turn = ego["pose"]["orientation"]
     assert (turn["z"], turn["w"]) == pytest.approx((-np.sqrt(0.5), np.sqrt(0.5)), abs=1e-5)
     assert ego["size"] == {"x": 5.0, "y": 2.0, "z": 1.5}
-    assert ego["color"] == json.loads(EGO) != standing["color"]
+    assert ego["color"] == json.loads(EGO_COLOR) != standing["color"]
     assert [one["text"] for one in found["texts"]] == ["EGO", "V1"]
     assert found["frame_id"] == "map"
     ((time, road),) = messages(data, "/scene/road")
@@ -134,10 +145,10 @@ def test_the_scene_is_turned_upright():
 def test_a_ghost_is_what_is_perceived_and_not_there():
     data = trace_bytes(simple_trace())
     before, after = (entity(data, "/scene/percept", tick) for tick in (1, 2))
-    assert [one["color"] for one in before["cubes"]] == [json.loads(PERCEIVED)] * 2
+    assert [one["color"] for one in before["cubes"]] == [json.loads(PERCEIVED_COLOR)] * 2
     assert [one["color"] for one in after["cubes"]] == [
-        *[json.loads(PERCEIVED)] * 2,
-        json.loads(GHOST),
+        *[json.loads(PERCEIVED_COLOR)] * 2,
+        json.loads(GHOST_COLOR),
     ]
     assert before["texts"] == []
     assert [one["text"] for one in after["texts"]] == ["ghost (ghost)"]
@@ -203,7 +214,7 @@ def file_with(columns, version="1"):
     writer.start()
     writer.add_metadata("trace", {"schema_version": version})
     for data in columns:
-        writer.add_attachment(0, 0, COLUMNS, "", data)
+        writer.add_attachment(0, 0, COLUMNS_ATTACHMENT, "", data)
     writer.finish()
     return stream.getvalue()
 
@@ -292,7 +303,7 @@ def test_a_damaged_or_hostile_file_is_one_error(tmp_path, data):
 
 def test_an_archive_that_unpacks_to_more_than_any_trace(monkeypatch):
     data = pack_columns(simple_trace())
-    monkeypatch.setattr("pytest_dura.evidence.traces.columns.LIMIT", -20_000)
+    monkeypatch.setattr("pytest_dura.evidence.mcap.MAX_UNPACKED_BYTES", -20_000)
     with pytest.raises(ValueError, match="larger than"):
         unpack_columns(data)
 
@@ -367,8 +378,8 @@ def test_columns_of_before_there_were_accounts_are_read():
 @pytest.mark.parametrize("text", ["[]", '{"a":' * 50 + "1" + "}" * 50, '{"a":NaN}'])
 def test_an_account_that_no_component_could_have_given_is_damage(text, monkeypatch):
     trace = simple_trace(recording=Recording(accounts=({"a": 1},) * 3))
-    honest = columns._compact
-    monkeypatch.setattr(columns, "_compact", lambda one: text if one == {"a": 1} else honest(one))
+    honest = mcap._compact
+    monkeypatch.setattr(mcap, "_compact", lambda one: text if one == {"a": 1} else honest(one))
     data = pack_columns(trace)
     with pytest.raises(ValueError, match="damaged"):
         unpack_columns(data)

@@ -8,8 +8,8 @@ import pytest
 from session_records import session_record
 
 from pytest_dura import ConfigurationError
-from pytest_dura.evidence.bundle import files, writing
-from pytest_dura.evidence.bundle.directory import RENDERED, read_session_record, write_record
+from pytest_dura.evidence import bundle, files
+from pytest_dura.evidence.bundle import RENDERED_FILES, read_session_record, write_record
 
 
 def passing(folder, **changes):
@@ -32,8 +32,8 @@ def disk_full_from(monkeypatch, number):
             raise ConfigurationError("the evidence cannot be written: " + errno.errorcode[28])
         return really(file, chunks)
 
-    monkeypatch.setattr(writing, "write_file", write)
-    monkeypatch.setattr("pytest_dura.evidence.bundle.directory.write_file", write)
+    monkeypatch.setattr(bundle, "write_file", write)
+    monkeypatch.setattr("pytest_dura.evidence.bundle.write_file", write)
 
 
 @pytest.mark.parametrize("number", [0, 1, 4])
@@ -41,8 +41,8 @@ def test_a_disk_that_is_full_leaves_no_pass(tmp_path, monkeypatch, number):
     running(tmp_path)
     disk_full_from(monkeypatch, number)
     with pytest.raises(ConfigurationError, match="ENOSPC"):
-        writing.write_bundle(passing(tmp_path))
-    assert not {*RENDERED} & {file.name for file in tmp_path.iterdir()}
+        bundle.write_bundle(passing(tmp_path))
+    assert not {*RENDERED_FILES} & {file.name for file in tmp_path.iterdir()}
     if number == 0:
         assert read_session_record(tmp_path)["status"] == "running"
     else:
@@ -55,9 +55,9 @@ def test_ctrl_c_while_files_are_written_leaves_a_record_that_says_so(tmp_path, m
     def stopped(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(writing, "manifest_text", stopped)
+    monkeypatch.setattr(bundle, "manifest_text", stopped)
     with pytest.raises(KeyboardInterrupt):
-        writing.write_bundle(passing(tmp_path))
+        bundle.write_bundle(passing(tmp_path))
     assert [file.name for file in tmp_path.iterdir()] == ["evidence.json"]
     record = read_session_record(tmp_path)
     assert (record["status"], record["gate"]["result"]) == ("interrupted", "incomplete")

@@ -14,14 +14,14 @@ from distributed.scheduler import KilledWorker
 from shaky import begun, shaky
 
 from pytest_dura import ConfigurationError, RoleSpec
-from pytest_dura.campaign.episodes.store import IN_FLIGHT, EpisodeStore
-from pytest_dura.campaign.execution import dask, dask_cluster
-from pytest_dura.campaign.execution.dask import DaskExecutor
-from pytest_dura.campaign.execution.executors import Execution
-from pytest_dura.campaign.execution.replies import CallFailedError, ProcessLostError
-from pytest_dura.campaign.loading import load_library
-from pytest_dura.campaign.runner import Bench
+from pytest_dura.execution import dask
+from pytest_dura.execution.dask import DaskExecutor
+from pytest_dura.execution.executors import Execution
+from pytest_dura.execution.store import IN_FLIGHT, EpisodeStore
+from pytest_dura.execution.worker import CallFailedError, ProcessLostError
+from pytest_dura.library.loading import load_library
 from pytest_dura.requirements.model import Requirement
+from pytest_dura.runner import Runner
 
 SCENARIO = """
 name: room/shaky
@@ -65,7 +65,7 @@ def bench_of(folder, store, **params):
     log = folder / "log"
     log.mkdir()
     room = RoleSpec("shaky:ShakyRoom", {"log": str(log), **params})
-    return Bench(lambda: library, simulator=room, time_budget=10.0, store=store), log
+    return Runner(lambda: library, simulator=room, time_budget=10.0, store=store), log
 
 
 def until(condition, seconds=20.0):
@@ -76,14 +76,14 @@ def until(condition, seconds=20.0):
 
 
 def test_without_a_scheduler_one_message_says_so(monkeypatch):
-    monkeypatch.setattr(dask_cluster, "SECONDS_TO_CONNECT", 0.3)
+    monkeypatch.setattr(dask, "SECONDS_TO_CONNECT", 0.3)
     with pytest.raises(ConfigurationError, match="no Dask scheduler") as refused:
         DaskExecutor("tcp://127.0.0.1:9")
     assert "127.0.0.1:9" in refused.value.found
 
 
 def test_without_a_worker_one_message_says_so(cluster, monkeypatch):
-    monkeypatch.setattr(dask_cluster, "SECONDS_TO_FIRST_WORKER", 0.3)
+    monkeypatch.setattr(dask, "SECONDS_TO_FIRST_WORKER", 0.3)
     with pytest.raises(ConfigurationError, match=r"no worker for 0\.3 s") as refused:
         DaskExecutor(cluster.address)
     assert refused.value.remedy == f"start some: dask worker {cluster.address} --nthreads 1"
@@ -91,7 +91,7 @@ def test_without_a_worker_one_message_says_so(cluster, monkeypatch):
 
 def test_episodes_are_those_of_this_process(store):
     until(lambda: store.execution.width == 2)
-    driving = Bench(lambda: load_library([]), recorded=True)
+    driving = Runner(lambda: load_library([]), recorded=True)
     tasks = [shaky(1), driving.task(driving.case("intersection/ghost-obstacle"))]
     assert [store.get(one).digest for one in tasks] == [one.run().digest for one in tasks]
     assert not store.execution.here
@@ -135,7 +135,7 @@ def test_a_worker_killed_in_the_middle_loses_nothing(cluster, store, workers, tm
             assert len(children_of(workers[0])) == 1
             cluster.kill(workers[0])
     assert len(set(begun(log))) == campaign.planned
-    here = Bench(bench.library, simulator=bench.simulator, time_budget=10.0)
+    here = Runner(bench.library, simulator=bench.simulator, time_budget=10.0)
     alone = list(here.campaign("room/shaky"))
     assert [one.digest for one in episodes] == [one.digest for one in alone]
     verdict, expected = campaign.judge(COLD), here.campaign("room/shaky").judge(COLD)
@@ -256,7 +256,7 @@ def test_an_episode_that_ends_every_worker_it_is_given_to_is_missing(small, tmp_
 
 def test_nobody_waits_for_ever_where_the_last_worker_is_gone(small, monkeypatch):
     monkeypatch.setattr(dask, "SECONDS_WITHOUT_WORKERS", 1.0)
-    monkeypatch.setattr(dask, "_EVERY", 0.5)
+    monkeypatch.setattr(dask, "_POLL_SECONDS", 0.5)
     cluster_of, executor_of = small
     cluster, (worker,) = cluster_of(1)
     execution = Execution("dask", executor_of(cluster))
@@ -276,7 +276,7 @@ def test_nobody_waits_for_ever_where_the_last_worker_is_gone(small, monkeypatch)
 
 def test_nobody_waits_for_ever_for_a_scheduler_that_does_not_answer(small, monkeypatch):
     monkeypatch.setattr(dask, "SECONDS_WITHOUT_ANSWER", 1.0)
-    monkeypatch.setattr(dask, "_EVERY", 0.2)
+    monkeypatch.setattr(dask, "_POLL_SECONDS", 0.2)
     cluster_of, executor_of = small
     cluster, _ = cluster_of(1)
     execution = Execution("dask", executor_of(cluster))

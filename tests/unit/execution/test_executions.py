@@ -15,19 +15,17 @@ from shaky import begun, shaky
 from thermostat import Controller
 
 from pytest_dura import ConfigurationError, RoleSpec
-from pytest_dura.campaign.components import LocalRole
-from pytest_dura.campaign.episodes.address import Addresses
-from pytest_dura.campaign.episodes.portability import why_here
-from pytest_dura.campaign.episodes.store import IN_FLIGHT, EpisodeStore
-from pytest_dura.campaign.episodes.task import EpisodeTask
-from pytest_dura.campaign.execution.choice import Choice
-from pytest_dura.campaign.execution.executors import Execution, limit_of
-from pytest_dura.campaign.execution.processes import ProcessPool, usable_cores
-from pytest_dura.campaign.execution.simulating import Conditions, machine_here, simulate
-from pytest_dura.campaign.loading import load_library
-from pytest_dura.campaign.runner import Bench
 from pytest_dura.core.episode import Policy, Termination
+from pytest_dura.execution.address import Addresses
+from pytest_dura.execution.executors import Execution, ExecutorChoice, time_limit_of
+from pytest_dura.execution.processes import ProcessPool, usable_cores
+from pytest_dura.execution.simulation import Conditions, machine_json, simulate
+from pytest_dura.execution.store import IN_FLIGHT, EpisodeStore
+from pytest_dura.execution.task import EpisodeTask, reason_not_portable
+from pytest_dura.library.loading import load_library
+from pytest_dura.library.roles import LocalRole
 from pytest_dura.requirements.model import Requirement
+from pytest_dura.runner import Runner
 
 SCENARIO = """
 name: room/shaky
@@ -59,7 +57,7 @@ def bench(tmp_path, store):
     log = tmp_path / "log"
     log.mkdir()
     room = RoleSpec("shaky:ShakyRoom", {"log": str(log)})
-    return Bench(lambda: library, simulator=room, time_budget=1e-3, store=store)
+    return Runner(lambda: library, simulator=room, time_budget=1e-3, store=store)
 
 
 def until(condition, seconds=20.0):
@@ -82,7 +80,7 @@ def steady(episode):
 
 
 def test_episodes_are_those_of_this_process(store):
-    driving = Bench(lambda: load_library([]), recorded=True, end_when_decided=True)
+    driving = Runner(lambda: load_library([]), recorded=True, end_when_decided=True)
     names = "intersection/ghost-obstacle", "intersection/nominal"
     tasks = [shaky(1), *(driving.task(driving.case(name)) for name in names)]
     assert tasks[-1].judging
@@ -165,7 +163,9 @@ def test_what_cannot_travel_is_simulated_here_and_noted(store):
 
 def test_why_an_episode_stays_here():
     def reason(role, **metrics):
-        return why_here(EpisodeTask(replace(shaky(1).spec, roles={"generator": role}), (), metrics))
+        return reason_not_portable(
+            EpisodeTask(replace(shaky(1).spec, roles={"generator": role}), (), metrics)
+        )
 
     path = "thermostat:Controller"
     assert reason(RoleSpec(path, {"target": [1.5, "a", None]})) is None
@@ -181,7 +181,7 @@ def test_why_an_episode_stays_here():
     asks = {"model": "m", "server": {"fingerprint": "f"}}
     assert reason(RoleSpec(path, asks)) == "its generator asks a language model"
     assert reason(RoleSpec(path), late=lambda _: 0.0) == "no import path leads to the metric late"
-    assert reason(RoleSpec(path), late=limit_of) is None
+    assert reason(RoleSpec(path), late=time_limit_of) is None
 
 
 def test_a_configuration_error_comes_back_as_it_is_here(store):
@@ -223,7 +223,7 @@ def test_another_environment_is_refused_here_and_is_its_own_affair_elsewhere(
     task = EpisodeTask(replace(shaky(1).spec, roles={"generator": RoleSpec("placed:Placed")}))
     fresh = ProcessPool(1)
     try:
-        fresh.submit(machine_here).result()
+        fresh.submit(machine_json).result()
         monkeypatch.setenv("DURA_PLACE", "other")
         address = Addresses().of(task)
         with pytest.raises(ConfigurationError) as refused:
@@ -250,21 +250,23 @@ def test_a_machine_with_other_versions_is_refused():
 
 def test_the_limit_leaves_the_component_its_time():
     spec = replace(shaky(1).spec, time_budget=2.0, termination=Termination(1.0))
-    assert limit_of(spec, 10.0) == 10.0 + 11 * 2.0
-    assert limit_of(replace(spec, policy=Policy.parse("refine(2)")), 10.0) == 10.0 + 33 * 2.0
-    assert limit_of(replace(spec, time_budget=None), 10.0) == 10.0
+    assert time_limit_of(spec, 10.0) == 10.0 + 11 * 2.0
+    assert time_limit_of(replace(spec, policy=Policy.parse("refine(2)")), 10.0) == 10.0 + 33 * 2.0
+    assert time_limit_of(replace(spec, time_budget=None), 10.0) == 10.0
     few = replace(spec, termination=Termination(1.0, iterations=3))
-    assert limit_of(few, 10.0) == 10.0 + 3 * 2.0
+    assert time_limit_of(few, 10.0) == 10.0 + 3 * 2.0
 
 
 def test_executors_are_chosen_by_name():
-    assert Choice.parse(None) == Choice.parse("in-process") == Choice()
-    assert Choice.parse("processes") == Choice("processes")
-    assert Choice.parse("processes:3") == Choice("processes", 3)
-    assert Choice.parse("dask://host:8786") == Choice("dask", address="tcp://host:8786")
-    assert Choice.parse("dask://[::1]:1/").address == "tcp://[::1]:1"
-    assert Choice().execution().inside
-    execution = Choice("processes", seconds=5.0).execution()
+    assert ExecutorChoice.parse(None) == ExecutorChoice.parse("in-process") == ExecutorChoice()
+    assert ExecutorChoice.parse("processes") == ExecutorChoice("processes")
+    assert ExecutorChoice.parse("processes:3") == ExecutorChoice("processes", 3)
+    assert ExecutorChoice.parse("dask://host:8786") == ExecutorChoice(
+        "dask", address="tcp://host:8786"
+    )
+    assert ExecutorChoice.parse("dask://[::1]:1/").address == "tcp://[::1]:1"
+    assert ExecutorChoice().execution().inside
+    execution = ExecutorChoice("processes", seconds=5.0).execution()
     assert (execution.name, execution.width, execution.seconds) == ("processes", usable_cores(), 5)
     execution.close()
 
@@ -276,5 +278,5 @@ def test_executors_are_chosen_by_name():
 )  # fmt: skip
 def test_other_names_are_refused(text):
     with pytest.raises(ConfigurationError, match="no such executor") as refused:
-        Choice.parse(text)
+        ExecutorChoice.parse(text)
     assert refused.value.found == text

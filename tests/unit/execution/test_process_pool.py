@@ -16,10 +16,9 @@ import psutil
 import pytest
 
 from pytest_dura import ConfigurationError
-from pytest_dura.campaign.execution import child
-from pytest_dura.campaign.execution.child import Surroundings
-from pytest_dura.campaign.execution.processes import MOST_STARTS, ProcessPool
-from pytest_dura.campaign.execution.replies import CallFailedError, ProcessLostError
+from pytest_dura.execution import processes
+from pytest_dura.execution.processes import MAX_STARTS, ProcessEnvironment, ProcessPool
+from pytest_dura.execution.worker import CallFailedError, ProcessLostError
 
 SUPPORT = str(Path(pool_calls.__file__).parent)
 
@@ -76,33 +75,33 @@ def test_a_signal_is_named(pool, tmp_path):
 
 
 def test_a_process_killed_while_it_starts_is_started_again(pool, monkeypatch, tmp_path):
-    starts = pool_calls.KilledStarts(monkeypatch, tmp_path, MOST_STARTS - 1)
+    starts = pool_calls.KilledStarts(monkeypatch, tmp_path, MAX_STARTS - 1)
     assert int(pool.submit(pool_calls.number).result(timeout=20.0)) == pool.pids[0]
-    assert starts.count == MOST_STARTS
+    assert starts.count == MAX_STARTS
 
 
 def test_starts_are_bounded_and_no_call_is_blamed_for_them(pool, monkeypatch, tmp_path):
-    starts = pool_calls.KilledStarts(monkeypatch, tmp_path, MOST_STARTS)
+    starts = pool_calls.KilledStarts(monkeypatch, tmp_path, MAX_STARTS)
     with pytest.raises(CallFailedError, match="did not start: it was ended by SIGKILL"):
         pool.submit(pool_calls.number).result(timeout=20.0)
-    assert starts.count == MOST_STARTS
+    assert starts.count == MAX_STARTS
     assert pool.submit(pool_calls.number).result(timeout=20.0), "the next call starts afresh"
 
 
 def test_a_process_that_is_starting_does_not_delay_the_end(pool, monkeypatch):
-    begun, real = [], child.Child.wait_until_ready
+    begun, real = [], processes.WorkerProcess.wait_until_ready
 
     def stopped(started):
         os.kill(started.pid, signal.SIGSTOP)
         begun.append(started.pid)
         real(started)
 
-    monkeypatch.setattr(child.Child, "wait_until_ready", stopped)
+    monkeypatch.setattr(processes.WorkerProcess, "wait_until_ready", stopped)
     future = pool.submit(pool_calls.number)
     until(lambda: begun)
     began = time.monotonic()
     pool.shutdown(wait=False, cancel_futures=True)
-    assert time.monotonic() - began < child.SECONDS_TO_START / 10
+    assert time.monotonic() - began < processes.SECONDS_TO_START / 10
     with pytest.raises(CallFailedError):
         future.result(timeout=0)
 
@@ -112,7 +111,7 @@ def test_a_process_that_another_one_keeps_the_pipe_of_is_not_waited_for(
     pool, tmp_path, monkeypatch
 ):
     """A copy of the process in a session of its own has the pipe as well, and is never killed."""
-    monkeypatch.setattr(child, "_EVERY", 0.1)
+    monkeypatch.setattr(processes, "_POLL_SECONDS", 0.1)
     future = pool.submit(pool_calls.outlived, str(tmp_path), seconds=60.0)
     try:
         with pytest.raises(ProcessLostError, match="ended 2 processes"):
@@ -169,7 +168,7 @@ def test_a_process_finds_what_this_one_finds(pool, tmp_path, monkeypatch):
 
     assert pool.submit(of_the_project.answer).result() == b"42"
     path, folder, optimize = json.loads(pool.submit(pool_calls.surroundings).result())
-    assert path == Surroundings.here().path
+    assert path == ProcessEnvironment.here().path
     assert (folder, optimize) == (str(tmp_path), sys.flags.optimize)
 
 
@@ -202,7 +201,7 @@ def test_no_more_processes_are_started_than_there_are_calls(pool):
 
 
 def test_a_process_that_cannot_start_says_why():
-    pool = ProcessPool(1, Surroundings([], str(Path.cwd())))
+    pool = ProcessPool(1, ProcessEnvironment([], str(Path.cwd())))
     with pytest.raises(CallFailedError, match=r"did not start: (?s:.*)No module named"):
         pool.submit(pool_calls.number).result()
     pool.shutdown()
@@ -212,7 +211,7 @@ PARENT = """
 import sys, time
 sys.path.insert(0, sys.argv[1])
 import pool_calls
-from pytest_dura.campaign.execution.processes import ProcessPool
+from pytest_dura.execution.processes import ProcessPool
 ProcessPool(1).submit(pool_calls.endless, sys.argv[2])
 time.sleep(600)
 """

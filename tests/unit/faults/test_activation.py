@@ -13,7 +13,7 @@ from injecting import Bench, fault
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.seeding import stream
 from pytest_dura.faults.activation import Activation
-from pytest_dura.faults.chance import BLOCK, Chance
+from pytest_dura.faults.injector import BLOCK, Chance
 
 
 def ramp(index: int) -> dict[str, Any]:

@@ -16,8 +16,7 @@ from pytest_dura.faults.catalogue import (
     load_fault,
     parse_fault,
 )
-from pytest_dura.faults.channels import check_target
-from pytest_dura.faults.model import Fault
+from pytest_dura.faults.model import Fault, check_target
 
 GHOST: dict[str, Any] = {"type": "ghost-obstacle", "activation": {"at": 2.0}, "duration": 4.0}
 

@@ -18,7 +18,7 @@ from pytest_dura.driving.bodies import Body, BodyList
 from pytest_dura.driving.maneuvers import Command, Maneuver
 from pytest_dura.faults.catalogue import load_fault
 from pytest_dura.faults.injector import CampaignInjector
-from pytest_dura.faults.types.numbers import count_numbers, flip_bits, with_changed_number
+from pytest_dura.faults.types.base import count_numbers, flip_bits, with_changed_number
 
 
 class Level(enum.IntEnum):

@@ -9,7 +9,7 @@ import pytest
 from pytest_dura import ConfigurationError
 from pytest_dura.driving.sensors import CHANNELS
 from pytest_dura.faults.catalogue import load_fault
-from pytest_dura.faults.channels import Channel, check_target
+from pytest_dura.faults.model import Channel, check_target
 
 
 def forger(target: str, **parameters: Any) -> Any:

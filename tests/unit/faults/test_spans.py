@@ -16,8 +16,14 @@ from pytest_dura.core.seeding import stream
 from pytest_dura.driving.bodies import Body
 from pytest_dura.faults.catalogue import FAULT_TYPES, default_fault, fault_class, load_fault
 from pytest_dura.faults.model import Fault, Moment
-from pytest_dura.faults.parts import FaultPart
-from pytest_dura.faults.spans import Span, Words, declared, parameters_of, spans_of
+from pytest_dura.faults.parameters import (
+    Choices,
+    FaultPart,
+    Span,
+    declared_span,
+    parameters_of,
+    spans_of,
+)
 from pytest_dura.faults.types.base import NoParameters, NumberFault
 from pytest_dura.llm.port import Delivery
 
@@ -51,8 +57,8 @@ def mildest(name: str) -> dict[str, Any]:
     found = {}
     for path, span in spans_of(fault_class(name)).items():
         parameter = path.rpartition(".")[2]
-        if declared(parameters_of(fault_class(name)).model_fields[parameter]) is not None:
-            found[parameter] = span.values[0] if isinstance(span, Words) else span.mildest
+        if declared_span(parameters_of(fault_class(name)).model_fields[parameter]) is not None:
+            found[parameter] = span.values[0] if isinstance(span, Choices) else span.mildest
     return found
 
 
@@ -61,7 +67,7 @@ def test_every_number_of_the_catalogue_has_a_span() -> None:
         (name, parameter)
         for name in FAULT_TYPES
         for parameter, field in parameters_of(fault_class(name)).model_fields.items()
-        if numeric(field.annotation) and declared(field) is None
+        if numeric(field.annotation) and declared_span(field) is None
     }
     assert without == NO_MAGNITUDE
 
@@ -70,7 +76,7 @@ def test_every_number_of_the_catalogue_has_a_span() -> None:
 def test_every_value_of_a_span_that_is_an_end_or_the_mildest_makes_a_fault(name: str) -> None:
     for path, span in spans_of(fault_class(name)).items():
         parameter = path.rpartition(".")[2]
-        if isinstance(span, Words):
+        if isinstance(span, Choices):
             values, simplest = span.values, span.values[0]
         else:
             values, simplest = (span.low, span.high), span.mildest
@@ -85,7 +91,7 @@ def test_all_parameters_at_either_end_make_a_fault(name: str) -> None:
     for end in ("low", "high"):
         given = {
             path.rpartition(".")[2]: max(span.values, key=str)
-            if isinstance(span, Words)
+            if isinstance(span, Choices)
             else getattr(span, end)
             for path, span in spans.items()
         }
@@ -104,7 +110,7 @@ def test_at_the_mildest_values_nothing_is_changed(name: str) -> None:
 def test_at_the_far_end_of_its_spans_something_is_changed(name: str) -> None:
     far: dict[str, Any] = {}
     for parameter, calm in mildest(name).items():
-        span = declared(parameters_of(fault_class(name)).model_fields[parameter])
+        span = declared_span(parameters_of(fault_class(name)).model_fields[parameter])
         assert span is not None
         kind = type(calm)
         far[parameter] = max(kind(span.low), kind(span.high), key=lambda one: abs(one - calm))
@@ -142,9 +148,9 @@ def _changes_percept(one: Fault) -> bool:
 
 
 def test_a_whole_number_has_whole_values_the_mildest_first() -> None:
-    assert spans_of(fault_class("duplicate"))["parameters.n"] == Words(tuple(range(10)))
+    assert spans_of(fault_class("duplicate"))["parameters.n"] == Choices(tuple(range(10)))
     given = spans_of(_with(int, Span(-1, 2, mildest=1)))
-    assert given == {"parameters.number": Words((1, 0, 2, -1))}
+    assert given == {"parameters.number": Choices((1, 0, 2, -1))}
     with pytest.raises(ConfigurationError, match="whole number"):
         spans_of(_with(int, Span(0.5, 2.0, mildest=1.0)))
 

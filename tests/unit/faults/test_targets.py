@@ -13,16 +13,16 @@ import pytest
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.state import Lazy
 from pytest_dura.driving.sensors import CHANNELS
+from pytest_dura.faults.activation import parse_condition
 from pytest_dura.faults.catalogue import load_fault
-from pytest_dura.faults.channels import (
+from pytest_dura.faults.injector import is_same_value
+from pytest_dura.faults.model import (
     Channel,
     check_condition_targets,
     check_target,
     possible_targets,
 )
-from pytest_dura.faults.conditions import parse_condition
-from pytest_dura.faults.parts import RefusedError
-from pytest_dura.faults.sameness import same
+from pytest_dura.faults.parameters import RefusedError
 from pytest_dura.faults.targets import AbsentRowError, Target, part_of, with_part
 
 
@@ -68,7 +68,7 @@ def test_a_part_is_read_and_written_into_a_copy(
     assert part_of(value, path) == part
     before = repr(value.get() if isinstance(value, Lazy) else value)
     new = with_part(value, path, 9.0)
-    assert same(new, changed) or (type(new) is not type(changed) and tuple(new) == changed)
+    assert is_same_value(new, changed) or (type(new) is not type(changed) and tuple(new) == changed)
     assert repr(value.get() if isinstance(value, Lazy) else value) == before
     assert part_of(new, path) == 9.0
 
@@ -160,9 +160,9 @@ NAN = float("nan")
     ],
 )
 def test_what_counts_as_unchanged(one: Any, other: Any, expected: bool) -> None:
-    assert same(one, other) is expected
-    assert same(other, one) is expected
-    assert same(one, one)
+    assert is_same_value(one, other) is expected
+    assert is_same_value(other, one) is expected
+    assert is_same_value(one, one)
 
 
 def test_two_lazy_values_are_not_made_to_be_compared() -> None:
@@ -170,8 +170,8 @@ def test_two_lazy_values_are_not_made_to_be_compared() -> None:
         raise AssertionError
 
     lazy = Lazy(never)
-    assert same(lazy, lazy)
-    assert not same(lazy, Lazy(never))
+    assert is_same_value(lazy, lazy)
+    assert not is_same_value(lazy, Lazy(never))
 
 
 CONDITIONS = {

@@ -10,15 +10,20 @@ import numpy as np
 import pytest
 from roads import Views, car, channels_of, walker
 
-from pytest_dura.core.roles import Proposal
-from pytest_dura.core.state import PastDecision
+from pytest_dura.core.state import PastDecision, Proposal
 from pytest_dura.driving.bodies import Body, BodyList
 from pytest_dura.driving.maneuvers import Command, Maneuver
 from pytest_dura.driving.sensors import TRAFFIC_LIGHT, Imu, Odometry, Pose, Sign, Waypoint
-from pytest_dura.llm.driving.blocks import BLOCKS, MOST_SIGNS, driving_prompt, percept_prompt
-from pytest_dura.llm.driving.readings import shown
-from pytest_dura.llm.driving.surroundings import MOST, shown_id
-from pytest_dura.llm.driving.wording import driving_templates
+from pytest_dura.llm.driving.blocks import (
+    BLOCKS,
+    MOST,
+    MOST_SIGNS,
+    driving_prompt,
+    percept_prompt,
+    shown_id,
+)
+from pytest_dura.llm.driving.planner import driving_templates
+from pytest_dura.llm.driving.readings import rounded
 
 NORTH = -math.pi / 2
 # An ego from the south at s = 50 is at x = 2, y = 61 and looks north, to smaller y.
@@ -168,7 +173,7 @@ def test_imu_turns_right_with_growing_headings() -> None:
      (math.nan, 1, "None"), (math.inf, 0, "None"), (None, 1, "None")],
 )  # fmt: skip
 def test_numbers_have_so_many_decimals_and_zero_no_sign(value, decimals, left) -> None:
-    assert str(shown(value, decimals)) == left
+    assert str(rounded(value, decimals)) == left
 
 
 def test_the_goal_and_the_map_come_from_the_route() -> None:

@@ -10,9 +10,7 @@ import pytest
 import scripted_server as script
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.llm.capabilities.found import Capabilities
-from pytest_dura.llm.capabilities.probe import probe
-from pytest_dura.llm.capabilities.canary import CODE, canary, tells
+from pytest_dura.llm.capabilities import CODE, Capabilities, canary, holds_code, probe
 from pytest_dura.llm.client import OpenAiClient
 from pytest_dura.llm.endpoint import Endpoint
 from pytest_dura.llm.port import Answer
@@ -281,7 +279,7 @@ def test_the_canary_is_the_same_picture_everywhere() -> None:
      ("", False)],
 )  # fmt: skip
 def test_the_code_is_told_however_it_is_set(text, told) -> None:
-    assert tells(text) is told
+    assert holds_code(text) is told
 
 
 def test_the_null_model_keeps_to_schemas_sees_nothing_and_takes_seeds(null_server) -> None:

@@ -12,10 +12,9 @@ from contextlib import closing
 import pytest
 
 from pytest_dura.__main__ import main
-from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.core.limits import TimeBudgetExceeded, call_within
-from pytest_dura.core.outside import listening
-from pytest_dura.llm.cassette.exchanges import Cassette, Exchange, text_digest
+from pytest_dura.core.boundary import TimeBudgetExceeded, call_within
+from pytest_dura.core.errors import ConfigurationError, environment_errors
+from pytest_dura.llm.cassette import Cassette, Exchange, text_digest
 from pytest_dura.llm.port import Answer, Message, Request
 
 HOSTILE = "\x1b]0;owned\x07\x7f\u202e\ud800\x00|`<b>\n\u2028"
@@ -85,7 +84,7 @@ import sys
 from pathlib import Path
 sys.path.insert(0, sys.argv[3])
 from test_cassette_file import exchange
-from pytest_dura.llm.cassette.exchanges import Cassette
+from pytest_dura.llm.cassette import Cassette
 cassette = Cassette(Path(sys.argv[1]), writable=True)
 print(*[cassette.add(exchange(f"{i}", sys.argv[2])).text for i in range(60)])
 """
@@ -311,17 +310,17 @@ def test_what_ends_a_process_as_a_transaction_begins_leaves_none_open(tape):
 
 
 def test_a_component_is_not_slow_whose_time_ends_while_the_cassette_is_locked(tape, monkeypatch):
-    monkeypatch.setattr("pytest_dura.llm.cassette.file.PATIENCE", 0.3)
-    monkeypatch.setattr("pytest_dura.llm.cassette.file.LONG", 0.1)
+    monkeypatch.setattr("pytest_dura.llm.cassette.PATIENCE", 0.3)
+    monkeypatch.setattr("pytest_dura.llm.cassette.LONG", 0.1)
     cassette = Cassette(tape, writable=True)
     other = sqlite3.connect(tape, isolation_level=None)
     other.execute("BEGIN EXCLUSIVE")
-    with listening() as heard, pytest.raises(TimeBudgetExceeded):
+    with environment_errors() as heard, pytest.raises(TimeBudgetExceeded):
         call_within(0.15, cassette.find, exchange().key)
     assert [one.source for one in heard] == ["cassette"]
     assert "kept the cassette locked for too long" in str(heard[0])
     other.execute("ROLLBACK")
-    with listening() as heard:
+    with environment_errors() as heard:
         assert call_within(5.0, cassette.find, exchange().key) is None
     other.close()
     assert heard == []

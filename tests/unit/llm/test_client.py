@@ -12,8 +12,7 @@ import pytest
 import scripted_server as script
 from llm_servers import KEY
 
-from pytest_dura.llm.client import OpenAiClient
-from pytest_dura.llm.client.body import body_of
+from pytest_dura.llm.client import OpenAiClient, body_of
 from pytest_dura.llm.endpoint import Endpoint
 from pytest_dura.llm.port import Answer, Image, Message, Request
 

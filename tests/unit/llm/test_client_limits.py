@@ -15,12 +15,12 @@ import pytest
 import scripted_server as script
 from llm_servers import KEY
 
+import pytest_dura.llm.client as chat_module
 from pytest_dura.core.errors import ConfigurationError
-import pytest_dura.llm.client.chat as chat_module
-from pytest_dura.llm.client.chat import OpenAiClient
-from pytest_dura.llm.client.failing import RESPONSES
+from pytest_dura.llm.client import OpenAiClient
 from pytest_dura.llm.endpoint import Endpoint
 from pytest_dura.llm.port import Image, Message, Request
+from pytest_dura.llm.transport import RESPONSES
 
 REQUEST = Request("m1", (Message("system", "Be brief."), Message("user", "Where?")))
 BUDGET = 10.0

@@ -9,7 +9,7 @@ from urllib.parse import quote
 import pytest
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.llm.endpoint import Endpoint, about
+from pytest_dura.llm.endpoint import Endpoint, model_about
 
 SECRET = 'sk-p/ro+j=eg\\"q'
 GIVEN = {
@@ -163,11 +163,11 @@ def test_what_is_no_key_stays() -> None:
 
 
 def test_what_the_model_is_may_be_said_in_a_line() -> None:
-    assert about({"DURA_LLM_ABOUT": " a llama that drives "}) == "a llama that drives"
-    assert about(GIVEN) == about({"DURA_LLM_ABOUT": ""}) == ""
+    assert model_about({"DURA_LLM_ABOUT": " a llama that drives "}) == "a llama that drives"
+    assert model_about(GIVEN) == model_about({"DURA_LLM_ABOUT": ""}) == ""
 
 
 @pytest.mark.parametrize("text", ["two\nlines", "\x1b[2J", "long" * 51])
 def test_what_is_no_line_about_the_model_is_refused(text: str) -> None:
     with pytest.raises(ConfigurationError, match=r"at most 200(.*\n)+.*unset DURA_LLM_ABOUT"):
-        about({"DURA_LLM_ABOUT": text})
+        model_about({"DURA_LLM_ABOUT": text})

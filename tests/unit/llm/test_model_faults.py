@@ -11,12 +11,11 @@ from pytest_dura.core.roles import RoleContext
 from pytest_dura.core.seeding import stream
 from pytest_dura.driving.sensors import CHANNELS
 from pytest_dura.faults.catalogue import default_fault, load_fault, parse_fault
-from pytest_dura.faults.channels import check_target
 from pytest_dura.faults.injector import CampaignInjector
-from pytest_dura.faults.model import Moment
+from pytest_dura.faults.model import Moment, check_target
 from pytest_dura.llm.client import OpenAiClient
 from pytest_dura.llm.endpoint import Endpoint
-from pytest_dura.llm.faults.model import How
+from pytest_dura.llm.faults import How
 from pytest_dura.llm.port import Delivery, Message, Request, ServerFault
 
 REQUEST = Request("m", (Message("user", "Where?"),))

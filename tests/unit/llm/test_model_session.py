@@ -12,11 +12,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.core.outside import OutsideError, listening
+from pytest_dura.core.errors import (
+    ComponentEnvironmentError,
+    ConfigurationError,
+    environment_errors,
+)
 from pytest_dura.llm import session as sessions
-from pytest_dura.llm.cassette.exchanges import Cassette
-from pytest_dura.llm.cassette.missing import LONGEST, CassetteMissError
+from pytest_dura.llm.cassette import Cassette
+from pytest_dura.llm.cassette_miss import LONGEST, CassetteMissError
 from pytest_dura.llm.port import Answer, Delivery, Image, Message, Request
 from pytest_dura.llm.session import ModelSession
 
@@ -83,7 +86,7 @@ def replaying(tape):
 
 
 def missed(tape, asked, **more):
-    with listening() as heard, pytest.raises(CassetteMissError) as caught:
+    with environment_errors() as heard, pytest.raises(CassetteMissError) as caught:
         replaying(tape).ask(asked, 5.0, **more)
     assert heard == [caught.value]
     return str(caught.value)
@@ -285,7 +288,10 @@ def test_a_cassette_from_before_models_were_described_in_words_is_read(tape, ser
 
 def test_a_server_that_is_another_than_the_spec_says_is_not_the_components_failure(server):
     session = made("live", None, server)
-    with listening() as heard, pytest.raises(OutsideError, match="the server is another"):
+    with (
+        environment_errors() as heard,
+        pytest.raises(ComponentEnvironmentError, match="the server is another"),
+    ):
         session.ask(request(), 5.0, fingerprint="f0")
     assert heard
     assert heard[0].source == "language model"

@@ -13,8 +13,8 @@ from roads import channels_of
 from pytest_dura import ConfigurationError, Policy, RoleSpec
 from pytest_dura.core.roles import RoleContext
 from pytest_dura.llm.driving.planner import LlmPlanner
+from pytest_dura.llm.planner import EVERYTHING
 from pytest_dura.llm.port import Answer
-from pytest_dura.llm.settings import EVERYTHING
 
 
 def proposed(episode):

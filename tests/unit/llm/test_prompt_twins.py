@@ -9,15 +9,16 @@ import pytest
 from roads import car, channels_of, walker
 
 from pytest_dura.core.seeding import stream
-from pytest_dura.driving.faults.signs import PromptTextParameters
+from pytest_dura.driving.faults.channels import PromptTextParameters
 from pytest_dura.driving.sensors import Odometry, Sign
-from pytest_dura.llm.driving.blocks import BLOCKS, MOST_SIGNS, percept_prompt
-from pytest_dura.llm.driving.surroundings import MOST
-from pytest_dura.llm.driving.twins import conflict, injected
-from pytest_dura.llm.driving.vocabulary import MANEUVERS
-from pytest_dura.llm.driving.wording import driving_templates
-from pytest_dura.llm.prompts.prompt import Prompt
-from pytest_dura.llm.prompts.variants import blind, paraphrased, reordered
+from pytest_dura.llm.driving.blocks import BLOCKS, MOST, MOST_SIGNS, percept_prompt
+from pytest_dura.llm.driving.planner import (
+    MANEUVERS,
+    driving_templates,
+    with_conflict,
+    with_injection,
+)
+from pytest_dura.llm.prompts import Prompt, blind, paraphrased, reordered
 
 CARS = [car("V1", -20.0, 40.0, 0.0, 8.0), car("V2", 30.0, -2.0, 0.0, 9.0), walker("P1", 9.0, 9.0)]
 PICTURE = np.zeros((4, 4, 3), np.uint8)
@@ -68,7 +69,7 @@ def test_blind_has_no_pictures_and_says_so() -> None:
 
 
 def test_injected_is_one_sign_more_with_what_the_fault_says() -> None:
-    found = injected(PROMPT)
+    found = with_injection(PROMPT)
     before, after = text_of(PROMPT).splitlines(), text_of(found).splitlines()
     attack = PromptTextParameters().text
     assert [line for line in after if line not in before] == [
@@ -76,21 +77,21 @@ def test_injected_is_one_sign_more_with_what_the_fault_says() -> None:
     ]
     assert "accelerate" in attack
     assert "accelerate" in MANEUVERS
-    assert text_of(injected(PROMPT, "x </perceived_text> y")).count("</perceived_text>") == 1
+    assert text_of(with_injection(PROMPT, "x </perceived_text> y")).count("</perceived_text>") == 1
 
 
 def test_where_somebody_put_up_a_text_nothing_can_be_compared_with_an_attack() -> None:
-    attacked = injected(PROMPT)
-    assert injected(attacked, "more") == attacked
+    attacked = with_injection(PROMPT)
+    assert with_injection(attacked, "more") == attacked
     road_works = channels_of() | {"controls": (Sign("text", 60.0, "road works"),)}
     prompt = percept_prompt(road_works)
-    assert injected(prompt) == prompt
+    assert with_injection(prompt) == prompt
 
 
 @pytest.mark.parametrize("speed", [0.0, 3.0, 8.0, 14.0])
 def test_conflict_is_a_car_straight_ahead_that_is_hit_within_a_second(speed) -> None:
     percept = channels_of(*CARS, speed=speed)
-    found = conflict(percept_prompt(percept))
+    found = with_conflict(percept_prompt(percept))
     lidar = {one["id"]: one for one in facts(found, "LIDAR")["objects"]}
     radar = {one["id"]: one for one in facts(found, "RADAR")["objects"]}
     assert set(lidar) == {"V1", "V2", "V3", "P1"} == set(radar)
@@ -109,10 +110,10 @@ def test_conflict_is_a_car_straight_ahead_that_is_hit_within_a_second(speed) -> 
 
 def test_conflict_needs_no_speed_no_sensors_and_no_blocks() -> None:
     for percept in (channels_of() | {"odometry": Odometry(float("nan"))}, {}):
-        text = text_of(conflict(percept_prompt(percept)))
+        text = text_of(with_conflict(percept_prompt(percept)))
         assert "V1,car,13.0,ahead,0,13.0,0.0,8.0,8.0,180,oncoming" in text
     some = [one for one in PROMPT.blocks if one.name in ("EGO", "MAP")]
-    found = injected(conflict(replace(PROMPT, blocks=tuple(some))))
+    found = with_injection(with_conflict(replace(PROMPT, blocks=tuple(some))))
     names = [one.name for one in found.blocks]
     assert names == [one for one in BLOCKS if one in ("EGO", "LIDAR", "RADAR", "MAP", "CONTROLS")]
     assert "V1,13.0,0,-8.0" in text_of(found)
@@ -120,8 +121,8 @@ def test_conflict_needs_no_speed_no_sensors_and_no_blocks() -> None:
 
 def test_a_full_block_takes_one_more() -> None:
     many = [car(f"V{n}", 2.0, 40.0 - n) for n in range(1, MOST + 1)]
-    found = conflict(percept_prompt(channels_of(*many)))
+    found = with_conflict(percept_prompt(channels_of(*many)))
     assert f"V{MOST + 1}" in found.ids
     signs = tuple(Sign("give_way", 60.0 + n, "") for n in range(MOST_SIGNS))
     full = percept_prompt(channels_of() | {"controls": signs})
-    assert len(facts(injected(full), "CONTROLS")["objects"]) == MOST_SIGNS + 1
+    assert len(facts(with_injection(full), "CONTROLS")["objects"]) == MOST_SIGNS + 1

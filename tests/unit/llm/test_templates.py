@@ -14,15 +14,18 @@ from roads import car, channels_of
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.llm.answers import read_answer
 from pytest_dura.llm.driving.blocks import BLOCKS, percept_prompt
-from pytest_dura.llm.driving.probes import probes
-from pytest_dura.llm.driving.vocabulary import INTENTS, MANEUVERS, SCHEMA, VOCABULARY
-from pytest_dura.llm.driving.wording import OWN, driving_templates
+from pytest_dura.llm.driving.planner import (
+    INTENTS,
+    MANEUVERS,
+    SCHEMA,
+    TEMPLATES,
+    VOCABULARY,
+    driving_templates,
+    probes,
+)
 from pytest_dura.llm.port import Answer
-from pytest_dura.llm.prompts.perceived import PerceivedText
-from pytest_dura.llm.prompts.prompt import Block, Prompt
-from pytest_dura.llm.prompts.sandbox import FILTERS, LONGEST
-from pytest_dura.llm.prompts.sources import Sources
-from pytest_dura.llm.prompts.templates import Templates
+from pytest_dura.llm.prompts import Block, PerceivedText, Prompt
+from pytest_dura.llm.templates import FILTERS, LONGEST_RENDERED, Sources, Templates
 
 PERCEPT = channels_of(car("V1", -20.0, 40.0, 0.0, 8.0))
 PROMPT = percept_prompt(PERCEPT)
@@ -122,7 +125,7 @@ def test_both_wordings_tell_the_same_in_other_words() -> None:
 
 
 def test_each_block_has_a_template_in_either_wording() -> None:
-    names = set(Sources.read(OWN).texts)
+    names = set(Sources.read(TEMPLATES).texts)
     for block in BLOCKS:
         assert {f"{block.lower()}.j2", f"paraphrased/{block.lower()}.j2"} <= names
 
@@ -150,7 +153,7 @@ def test_a_user_s_examples_go_through_the_templates(tmp_path) -> None:
 
 def test_the_digest_is_of_all_templates_in_use_wherever_they_stand(tmp_path) -> None:
     own = driving_templates().digest
-    (tmp_path / "goal.j2").write_text(OWN.joinpath("goal.j2").read_text())
+    (tmp_path / "goal.j2").write_text(TEMPLATES.joinpath("goal.j2").read_text())
     assert driving_templates(tmp_path).digest == own
     (tmp_path / "goal.j2").write_text("GOAL: home")
     changed = driving_templates(tmp_path).digest
@@ -280,5 +283,12 @@ def test_the_page_names_all_files_blocks_facts_and_filters() -> None:
             for listed in ("objects", "pictures", "decisions"):
                 keys += [key for one in block.facts.get(listed, ()) for key in one]
             assert all(f"`{key}`" in row for key in keys), block.name
-    for word in (*FILTERS, *VOCABULARY, "system.j2", "user.j2", "few_shot.yaml", str(LONGEST)):
+    for word in (
+        *FILTERS,
+        *VOCABULARY,
+        "system.j2",
+        "user.j2",
+        "few_shot.yaml",
+        str(LONGEST_RENDERED),
+    ):
         assert f"`{word}`" in page or f" {word} " in page, word

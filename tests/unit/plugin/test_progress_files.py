@@ -7,7 +7,7 @@ from dataclasses import asdict
 import pytest
 
 from pytest_dura.campaign.progress import CampaignProgress, RunningCampaign
-from pytest_dura.plugin.progress.files import INTERVAL, WorkerFile, read_files, remove_files
+from pytest_dura.plugin.progress import WRITE_INTERVAL, WorkerFile, read_files, remove_files
 
 TOKEN, OTHER = "0123456789abcdef", "fedcba9876543210"
 PROGRESS = CampaignProgress(
@@ -37,7 +37,7 @@ class Worker:
 def test_a_short_campaign_writes_nothing(folder):
     worker = Worker(folder)
     for done in range(5):
-        worker.tell(done, after=INTERVAL / 9)
+        worker.tell(done, after=WRITE_INTERVAL / 9)
     assert list(folder.iterdir()) == []
 
 
@@ -45,7 +45,7 @@ def test_what_a_worker_tells_is_read_until_its_campaign_ends(folder):
     worker, other = Worker(folder), Worker(folder, "gw1")
     for one in (worker, other):
         one.tell(0)
-        one.tell(2, after=1.01 * INTERVAL)
+        one.tell(2, after=1.01 * WRITE_INTERVAL)
     found = read_files(folder, TOKEN)
     assert found == {"gw0": worker.running.progress(), "gw1": worker.running.progress()}
     assert found["gw0"].done == 2
@@ -59,7 +59,7 @@ def test_a_worker_writes_a_few_times_a_second_at_most(folder, monkeypatch):
     worker = Worker(folder)
     for done in range(1000):
         worker.tell(done % 9, after=0.01)
-    assert 10 / INTERVAL - 3 <= len(written) <= 10 / INTERVAL
+    assert 10 / WRITE_INTERVAL - 3 <= len(written) <= 10 / WRITE_INTERVAL
 
 
 def test_where_nothing_can_be_written_there_is_no_progress_and_no_error(folder):

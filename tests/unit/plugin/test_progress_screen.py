@@ -12,12 +12,17 @@ import pytest
 from terminals import Terminal
 
 from pytest_dura.campaign.progress import CampaignProgress
-from pytest_dura.plugin.progress import log, screen
-from pytest_dura.plugin.progress.guard import Guard
-from pytest_dura.plugin.progress.log import Log
-from pytest_dura.plugin.progress.screen import Screen
-from pytest_dura.plugin.progress.showing import Showing, Ticker
-from pytest_dura.plugin.progress.words import Row, brief, sentence
+from pytest_dura.plugin import progress_display
+from pytest_dura.plugin.progress_display import (
+    LiveScreen,
+    ProgressLog,
+    ProgressView,
+    Row,
+    TerminalGuard,
+    Ticker,
+    log_line,
+    short_line,
+)
 
 
 class Stream(io.StringIO):
@@ -49,8 +54,8 @@ def writer(terminal):
 @pytest.fixture
 def display(terminal, writer, monkeypatch):
     size = os.terminal_size((terminal.columns, terminal.rows))
-    monkeypatch.setattr(Screen, "_size", lambda _: size)
-    return Screen(Stream(terminal), Guard(writer))
+    monkeypatch.setattr(LiveScreen, "_size", lambda _: size)
+    return LiveScreen(Stream(terminal), TerminalGuard(writer))
 
 
 def row(done=3, place="gw0"):
@@ -58,7 +63,7 @@ def row(done=3, place="gw0"):
 
 
 def shown(done, place="gw0"):
-    return f"{place} {brief(row(done))}"
+    return f"{place} {short_line(row(done))}"
 
 
 def test_rows_stand_below_what_pytest_is_writing(terminal, writer, display):
@@ -139,7 +144,9 @@ def test_afterwards_pytest_writes_by_itself(terminal, writer, display):
 
 
 def test_the_size_is_that_of_the_terminal_or_the_usual_one(terminal, writer):
-    assert Screen(Stream(terminal), Guard(writer))._size() == screen._USUAL
+    assert (
+        LiveScreen(Stream(terminal), TerminalGuard(writer))._size() == progress_display._USUAL_SIZE
+    )
 
 
 @pytest.fixture
@@ -152,7 +159,7 @@ def lines_of(written):
     writer = pytest.importorskip("_pytest._io").TerminalWriter(written)
     config = SimpleNamespace(get_terminal_writer=lambda: writer)
     reporter = SimpleNamespace(config=config, currentfspath=None, tw=writer)
-    reporter.log = Log(reporter, 30.0, 100.0, threading.RLock)
+    reporter.log = ProgressLog(reporter, 30.0, 100.0, threading.RLock)
     return reporter
 
 
@@ -170,7 +177,7 @@ def times(reporter, written, seconds, interval=0.5):
 def test_a_log_has_its_first_line_after_the_interval(lines_of, written):
     assert times(lines_of, written, 30) == []
     assert times(lines_of, written, 200) == [30.0, 60.0, 90.0, 120.0, 150.0, 180.0]
-    assert set(written.getvalue().splitlines()) == {f"dura: {sentence(row(1))}"}
+    assert set(written.getvalue().splitlines()) == {f"dura: {log_line(row(1))}"}
 
 
 def test_in_long_sessions_lines_become_rarer_but_a_log_is_never_silent_for_long(lines_of, written):
@@ -178,12 +185,12 @@ def test_in_long_sessions_lines_become_rarer_but_a_log_is_never_silent_for_long(
     gaps = [later - earlier for earlier, later in pairwise(found)]
     assert gaps == sorted(gaps)
     assert gaps[0] == 30.0
-    assert gaps[-1] <= log.LONGEST + 5.0
+    assert gaps[-1] <= progress_display.LONGEST_SILENCE + 5.0
     assert sum(time <= 3600 for time in found) < 40
 
 
 def test_an_interval_beyond_the_longest_is_kept(lines_of, written):
-    lines_of.log = Log(lines_of, 1000.0, 100.0, threading.RLock)
+    lines_of.log = ProgressLog(lines_of, 1000.0, 100.0, threading.RLock)
     assert times(lines_of, written, 3500, interval=10.0) == [1000.0, 2000.0, 3000.0]
 
 
@@ -199,7 +206,7 @@ def test_a_line_of_a_log_stands_alone_and_dots_go_on_below(lines_of, written):
     lines_of.currentfspath = Path("test_one.py")
     lines_of.log.show([row(1), row(2)], 500.0)
     lines_of.tw.write(".")
-    expected = ["test_one.py ..", f"dura: {sentence(row(1))}", f"dura: {sentence(row(2))}", "."]
+    expected = ["test_one.py ..", f"dura: {log_line(row(1))}", f"dura: {log_line(row(2))}", "."]
     assert written.getvalue().splitlines() == expected
     assert lines_of.currentfspath == Path("test_one.py")
     assert lines_of.tw.width_of_current_line == 1
@@ -215,7 +222,7 @@ def test_the_name_of_a_single_result_is_written_again_below_a_line(lines_of):
 def test_a_look_shows_what_is_found_at_the_rate_it_was_seen_at():
     rows, progress, now = [], [CampaignProgress("room/warm", "T-1", 0, 9)], [0.0]
     surface = SimpleNamespace(show=lambda found, _: rows.append(found))
-    showing = Showing(surface, lambda: {"": progress[0]}, lambda: now[0])
+    showing = ProgressView(surface, lambda: {"": progress[0]}, lambda: now[0])
     showing.look()
     progress[0], now[0] = replace(progress[0], done=3), 1.5
     showing.look()

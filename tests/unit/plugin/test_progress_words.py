@@ -6,10 +6,19 @@ from dataclasses import replace
 import pytest
 
 from pytest_dura.campaign.progress import CampaignProgress
-from pytest_dura.plugin.progress.board import Board
-from pytest_dura.plugin.progress.pace import LEAST, WINDOW, Pace
-from pytest_dura.plugin.progress.snapshots import LONGEST, SHARE, Snapshots
-from pytest_dura.plugin.progress.words import Row, brief, columns, duration, fitted, sentence
+from pytest_dura.plugin.progress import BOUND_SHARE, LONGEST_BOUND_AGE, Snapshots
+from pytest_dura.plugin.progress_display import (
+    LEAST_LOOKS,
+    PACE_WINDOW,
+    Board,
+    Pace,
+    Row,
+    columns,
+    duration,
+    log_line,
+    short_line,
+    terminal_line,
+)
 
 PROGRESS = CampaignProgress(
     "intersection/congested", "SAF-2", 120, 400, True, violations=1, upper=0.046, confidence=0.95
@@ -22,16 +31,16 @@ def at(done, budget=100, taken_over=0, subject="T-1"):
 
 
 def test_a_sentence_says_everything():
-    assert sentence(ROW) == (
+    assert log_line(ROW) == (
         "intersection/congested SAF-2: 120 of at most 400 runs, 1 violation, "
         "rate <= 4.6 % (95 %), 6.2 runs/s, at most 45 s left"
     )
 
 
 def test_a_sentence_says_no_more_than_is_known():
-    assert sentence(Row("", at(0, budget=1), None, None)) == "room/warm T-1: 0 of 1 run"
+    assert log_line(Row("", at(0, budget=1), None, None)) == "room/warm T-1: 0 of 1 run"
     fixed = replace(PROGRESS, may_end_early=False, violations=0, upper=None, taken_over=50)
-    assert sentence(Row("", fixed, 0.05, 5600.0)) == (
+    assert log_line(Row("", fixed, 0.05, 5600.0)) == (
         "intersection/congested SAF-2: 120 of 400 runs (50 taken over), 0 violations, "
         "3 runs/min, 1 h 33 min left"
     )
@@ -49,22 +58,22 @@ def test_durations(seconds, said):
 def test_no_line_is_wider_than_its_terminal(width):
     wide = replace(PROGRESS, case="交差点/混雑" * 3 + "e\u0301")
     for row in (ROW, Row("gw0", PROGRESS, 6.2, 45.2), Row("", wide, 6.2, 45.2)):
-        assert columns(fitted(row, width)) <= width
+        assert columns(terminal_line(row, width)) <= width
 
 
 def test_a_narrow_line_is_brief_and_a_wide_one_is_a_sentence():
-    assert fitted(ROW, 119) == sentence(ROW)
-    assert fitted(ROW, 118) == brief(ROW)
-    assert brief(ROW) == (
+    assert terminal_line(ROW, 119) == log_line(ROW)
+    assert terminal_line(ROW, 118) == short_line(ROW)
+    assert short_line(ROW) == (
         "intersection/congested SAF-2 120/400, 1 violation, <= 4.6 %, 6.2/s, <= 45 s left"
     )
-    assert fitted(replace(ROW, place="gw1"), 20) == "gw1 intersection/c.."
+    assert terminal_line(replace(ROW, place="gw1"), 20) == "gw1 intersection/c.."
     assert columns("混") == 2
 
 
 def test_a_name_writes_no_control_sequence_to_the_terminal():
     row = replace(ROW, progress=replace(PROGRESS, case="a\x1b[2Jb\nc"))
-    assert sentence(row).startswith("a?[2Jb?c SAF-2: ")
+    assert log_line(row).startswith("a?[2Jb?c SAF-2: ")
 
 
 def test_there_is_no_rate_before_a_run_has_ended():
@@ -101,11 +110,11 @@ def test_of_slow_runs_some_are_remembered_beyond_the_window():
     pace, random_ = Pace(at(0), 0.0), random.Random(0)
     now = 0.0
     for done in range(1, 40):
-        now += 3 * WINDOW * random_.choice([0.5, 1.5])
+        now += 3 * PACE_WINDOW * random_.choice([0.5, 1.5])
         pace.look(at(done), now)
-    assert pace.rate(now) == pytest.approx(1 / (3 * WINDOW), rel=0.5)
-    assert pace.rate(now) != pytest.approx(1 / (1.5 * WINDOW), rel=0.01)
-    assert LEAST > 2
+    assert pace.rate(now) == pytest.approx(1 / (3 * PACE_WINDOW), rel=0.5)
+    assert pace.rate(now) != pytest.approx(1 / (1.5 * PACE_WINDOW), rel=0.01)
+    assert LEAST_LOOKS > 2
 
 
 def test_runs_that_were_at_hand_do_not_count():
@@ -162,7 +171,7 @@ def test_a_bound_is_made_as_seldom_as_its_cost_asks_for():
     while clock.now < begun + 50.0:
         snapshots.of(running)
         clock.now += 0.2
-    assert running.bounds * running.cost <= 1.1 * SHARE * 50.0
+    assert running.bounds * running.cost <= 1.1 * BOUND_SHARE * 50.0
     assert running.bounds > 50
 
 
@@ -174,7 +183,7 @@ def test_a_bound_of_fewer_runs_is_shown_while_it_still_holds():
     assert (snapshots.of(running).done, snapshots.of(running).upper) == (9, 1.0)
     running.told = replace(running.told, violations=1)
     assert snapshots.of(running).upper is None
-    clock.now += LONGEST
+    clock.now += LONGEST_BOUND_AGE
     assert snapshots.of(running).upper == 0.1
     assert running.bounds == 2
 

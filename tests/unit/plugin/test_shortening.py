@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
-from pytest_dura.plugin.shortening import ELSEWHERE, left_out, worst, worst_cases
+from pytest_dura.plugin.terminal_tables import (
+    WHERE_ALL_ARE,
+    keep_worst,
+    left_out_lines,
+    worst_cases,
+)
 
 
 def verdict(case, word, pairs=None):
@@ -10,10 +15,10 @@ def verdict(case, word, pairs=None):
 
 
 def test_the_worst_stay_in_their_own_order():
-    assert worst("abcdef", [2, 0, 2, 1, 0, 2], most=3) == ["b", "d", "e"]
-    assert worst("abcdef", [2, 2, 2, 2, 2, 2], most=2) == ["a", "b"]
-    assert worst("abc", [2, 0, 1], most=3) == ["a", "b", "c"]
-    assert worst("abc", [2, 0, 1], most=None) == ["a", "b", "c"]
+    assert keep_worst("abcdef", [2, 0, 2, 1, 0, 2], most=3) == ["b", "d", "e"]
+    assert keep_worst("abcdef", [2, 2, 2, 2, 2, 2], most=2) == ["a", "b"]
+    assert keep_worst("abc", [2, 0, 1], most=3) == ["a", "b", "c"]
+    assert keep_worst("abc", [2, 0, 1], most=None) == ["a", "b", "c"]
 
 
 def test_no_case_with_a_violation_gives_way_to_one_without():
@@ -27,7 +32,7 @@ def test_no_case_with_a_violation_gives_way_to_one_without():
 
 
 def test_what_is_left_out_is_counted_by_its_word():
-    assert left_out([]) == []
-    assert left_out(["supported", "undecided", "supported"]) == [
-        f"and 3 verdicts more: 1 undecided, 2 supported; {ELSEWHERE}"
+    assert left_out_lines([]) == []
+    assert left_out_lines(["supported", "undecided", "supported"]) == [
+        f"and 3 verdicts more: 1 undecided, 2 supported; {WHERE_ALL_ARE}"
     ]

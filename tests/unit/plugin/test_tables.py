@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
-from pytest_dura.evidence.verifying.pairs import pair_problems
-from pytest_dura.plugin.tables import (
+from pytest_dura.evidence.verify_verdicts import pair_problems
+from pytest_dura.plugin.terminal_tables import (
     case_table,
     effectiveness_lines,
     pair_table,
     reliance_table,
 )
-from pytest_dura.requirements.pairs.counts import PairCounts
+from pytest_dura.requirements.pairs import PairCounts
 
 
 def share(valid: int, of: int = 10) -> dict[str, Any]:

@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 
 from pytest_dura import ConfigurationError, Requirement
-from pytest_dura.requirements.verdicts import CampaignVerdict, EpisodeVerdict, judge_campaign
-from pytest_dura.requirements.verdicts.campaigns import Spoilt
-from pytest_dura.requirements.verdicts.judging import CampaignJudge
+from pytest_dura.requirements.verdicts.campaigns import CampaignVerdict, UncountedEpisode
+from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict
+from pytest_dura.requirements.verdicts.judging import CampaignJudge, judge_campaign
 
 KEYS_OF_THE_RECORD = {
     "requirement", "case", "component", "verdict", "planned", "episodes", "violations", "invalid",
@@ -202,8 +202,8 @@ def test_the_record_has_the_keys_of_the_design_and_survives_json() -> None:
 def test_the_first_spoilt_episode_is_named_a_missing_one_before_an_invalid_one() -> None:
     verdicts = [one(0), one(1, "invalid"), one(2, "missing"), one(3, "missing")]
     found = judge(verdicts)
-    assert found.spoilt == Spoilt("case#2", "missing", verdicts[2].detail)
-    assert judge(verdicts[:2]).spoilt == Spoilt("case#1", "invalid", verdicts[1].detail)
+    assert found.spoilt == UncountedEpisode("case#2", "missing", verdicts[2].detail)
+    assert judge(verdicts[:2]).spoilt == UncountedEpisode("case#1", "invalid", verdicts[1].detail)
     assert judge(verdicts[:1]).spoilt is None
     assert CampaignVerdict.from_json(found.to_json()) == found
 

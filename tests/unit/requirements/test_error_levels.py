@@ -11,16 +11,18 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from pytest_dura.requirements.statistics import (
+from pytest_dura.requirements.statistics.rate_tests import (
     METHODS,
-    Boundaries,
     lower_bound,
     make_test,
-    operating_characteristics,
-    simulate,
     upper_bound,
 )
-from pytest_dura.requirements.statistics.sequential import error_level
+from pytest_dura.requirements.statistics.sequential import (
+    Boundaries,
+    error_level,
+    operating_characteristics,
+    simulate,
+)
 
 CAMPAIGNS, BUDGET = 10_000, 600
 

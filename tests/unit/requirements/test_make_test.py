@@ -8,7 +8,13 @@ import sys
 import pytest
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.requirements.statistics import METHODS, EProcess, FixedN, Sprt, make_test
+from pytest_dura.requirements.statistics.rate_tests import (
+    METHODS,
+    EProcess,
+    FixedN,
+    Sprt,
+    make_test,
+)
 
 GOOD = {"fixed": {"planned": 60}, "sprt": {"p0": 0.01}, "e-process": {}}
 

@@ -22,9 +22,13 @@ from pytest_dura import (
     SecurityAssessor,
 )
 from pytest_dura.requirements.model import Requirement
-from pytest_dura.requirements.monitoring.alarms import Watch, watch
-from pytest_dura.requirements.monitoring.judging import judge_alerts, judge_monitor
-from pytest_dura.requirements.monitoring.quality import MonitorQuality
+from pytest_dura.requirements.monitoring.quality import (
+    MonitorQuality,
+    MonitorTimeline,
+    judge_alerts,
+    judge_monitor,
+    monitor_timeline,
+)
 from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict, judge_episode
 
 BIAS = {"id": "bias", "target": "thermometer", "activation": {"at": 0.5}, "duration": 0.3}
@@ -60,7 +64,7 @@ def seconds(*stretches: tuple[int, int]) -> tuple[Any, ...]:
 
 
 def test_each_monitor_has_its_own_alarms() -> None:
-    found = watch(
+    found = monitor_timeline(
         heating(
             safety_monitor=monitor_at(2, 3, 4, 7),
             second=monitor_at(0, 9),
@@ -79,7 +83,7 @@ def test_each_monitor_has_its_own_alarms() -> None:
 
 def test_an_alarm_stands_until_the_monitor_is_asked_again_and_takes_it_back() -> None:
     episode = heating(safety_monitor=monitor_at(2, 4, 5, 8, asked=(0, 2, 4, 6, 8)))
-    assert watch(episode).alarms["safety_monitor"] == seconds((2, 5), (8, 10))
+    assert monitor_timeline(episode).alarms["safety_monitor"] == seconds((2, 5), (8, 10))
     assert episode.metrics.flags == {"safety_monitor": [2, 4, 8]}
 
 
@@ -87,12 +91,12 @@ def test_an_alarm_that_nobody_asked_about_again_was_in_time() -> None:
     episode = heating(seconds=8.0, safety_monitor=monitor_at(2, asked=range(3)))
     too_hot = Requirement("R", check="always (temperature <= 30)")
     verdict = replace(judge_episode(too_hot, episode), verdict="violated", time=7.0)
-    found = judge_monitor("safety_monitor", [(verdict, watch(episode))])
+    found = judge_monitor("safety_monitor", [(verdict, monitor_timeline(episode))])
     assert (found.true_positives, found.early, found.lead_times) == (1, 0, (5.0,))
 
 
 def test_a_monitor_that_was_never_asked_has_no_entry_and_no_assessor_no_alerts() -> None:
-    found = watch(heating(safety_monitor=monitor_at(1, asked=()), second=monitor_at()))
+    found = monitor_timeline(heating(safety_monitor=monitor_at(1, asked=()), second=monitor_at()))
     assert found.alarms == {"second": ()}
     assert found.alerts is None
 
@@ -102,13 +106,13 @@ def test_a_tick_counts_once_even_if_only_the_first_proposal_was_unsafe() -> None
         policy="refine(2)", safety_monitor=monitor_at(3, 6, again=(6,)), second=monitor_at()
     )
     assert episode.metrics.flags == {"safety_monitor": [3, 6]}
-    assert watch(episode).intervention == "a proposal was refined"
+    assert monitor_timeline(episode).intervention == "a proposal was refined"
 
 
 def test_two_assessors_are_watched_together() -> None:
     episode = heating(security_assessor=alerts_at(1, 6), other_assessor=alerts_at(1, 2, 3))
     assert episode.metrics.alert_ticks == {"security_assessor": [1, 6], "other_assessor": [1, 2, 3]}
-    assert watch(episode).alerts == seconds((1, 3), (6, 6))
+    assert monitor_timeline(episode).alerts == seconds((1, 3), (6, 6))
 
 
 def test_flags_and_alerts_enter_the_digest() -> None:
@@ -120,8 +124,8 @@ def test_flags_and_alerts_enter_the_digest() -> None:
 
 def test_a_watch_is_plain_data_that_reads_back_equal() -> None:
     for assessor in ({}, {"security_assessor": alerts_at(1)}):
-        found = watch(heating(safety_monitor=monitor_at(2, 3), **assessor))
-        assert Watch.from_json(json.loads(json.dumps(found.to_json()))) == found
+        found = monitor_timeline(heating(safety_monitor=monitor_at(2, 3), **assessor))
+        assert MonitorTimeline.from_json(json.loads(json.dumps(found.to_json()))) == found
 
 
 def verdict(word: Any, run: int, time: float | None = None, **fields: Any) -> EpisodeVerdict:
@@ -132,12 +136,12 @@ def verdict(word: Any, run: int, time: float | None = None, **fields: Any) -> Ep
     return EpisodeVerdict(**{**plain, **fields})
 
 
-def seen(run: int, *alarms: tuple[float, float], **fields: Any) -> Watch:
+def seen(run: int, *alarms: tuple[float, float], **fields: Any) -> MonitorTimeline:
     plain = {
         "episode": f"case#{run}", "component": "Planner", "validity": "valid", "duration": 36.0,
         "alarms": {"monitor": alarms}, "alerts": (),
     }  # fmt: skip
-    return Watch(**{**plain, **fields})
+    return MonitorTimeline(**{**plain, **fields})
 
 
 def judge(*rows: Any, horizon: float = 5.0) -> MonitorQuality:
@@ -257,9 +261,9 @@ def test_a_monitor_on_whose_word_somebody_acted_is_not_judged(loop: Any, told: s
     episode = heating(safety_monitor=monitor_at(4), security_assessor=alerts_at(), **loop)
     found = judge_episode(Requirement("R", check="always (temperature < 90)"), episode)
     with pytest.raises(ConfigurationError, match=told):
-        judge_monitor("safety_monitor", [(found, watch(episode))])
+        judge_monitor("safety_monitor", [(found, monitor_timeline(episode))])
     with pytest.raises(ConfigurationError, match=told):
-        judge_alerts([watch(episode)])
+        judge_alerts([monitor_timeline(episode)])
 
 
 def test_an_unknown_monitor_is_told_with_the_known_ones() -> None:
@@ -298,7 +302,7 @@ def test_real_monitors_are_told_apart_by_their_quality() -> None:
             nervous_monitor=HeatMonitor(limit=10.0),
             spec={"seed": run},
         )
-        judged.append((judge_episode(check, episode), watch(episode)))
+        judged.append((judge_episode(check, episode), monitor_timeline(episode)))
     assert [one.verdict for one, _ in judged] == ["violated", "satisfied", "satisfied"]
     good, late, nervous = (
         judge_monitor(name, judged)
@@ -313,7 +317,9 @@ def test_real_monitors_are_told_apart_by_their_quality() -> None:
 
 
 def test_alerts_are_judged_by_whether_a_fault_manifested() -> None:
-    def attacked(run: int, *alerts: tuple[float, float], detected_at: float | None = None) -> Watch:
+    def attacked(
+        run: int, *alerts: tuple[float, float], detected_at: float | None = None
+    ) -> MonitorTimeline:
         return seen(run, alerts=alerts, manifested_at=3.0, detected_at=detected_at)
 
     found = judge_alerts(
@@ -339,7 +345,7 @@ def test_alerts_are_judged_by_whether_a_fault_manifested() -> None:
 
 def test_alerts_of_a_real_loop_with_and_without_a_fault() -> None:
     watches = [
-        watch(
+        monitor_timeline(
             run_loop(
                 Overheater(),
                 policy="log_only",
@@ -363,7 +369,7 @@ def test_alerts_count_from_the_activation_on_where_the_component_reads_seldom() 
         return Proposal(0.0)
 
     watches = [
-        watch(
+        monitor_timeline(
             run_loop(
                 Says(reading_each_second),
                 policy="log_only",

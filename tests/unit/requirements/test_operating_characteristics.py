@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from pytest_dura.requirements.statistics import (
+from pytest_dura.requirements.statistics.rate_tests import make_test
+from pytest_dura.requirements.statistics.sequential import (
     Boundaries,
-    make_test,
     operating_characteristics,
     simulate,
+    walk,
 )
-from pytest_dura.requirements.statistics.characteristics import walk
 
 BUDGET = 120
 

@@ -9,7 +9,7 @@ import pytest
 from episodes import episode, idle
 
 from pytest_dura.requirements.model import Paired, Requirement
-from pytest_dura.requirements.pairs.verdicts import change_verdict, pair_verdict
+from pytest_dura.requirements.pairs import change_verdict, pair_verdict
 from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict
 
 

@@ -14,9 +14,7 @@ from thermostat import HeatMonitor, Overheater, SwitchOff
 
 from pytest_dura import ConfigurationError, Episode
 from pytest_dura.requirements.model import Paired, Requirement
-from pytest_dura.requirements.pairs.changes import Change
-from pytest_dura.requirements.pairs.counts import Pair, PairCounts, judge_pairs
-from pytest_dura.requirements.pairs.verdicts import check_comparison
+from pytest_dura.requirements.pairs import Change, Pair, PairCounts, check_comparison, judge_pairs
 from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict, judge_episode
 
 WORDS = ("satisfied", "violated", "invalid", "missing")

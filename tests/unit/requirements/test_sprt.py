@@ -8,14 +8,19 @@ from fractions import Fraction
 import pytest
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.requirements.statistics import Sprt, operating_characteristics, sprt
-from pytest_dura.requirements.statistics.sequential import as_written
-from pytest_dura.requirements.statistics.sprt import _Ratio
+from pytest_dura.requirements.statistics import rate_tests
+from pytest_dura.requirements.statistics.rate_tests import Sprt, _Ratio
+from pytest_dura.requirements.statistics.sequential import (
+    decimal_fraction,
+    operating_characteristics,
+)
 
 
 def wald(limit, p0, level):
-    alpha = as_written(level)
-    return _Ratio(as_written(limit), as_written(p0), alpha / (1 - alpha), (1 - alpha) / alpha)
+    alpha = decimal_fraction(level)
+    return _Ratio(
+        decimal_fraction(limit), decimal_fraction(p0), alpha / (1 - alpha), (1 - alpha) / alpha
+    )
 
 
 @pytest.mark.parametrize(
@@ -143,5 +148,5 @@ def test_parameters_that_make_no_sense(arguments, key) -> None:
 
 def test_what_levels_the_boundaries_keep_is_found_out_once(monkeypatch: pytest.MonkeyPatch) -> None:
     first = Sprt(0.05, 0.02, alpha=0.1).verdict(0, 60)
-    monkeypatch.setattr(sprt, "walk", None)
+    monkeypatch.setattr(rate_tests, "walk", None)
     assert Sprt(0.05, 0.02, alpha=0.1).verdict(0, 60) == first

@@ -7,14 +7,14 @@ import math
 import pytest
 
 from pytest_dura import ConfigurationError
-from pytest_dura.requirements.stl.language.checks import (
+from pytest_dura.requirements.stl.formula import (
+    Window,
     check_time_step,
     in_samples,
     past_only_or_refuse,
     ranging_or_refuse,
 )
-from pytest_dura.requirements.stl.language.nodes import Window
-from pytest_dura.requirements.stl.language.parsing import parse
+from pytest_dura.requirements.stl.parser import parse
 
 
 @pytest.mark.parametrize(

@@ -8,19 +8,19 @@ import sys
 import pytest
 
 from pytest_dura import ConfigurationError
-from pytest_dura.requirements.stl.language.formula import Formula
-from pytest_dura.requirements.stl.language.nodes import (
+from pytest_dura.requirements.stl.formula import (
     Arithmetic,
     Boolean,
     Comparison,
     Constant,
+    Formula,
     Signal,
     Temporal,
     TemporalPair,
     Window,
     walk,
 )
-from pytest_dura.requirements.stl.language.parsing import parse
+from pytest_dura.requirements.stl.parser import parse
 
 A = Comparison(">", Signal("a"), Constant(1.0))
 B = Comparison(">", Signal("b"), Constant(2.0))
@@ -237,8 +237,8 @@ def test_formulas_are_judged_without_rtamt() -> None:
     code = """
 import sys
 sys.modules["rtamt"] = sys.modules["antlr4"] = None  # as if it were not installed
-from pytest_dura.requirements.stl.language.parsing import parse
-from pytest_dura.requirements.stl.offline.evaluation import evaluate
+from pytest_dura.requirements.stl.parser import parse
+from pytest_dura.requirements.stl.evaluation import evaluate
 formula = parse("always (gap > 1 -> F[0:2] speed - 5 > 2)")
 assert evaluate(formula, [0.0, 1.0], {"gap": [0, 0], "speed": [0, 0]}).status == "satisfied"
 """

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from stl_judging import judge
 
-from pytest_dura.requirements.stl.language.parsing import parse
-from pytest_dura.requirements.stl.offline.robustness import (
+from pytest_dura.requirements.stl.parser import parse
+from pytest_dura.requirements.stl.robustness import (
     robustness,
     robustness_batch,
     robustness_interval,

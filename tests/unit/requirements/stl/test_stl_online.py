@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.requirements.stl.language.parsing import parse
-from pytest_dura.requirements.stl.offline.robustness import robustness
-from pytest_dura.requirements.stl.online import streams
-from pytest_dura.requirements.stl.online.monitoring import OnlineFormula, Sample
+from pytest_dura.requirements.stl import online
+from pytest_dura.requirements.stl.online import OnlineFormula, Sample
+from pytest_dura.requirements.stl.parser import parse
+from pytest_dura.requirements.stl.robustness import robustness
 
 
 def judged(text: str, values: Any, time_step: float = 0.5) -> list[Sample]:
@@ -78,7 +78,7 @@ def test_long_traces_and_windows(text: str) -> None:
 @pytest.mark.parametrize("values", [range(4000), range(4000, 0, -1), [1.0] * 4000])
 @pytest.mark.parametrize("least", [True, False])
 def test_no_more_is_kept_than_the_window_holds(values: Any, least: bool) -> None:
-    stream = streams.Sliding(5, 24, least=least)
+    stream = online.Sliding(5, 24, least=least)
     for value in values:
         stream((float(value), value > 2000))
         assert len(stream._queue) <= 20

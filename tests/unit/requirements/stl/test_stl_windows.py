@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pytest_dura.requirements.stl.offline import windows
+from pytest_dura.requirements.stl import windows
 
 INF = np.inf
 

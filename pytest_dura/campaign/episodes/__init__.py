@@ -1,1 +1,0 @@
-"""Episodes: as bytes, by address, shared between processes and sessions, and who simulates them."""

@@ -1,0 +1,90 @@
+"""FaultTracer: trace each fault of an episode to its outcome, by runs without faults."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
+
+from pytest_dura.campaign.causal_chains import CausalChain, causal_chains
+from pytest_dura.campaign.progress import RunningCampaign
+from pytest_dura.core.propagation import Divergence
+from pytest_dura.execution.store import EpisodeKey, key_of
+from pytest_dura.execution.task import EpisodeTask, UpcomingTasks
+from pytest_dura.library.cases import Case
+from pytest_dura.requirements.verdicts.episodes import JudgedEpisode
+
+if TYPE_CHECKING:
+    from pytest_dura.runner import Runner
+
+
+TWINS_SUBJECT = "fault-free twins"
+"""What runs when it is found out what came of faults, as progress calls it."""
+MAX_RECENT_CHAINS = 64
+"""Episodes whose chains are kept: they are asked for while one is looked at."""
+
+
+class FaultTracer:
+    """Follows each fault of an episode from plan to outcome, once.
+
+    Args:
+        bench: Whose episodes they are.
+    """
+
+    def __init__(self, bench: Runner) -> None:
+        self.bench = bench
+        self._told: set[EpisodeKey] = set()
+        self._chains: OrderedDict[EpisodeKey, list[CausalChain]] = OrderedDict()
+
+    def follow(self, case: Case, runs: Sequence[int]) -> None:
+        """See :meth:`pytest_dura.runner.Runner.follow`."""
+        bench = self.bench
+        tasks = {run: bench.task(case, run) for run in runs}
+        due = [run for run in runs if key_of(tasks[run]) not in self._told]
+        upcoming = UpcomingTasks(len(due), lambda step: [bench.twin(case, tasks[due[step]].spec)])
+        running = RunningCampaign(case.id, TWINS_SUBJECT, len(due))
+        try:
+            for step, run in enumerate(due):
+                upcoming.reach(step)
+                bench.on_progress(running.reach(step, len(due), bench.store.simulated))
+                episode = bench.again(case, run)
+                self._told.add(key_of(tasks[run]))
+                bench.on_chains(case, episode, self.chains(case, episode, upcoming))
+        finally:
+            bench.store.cancel()
+            bench.on_progress(running.end())
+
+    def chains(
+        self, case: Case, episode: JudgedEpisode, ahead: Iterable[EpisodeTask] = ()
+    ) -> list[CausalChain]:
+        """See :meth:`pytest_dura.runner.Runner.chains`.
+
+        Args:
+            case: The case that it belongs to.
+            episode: One of its runs.
+            ahead: What will be wanted next.
+        """
+        key = self.bench.key(episode)
+        if key not in self._chains:
+            self._chains[key] = self._linked(case, episode, ahead)
+        while len(self._chains) > MAX_RECENT_CHAINS:
+            self._chains.popitem(last=False)
+        return self._chains[key]
+
+    def _linked(
+        self, case: Case, episode: JudgedEpisode, ahead: Iterable[EpisodeTask]
+    ) -> list[CausalChain]:
+        bench, requirements = self.bench, self.bench.requirements_of(case)
+        reached = any(fault.manifested_at is not None for fault in episode.faults)
+        if not (bench.twins and reached):
+            return causal_chains(episode, requirements)
+        task = bench.twin(case, episode.spec)
+
+        def second() -> JudgedEpisode:
+            # Not even a bare instance is spared it: one that remembers earlier episodes differs
+            # there as well, and then nothing can be said of the faults.
+            return bench.store.get(task.repeated(), ahead)
+
+        twin = bench.store.get(task, ahead)
+        divergence = Divergence.of(episode, twin, second)
+        return causal_chains(episode, requirements, twin, divergence)

@@ -1,0 +1,329 @@
+"""PairedCampaign: runs beside runs of equal seeds that lack a fault or a role."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+from pytest_dura.campaign.reasons import ComponentFailures
+from pytest_dura.campaign.runs import finite_number
+from pytest_dura.core.episode import Episode
+from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.library.cases import Case
+from pytest_dura.requirements.checks import Check, check_name
+from pytest_dura.requirements.model import FAULTS, Method, Paired, Requirement
+from pytest_dura.requirements.monitoring.quality import (
+    MonitorQuality,
+    judge_alerts,
+    judge_monitor,
+    monitor_timeline,
+)
+from pytest_dura.requirements.pairs import (
+    Change,
+    Pair,
+    PairCounts,
+    change_verdict,
+    check_comparison,
+    judge_pairs,
+    measured,
+    pair_verdict,
+)
+from pytest_dura.requirements.verdicts.campaigns import CampaignVerdict
+from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict, JudgedEpisode, judge_episode
+
+if TYPE_CHECKING:
+    from pytest_dura.campaign.campaign import Campaign
+    from pytest_dura.execution.task import EpisodeTask
+
+
+def monitor_qualities(
+    episodes: Callable[[], Iterable[Episode]], requirements: Sequence[Requirement]
+) -> list[MonitorQuality]:
+    """The quality of every monitor against each safety requirement, and of alerts against faults.
+
+    Args:
+        episodes: Gives the episodes of one case without recovery, at each call anew: they may be
+            many, and are never all in memory.
+        requirements: Of any kind; those on safety that a single episode can violate are used.
+
+    Returns:
+        Nothing if something was done on a monitor's word in any of the episodes (under ``halt`` and
+        ``refine``): a violation that was averted would make its true alarm a false one. Nor if
+        one ended once all was decided: its false alarms were still to come.
+    """
+    seen = []
+    for episode in episodes():
+        if episode.termination == "decided":
+            return []
+        seen.append(monitor_timeline(episode))
+    if any(one.intervention is not None for one in seen):
+        return []
+    monitors = sorted({name for one in seen for name in one.alarms})
+    asked = [one for one in requirements if one.kind == "safety" and not one.paired and one.check]
+    verdicts: list[list[EpisodeVerdict]] = [[] for _ in asked]
+    for episode in episodes() if asked and monitors else ():
+        for told, requirement in zip(verdicts, asked, strict=True):
+            told.append(judge_episode(requirement, episode))
+    found = [
+        judge_monitor(monitor, list(zip(told, seen, strict=True)))
+        for told in verdicts
+        for monitor in monitors
+    ]
+    if any(one.manifested_at is not None and one.alerts is not None for one in seen):
+        found.append(judge_alerts(seen))
+    return found
+
+
+RECOVERY = "recovery_planner"
+
+
+class PairedCampaign:
+    """Pairs of episodes: one of a campaign, and its twin of the same seed without something.
+
+    Args:
+        campaign: The campaign.
+        without: ``faults``, or the name of a role that is switched off in the twins.
+
+    Raises:
+        ConfigurationError: If there is no such role, or there are no faults.
+    """
+
+    def __init__(self, campaign: Campaign, without: str) -> None:
+        self.campaign, self.without = campaign, without
+        self.case = twin_case(campaign.case, without)
+        # Told before anything runs, where the role is not there to be switched off.
+        self.case.roles(campaign.bench.roles)
+
+    def __repr__(self) -> str:
+        return f"PairedCampaign({self.campaign.case.id!r}, without={self.without!r})"
+
+    def __iter__(self) -> Iterator[tuple[JudgedEpisode, JudgedEpisode]]:
+        """The pairs of all planned runs."""
+        cases = [self.campaign.case, self.case]
+        yield from self._with_twins(self.campaign.in_order(cases), cases)
+
+    def twin(self, episode: JudgedEpisode, ahead: Iterable[EpisodeTask] = ()) -> JudgedEpisode:
+        """The episode of the same run and seed without something.
+
+        Args:
+            episode: One of the campaign's.
+            ahead: What will be wanted next.
+        """
+        return self.campaign.bench.episode(
+            self.case, episode.spec.run, planned=self.campaign.planned, ahead=ahead
+        )
+
+    def _with_twins(
+        self, episodes: Iterable[JudgedEpisode], cases: Sequence[Case]
+    ) -> Iterator[tuple[JudgedEpisode, JudgedEpisode]]:
+        """Each with its twin; where another process is at that, this one is at the next ones."""
+        ahead = self.campaign.upcoming(cases)
+        for episode in episodes:
+            ahead.reach(episode.spec.run)
+            yield episode, self.twin(episode, ahead)
+
+    def judge(self, requirement: Requirement, check: Check | None = None) -> CampaignVerdict:
+        """The verdict of a requirement on pairs; its counts are counts of pairs.
+
+        Raises:
+            ConfigurationError: For a check or measure that cannot be used.
+        """
+        check_comparison(requirement)
+        campaign = self.campaign
+        judge, situations = campaign.judge_of(requirement, check), campaign.situations()
+        campaign.failures, compared = ComponentFailures(), _PairResults(requirement, check)
+        runs, faulty = [], []
+        episodes = campaign.enough_for(judge, [self.case])
+        for episode, twin in self._with_twins(episodes, [campaign.case, self.case]):
+            verdict = compared.add(episode, twin)
+            judge.add(campaign.with_crash(verdict, episode, check or requirement.check))
+            situations.add(episode)
+            situations.add(twin)
+            judge.situation = situations.situation
+            campaign.failures.add(episode)
+            campaign.failures.add(twin)
+            runs.append(episode.spec.run)
+            if episode.faults:
+                faulty.append(episode.spec.run)
+        campaign.bench.follow(campaign.case, faulty)
+        self._tell_of_monitors(runs)
+        found = judge.verdict()
+        table = {"without": self.without, "case": self.case.id, **compared.table()}
+        doubt = self._doubt(compared)
+        if doubt is not None and found.verdict == "supported":
+            return replace(found, verdict="undecided", reason=doubt, pairs=table)
+        return replace(found, pairs=table)
+
+    def monitors(self) -> list[MonitorQuality]:
+        """How good the monitors are on all planned runs without recovery, where they cannot act.
+
+        Raises:
+            ConfigurationError: If it is not the recovery that the twins lack.
+        """
+        if self.without != RECOVERY:
+            raise ConfigurationError(
+                "monitors are judged where nobody acts on their word",
+                key="without",
+                found=self.without,
+                expected=RECOVERY,
+                remedy=f'compare with campaign.paired(without="{RECOVERY}")',
+            )
+        return self._monitors([episode.spec.run for episode, _ in self])
+
+    def _monitors(self, runs: Sequence[int]) -> list[MonitorQuality]:
+        def twins() -> Iterator[JudgedEpisode]:
+            return (self.campaign.bench.again(self.case, run) for run in runs)
+
+        return monitor_qualities(twins, self._requirements())
+
+    def _tell_of_monitors(self, runs: Sequence[int]) -> None:
+        if self.without == RECOVERY:
+            self.campaign.bench.on_monitors(self.case, self._monitors(runs))
+
+    def _requirements(self) -> list[Requirement]:
+        known = self.campaign.bench.library().requirements
+        return [known[name] for name in self.case.requirements]
+
+    def _doubt(self, compared: _PairResults) -> str | None:
+        """Why the pairs cannot be trusted: runs of equal seeds differ though nothing acted."""
+        counts = compared.counts
+        if self.without != RECOVERY or counts is None or not counts.unexplained:
+            return None
+        return (
+            f"infrastructure: nondeterministic: {counts.unexplained} of {counts.pairs} pairs "
+            "differ although recovery never acted in them"
+        )
+
+    def require(
+        self,
+        check: Check = "",
+        at_most: float | None = None,
+        confidence: float | None = None,
+        method: Method | None = None,
+        p0: float | None = None,
+        *,
+        measure: str = "",
+        change_at_most: float | None = None,
+    ) -> CampaignVerdict:
+        """The verdict on the pairs, if the campaign supports it.
+
+        Args:
+            check: No pair, or at most a share, may violate it only with what the twins lack.
+            at_most: Greatest acceptable rate of such pairs; by default there may be none.
+            confidence: As in :meth:`Campaign.require`.
+            method: As there.
+            p0: As there.
+            measure: Import path of a function of an episode to a number, in place of a check.
+            change_at_most: By how much the measure may grow in a pair.
+
+        Raises:
+            RequirementViolated: If it is violated or undecided.
+            ConfigurationError: For a check or measure that cannot be used, and what is not as the
+                requirement's file says.
+        """
+        __tracebackhide__ = True
+        given: dict[str, Any] = {"at_most": at_most, "confidence": confidence}
+        given |= {"method": method, "p0": p0}
+        if check:
+            given |= {"check": check_name(check)}
+        own = self.campaign.requirement
+        own = own or Requirement(check_name(check) or measure, kind="recovery")
+        try:
+            if change_at_most is not None:
+                change_at_most = finite_number("change_at_most", change_at_most)
+            paired = Paired(self.without, measure, change_at_most)
+            if own.paired is not None and paired == Paired(self.without):
+                paired = replace(own.paired, without=self.without)
+            requirement = self.campaign.asked(own, given | {"paired": paired})
+            verdict = self.judge(requirement, check or None)
+        except ConfigurationError as error:
+            raise error.with_traceback(None) from None
+        return self.campaign.decided(verdict, requirement)
+
+    def counts(self, check: Check) -> PairCounts:
+        """How many of all planned pairs violate a check in both runs, one of them, or neither."""
+        __tracebackhide__ = True
+        name = check_name(check)
+        compared = _PairResults(Requirement(name, check=name, paired=Paired(self.without)), check)
+        try:
+            for episode, twin in self:
+                compared.add(episode, twin)
+        except ConfigurationError as error:
+            raise error.with_traceback(None) from None
+        assert compared.counts is not None
+        return compared.counts
+
+    def change(self, measure: str | Callable[[Episode], float]) -> Change:
+        """By how much a measure differs in each of the planned pairs.
+
+        Args:
+            measure: A function of an episode to a number, or its import path. NaN is no value.
+        """
+        __tracebackhide__ = True
+        try:
+            values = {
+                one.id: (_measured_value(measure, one), _measured_value(measure, twin))
+                for one, twin in self
+            }
+        except ConfigurationError as error:
+            raise error.with_traceback(None) from None
+        return Change.between(check_name(measure), values)
+
+
+class _PairResults:
+    """The verdicts on pairs, and what they come to."""
+
+    def __init__(self, requirement: Requirement, check: Check | None) -> None:
+        assert requirement.paired is not None
+        self.requirement, self.check = requirement, check
+        self.measure = requirement.paired.measure
+        self._pairs: list[Pair] = []
+        self._values: dict[str, tuple[float | None, float | None]] = {}
+
+    def add(self, episode: JudgedEpisode, twin: JudgedEpisode) -> EpisodeVerdict:
+        """The verdict on the next pair."""
+        if self.measure:
+            values = _measured_value(self.measure, episode), _measured_value(self.measure, twin)
+            self._values[episode.id] = values
+            return change_verdict(self.requirement, episode, twin, values)
+        own = judge_episode(self.requirement, episode, self.check)
+        other = judge_episode(self.requirement, twin, self.check)
+        self._pairs.append(Pair(own, other, bool(episode.metrics.recoveries)))
+        return pair_verdict(own, other)
+
+    @property
+    def counts(self) -> PairCounts | None:
+        """Of a check; ``None`` for a measure."""
+        return None if self.measure else judge_pairs(self._pairs)
+
+    def table(self) -> dict[str, Any]:
+        """Plain data of what the pairs come to."""
+        if self.counts is not None:
+            return self.counts.to_json()
+        return {"change": Change.between(self.measure, self._values).to_json()}
+
+
+def _measured_value(measure: str | Callable[[Episode], float], episode: Episode) -> float | None:
+    """The measure of a run; ``None`` of one that is invalid or missing, or not a whole one."""
+    whole = episode.validity == "valid" and episode.termination != "decided"
+    return measured(measure, episode) if whole else None
+
+
+def twin_case(case: Case, without: str) -> Case:
+    """The case of the twins.
+
+    Raises:
+        ConfigurationError: If there is no such role, or there are no faults.
+    """
+    if without != FAULTS:
+        return case.switched_off(without)
+    if not case.faults:
+        raise ConfigurationError(
+            f"the case {case.id!r} has no faults to leave out",
+            key="paired.without",
+            found=without,
+            expected="a case with faults",
+            remedy="compare only cases with faults with their runs without faults",
+        )
+    return case.without_faults()

@@ -1,1 +1,0 @@
-"""The members of the portfolio, one module each."""

@@ -1,1 +1,0 @@
-"""Making a counterexample simpler, with Hypothesis."""

@@ -1,0 +1,550 @@
+"""Baseline: an earlier record, and what the rates of violations did since, verdict by verdict.
+
+Only campaigns that ran under the same conditions are compared.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.evidence.bundle import RECORD_FILE, load_record
+from pytest_dura.evidence.model import SessionRecord
+from pytest_dura.requirements.statistics.comparison import (
+    ComparisonStatus,
+    compare_counts,
+    compare_pairs,
+    comparison_status,
+    holm,
+)
+from pytest_dura.requirements.verdicts.judging import MAX_INVALID_SHARE
+
+CONDITION_KEYS = ("simulator", "scenario", "faults", "termination", "time_step", "time_budget")
+"""Of an episode's spec. Roles and policy are left out: they may be what is compared."""
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """Under what an episode ran, the component under test and the other roles apart.
+
+    Args:
+        seed: The episode's seed.
+        values: Simulator, world, faults, duration, time step and budget, by dotted path.
+    """
+
+    seed: int
+    values: Mapping[str, Any]
+
+    @classmethod
+    def of(cls, spec: Mapping[str, Any]) -> Conditions:
+        """Those of an episode's spec, as plain data.
+
+        Raises:
+            AttributeError: For a damaged spec, as those below.
+            KeyError: See above.
+            TypeError: See above.
+        """
+        kept = {key: spec[key] for key in CONDITION_KEYS}
+        # The role that puts the faults into effect belongs to the faults.
+        kept["fault_injector"] = spec["roles"].get("fault_injector")
+        seed = spec["seed"]
+        if isinstance(seed, bool) or not isinstance(seed, int):
+            raise TypeError(f"{seed!r} is no seed")
+        return cls(seed, dict(_leaves("", kept)))
+
+
+def changed_conditions(
+    mine: Mapping[int, Conditions], others: Mapping[int, Conditions]
+) -> list[str]:
+    """Dotted paths of what is not the same for two campaigns on one case.
+
+    Runs of equal seeds must have equal conditions. Without such runs, a value that is the same in
+    all runs of each campaign must be the same in both; one that varies between runs cannot be
+    compared, since a record holds the drawn values and not the range that they come from.
+
+    Args:
+        mine: By the run's number.
+        others: By the run's number.
+    """
+    shared = [run for run in mine if run in others and mine[run].seed == others[run].seed]
+    if shared:
+        pairs = ((mine[run].values, others[run].values) for run in shared)
+        return sorted(set().union(*(_different(*pair) for pair in pairs)))
+    if not (mine and others):
+        return []
+    first, other = (next(iter(runs.values())).values for runs in (mine, others))
+    varying = _varying(mine.values()) | _varying(others.values())
+    return sorted(_different(first, other) - varying)
+
+
+def _leaves(path: str, value: Any) -> list[tuple[str, Any]]:
+    if isinstance(value, Mapping):
+        inner = list(value.items())
+    elif isinstance(value, (list, tuple)):
+        inner = [(str(i), one) for i, one in enumerate(value)]
+    else:
+        return [(path, value)]
+    prefix = f"{path}." if path else ""
+    leaves = [leaf for key, one in inner for leaf in _leaves(f"{prefix}{key}", one)]
+    return leaves or [(path, ())]
+
+
+_ABSENT = object()
+
+
+def _different(mine: Mapping[str, Any], others: Mapping[str, Any]) -> set[str]:
+    paths = {*mine, *others}
+    return {path for path in paths if mine.get(path, _ABSENT) != others.get(path, _ABSENT)}
+
+
+def _varying(runs: Collection[Conditions]) -> set[str]:
+    first = next(iter(runs)).values
+    return {path for one in runs for path in _different(first, one.values)}
+
+
+Data = Mapping[str, Any]
+MAX_COUNT = 10**9
+"""Runs that no session has; the tests on counts work in floating point."""
+
+
+@dataclass(frozen=True)
+class Claim:
+    """The counts of one verdict, and what they were counted on.
+
+    Args:
+        requirement: Id of the requirement.
+        case: Id of the case.
+        component: Name of the component under test.
+        item: Node id of the test that asked.
+        check: What was judged, a comparison of pairs included: the same text, the same question.
+        method: How it was decided.
+        confidence: One-sided confidence of the requirement.
+        planned: Episodes that were planned.
+        run: Episodes that were run.
+        saved: Planned episodes that were not run because the verdict stood without them.
+        episodes: Valid episodes.
+        violations: Those that violated the requirement; an open one is not known to.
+        violating: Numbers of the runs that violated it.
+        conditions: Of the case's planned runs, by number.
+    """
+
+    requirement: str
+    case: str
+    component: str
+    item: str
+    check: str
+    method: str
+    confidence: float
+    planned: int
+    run: int
+    saved: int
+    episodes: int
+    violations: int
+    violating: frozenset[int]
+    conditions: Mapping[int, Conditions]
+
+    @property
+    def seeds(self) -> list[int] | None:
+        """The seeds of its runs, if all of them are valid: then each run's outcome is known."""
+        runs = range(self.run)
+        known = all(run in self.conditions for run in runs) and self.violating <= set(runs)
+        if not known or self.run != self.episodes or len(self.violating) != self.violations:
+            return None
+        return [self.conditions[run].seed for run in runs]
+
+
+def claims_of(record: SessionRecord) -> list[Claim]:
+    """The claims of a record, in its order.
+
+    Raises:
+        AttributeError: For a damaged record, as those below.
+        KeyError: See above.
+        TypeError: See above.
+        ValueError: See above.
+    """
+    requirements = {one["id"]: one for one in record["requirements"]}
+    conditions: dict[tuple[str, str], dict[int, Conditions]] = {}
+    for one in record.episodes():
+        if one["planned"]:
+            runs = conditions.setdefault((one["case"], one["component"]), {})
+            runs.setdefault(_count(one["spec"]["run"]), Conditions.of(one["spec"]))
+    return [_claim(one, requirements, conditions) for one in record["verdicts"]]
+
+
+def _claim(
+    verdict: Data,
+    requirements: Mapping[str, Data],
+    conditions: Mapping[tuple[str, str], Mapping[int, Conditions]],
+) -> Claim:
+    run, episodes, violations = (_count(verdict[key]) for key in ("run", "episodes", "violations"))
+    if not violations <= episodes <= run:
+        raise ValueError(f"{violations} violations, {episodes} valid and {run} run contradict")
+    confidence = verdict["bound"]["confidence"]
+    if not 0.5 < confidence < 1.0:
+        raise ValueError(f"{confidence!r} is no confidence")
+    requirement, case, component = (
+        _text(verdict[key]) for key in ("requirement", "case", "component")
+    )
+    return Claim(
+        requirement=requirement,
+        case=case,
+        component=component,
+        item=_text(verdict["item"]),
+        check=_check(verdict, requirements.get(requirement, {})),
+        method=_text(verdict["method"]),
+        confidence=confidence,
+        planned=_count(verdict["planned"]),
+        run=run,
+        saved=_count(verdict["saved"]),
+        episodes=episodes,
+        violations=violations,
+        violating=frozenset(
+            _run(one["episode"]) for one in verdict["counterexamples"] if one["valid"]
+        ),
+        conditions=conditions.get((case, component), {}),
+    )
+
+
+def _check(verdict: Data, requirement: Data) -> str:
+    """What was judged, in words. Of a test on single episodes it is the test's own code."""
+    check = _text(verdict["check"])
+    if not check:
+        check = f"{_text(requirement.get('check', ''))} in {_text(verdict['item'])}".lstrip()
+    if verdict["pairs"] is None:
+        return check
+    paired = verdict["paired"] or {}
+    told = {key: paired.get(key) for key in ("measure", "change_at_most")}
+    rest = [f"{key} {value}" for key, value in told.items() if value not in (None, "")]
+    return ", ".join([check, f"pairs without {_text(verdict['pairs']['without'])}", *rest])
+
+
+def _run(episode: Any) -> int:
+    return int(_text(episode).rpartition("#")[2])
+
+
+def _count(value: Any) -> int:
+    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < MAX_COUNT:
+        raise TypeError(f"{value!r} is no count")
+    return value
+
+
+def _text(value: Any) -> str:
+    if not isinstance(value, str):
+        raise TypeError(f"{value!r} is no text")
+    return value
+
+
+SEQUENTIAL = ("sprt", "e-process")
+"""Methods under which the number of episodes depends on what they show."""
+N_DEPENDED = "n depended on the outcome"
+
+BaselineStatus = Literal[
+    "better", "worse", "no evidence of a change", "new", "gone", "no comparison"
+]
+
+
+@dataclass(frozen=True)
+class BaselineComparison:
+    """One requirement on one case, now and in the baseline.
+
+    Args:
+        requirement: Id of the requirement.
+        case: Id of the case.
+        component: Component under test now; ``None`` for what is gone.
+        baseline_component: That of the baseline; ``None`` for what is new.
+        word: What is said of it, after Holm's correction.
+        reason: Why there is no comparison.
+        uncorrected: The word that this comparison alone would have got.
+        confidence: The requirement's own, of the words.
+        violations: Violating episodes now.
+        episodes: Valid episodes now.
+        baseline_violations: Violating episodes of the baseline.
+        baseline_episodes: Valid episodes of the baseline.
+        test: ``McNemar`` for runs of equal seeds, ``Fisher`` for others; both exact.
+        only_now: For McNemar, seeds that violate it now alone.
+        only_baseline: For McNemar, seeds that violated it in the baseline alone.
+        p_worse: One-sided p-value against "the rate is not higher than the baseline's"; 1 where
+            the outcome itself kept the two from being compared.
+        p_better: One-sided p-value against "the rate is not lower than the baseline's".
+        p_worse_holm: Adjusted for all comparisons of the session.
+        p_better_holm: Adjusted for all comparisons of the session.
+    """
+
+    requirement: str
+    case: str
+    component: str | None
+    baseline_component: str | None
+    word: BaselineStatus
+    reason: str = ""
+    uncorrected: ComparisonStatus | None = None
+    confidence: float | None = None
+    violations: int | None = None
+    episodes: int | None = None
+    baseline_violations: int | None = None
+    baseline_episodes: int | None = None
+    test: Literal["McNemar", "Fisher"] | None = None
+    only_now: int | None = None
+    only_baseline: int | None = None
+    p_worse: float | None = None
+    p_better: float | None = None
+    p_worse_holm: float | None = None
+    p_better_holm: float | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data for the evidence record."""
+        return asdict(self)
+
+
+def compare_claims(claims: Sequence[Claim], baseline: Sequence[Claim]) -> list[BaselineComparison]:
+    """What stands in both records compared, and the rest listed, by case and requirement.
+
+    The words hold together: Holm's correction keeps the probability of any false "worse" in the
+    session at the requirements' level, and that of any false "better" apart from it.
+
+    Args:
+        claims: Of the new record.
+        baseline: Of the record it is held against.
+    """
+    found = []
+    for own, other in _matched_claims(claims, baseline):
+        if own is not None and other is not None:
+            found.append(_comparison(own, other))
+        elif own is not None:
+            found.append(BaselineComparison(own.requirement, own.case, own.component, None, "new"))
+        elif other is not None:
+            found.append(
+                BaselineComparison(other.requirement, other.case, None, other.component, "gone")
+            )
+    found.sort(key=lambda one: (one.case, one.requirement))
+    return _holm_corrected(found)
+
+
+def _holm_corrected(found: list[BaselineComparison]) -> list[BaselineComparison]:
+    """The words after Holm's correction over everything with a p-value."""
+    family = [i for i, one in enumerate(found) if one.p_worse is not None]
+    worse = holm([found[i].p_worse or 0.0 for i in family])
+    better = holm([found[i].p_better or 0.0 for i in family])
+    for i, p_worse, p_better in zip(family, worse, better, strict=True):
+        one = replace(found[i], p_worse_holm=p_worse, p_better_holm=p_better)
+        if one.uncorrected is not None and one.confidence is not None:
+            one = replace(one, word=comparison_status(p_better, p_worse, one.confidence))
+        found[i] = one
+    return found
+
+
+def _comparison(own: Claim, other: Claim) -> BaselineComparison:
+    """The comparison before any correction."""
+    told = BaselineComparison(
+        requirement=own.requirement,
+        case=own.case,
+        component=own.component,
+        baseline_component=other.component,
+        word="no comparison",
+        confidence=own.confidence,
+        violations=own.violations,
+        episodes=own.episodes,
+        baseline_violations=other.violations,
+        baseline_episodes=other.episodes,
+    )
+    obstacle = _incomparable_question(own, other)
+    if obstacle:
+        return replace(told, reason=obstacle)
+    obstacle = _incomparable_outcome(own, other)
+    if obstacle:
+        # Were it left out, how many tests the correction counts would depend on what they show.
+        return replace(told, reason=obstacle, p_worse=1.0, p_better=1.0)
+    if own.seeds is not None and own.seeds == other.seeds:
+        only_now = len(own.violating - other.violating)
+        only_baseline = len(other.violating - own.violating)
+        found = compare_pairs(only_now, only_baseline, own.confidence)
+        told = replace(told, test="McNemar", only_now=only_now, only_baseline=only_baseline)
+    else:
+        counts = own.violations, own.episodes, other.violations, other.episodes
+        found = compare_counts(*counts, own.confidence)
+        told = replace(told, test="Fisher")
+    return replace(
+        told,
+        word=found.word,
+        uncorrected=found.word,
+        p_worse=found.p_worse,
+        p_better=found.p_better,
+    )
+
+
+def _incomparable_question(own: Claim, other: Claim) -> str:
+    """Why the two cannot be compared, whatever they came to; empty if they can."""
+    # Nothing is known of the check of a test that never ran.
+    if own.run and other.run and own.check != other.check:
+        return f"the check changed from {other.check!r} to {own.check!r}"
+    changed = changed_conditions(own.conditions, other.conditions)
+    if changed:
+        more = f" and {len(changed) - 3} more" if len(changed) > 3 else ""
+        return f"the scenario changed: {', '.join(changed[:3])}{more}"
+    sequential = [one.method for one in (own, other) if one.method in SEQUENTIAL]
+    return f"{N_DEPENDED} ({sequential[0]})" if sequential else ""
+
+
+def _incomparable_outcome(own: Claim, other: Claim) -> str:
+    """Why what was run is not enough for a comparison; empty if it is.
+
+    A campaign that may end early and did not is compared. Such campaigns are among those that a
+    fixed number of runs would have left with the same counts, so that a false word is no more
+    likely than with a fixed number.
+    """
+    for whose, one in (("", own), ("of the baseline ", other)):
+        if one.saved:
+            return f"{N_DEPENDED} ({one.saved} of {one.planned} runs {whose}saved)"
+        if one.run < one.planned:
+            return f"only {one.run} of {one.planned} planned runs {whose}were run"
+        if not one.episodes:
+            return f"no valid episodes {whose}".rstrip()
+        # A violation counts in an invalid episode too, a satisfaction does not: the rate of what
+        # is left would be that of a selection.
+        if one.run - one.episodes > MAX_INVALID_SHARE * one.run:
+            return f"only {one.episodes} of {one.run} runs {whose}are valid"
+    return ""
+
+
+def _matched_claims(
+    claims: Sequence[Claim], baseline: Sequence[Claim]
+) -> Iterator[tuple[Claim | None, Claim | None]]:
+    """Each claim with its counterpart, both at most once; ``None`` where there is none.
+
+    A requirement may be decided on one case several times: for two components, or by two tests.
+    Those that agree in the most are matched first, and only where there is no second candidate.
+    """
+    left, right = list(claims), list(baseline)
+    for key in MATCHED_BY:
+        for own in list(left):
+            mine = [one for one in left if key(one) == key(own)]
+            others = [one for one in right if key(one) == key(own)]
+            if len(mine) == len(others) == 1:
+                left.remove(own)
+                right.remove(others[0])
+                yield own, others[0]
+    yield from ((own, None) for own in left)
+    yield from ((None, other) for other in right)
+
+
+MATCHED_BY: tuple[Callable[[Claim], tuple[str, ...]], ...] = (
+    lambda one: (one.requirement, one.case, one.component, one.item, one.check),
+    lambda one: (one.requirement, one.case, one.item, one.check),
+    lambda one: (one.requirement, one.case, one.component, one.check),
+    lambda one: (one.requirement, one.case),
+)
+
+
+BASELINE_OPTION = "--dura-baseline"
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """An earlier record, read and checked.
+
+    Args:
+        path: As the user gave it.
+        sha256: Digest of the file.
+        created: When its session began.
+        status: ``complete`` or ``interrupted``.
+        base_seed: Its base seed.
+        component: Its component under test, as it is recorded.
+        claims: What it says.
+    """
+
+    path: str
+    sha256: str
+    created: str
+    status: str
+    base_seed: int
+    component: Mapping[str, Any]
+    claims: tuple[Claim, ...]
+
+    @classmethod
+    def read(cls, given: str, relative_to: Path) -> Baseline:
+        """From a file, or a directory that holds one.
+
+        Raises:
+            ConfigurationError: If there is none, or it is damaged, foreign or unfinished.
+        """
+        file = relative_to / given
+        if file.is_dir():
+            file /= RECORD_FILE
+        record, digest = load_record(file, BASELINE_OPTION)
+        try:
+            baseline = cls(
+                path=given,
+                sha256=digest,
+                created=str(record["created"]),
+                status=str(record["status"]),
+                base_seed=_seed(record["base_seed"]),
+                component=_without_sources({"name": None, **record["component_under_test"]}),
+                claims=tuple(claims_of(SessionRecord.of(record, file.parent))),
+            )
+        except (AttributeError, KeyError, TypeError, ValueError, RecursionError) as error:
+            raise ConfigurationError(
+                "the baseline is damaged",
+                file=str(file),
+                key=BASELINE_OPTION,
+                found=f"{type(error).__name__}: {error}",
+                expected="a record as pytest-dura wrote it",
+                remedy="restore the file, or run the baseline's session again",
+            ) from None
+        if baseline.status not in ("complete", "interrupted"):
+            raise ConfigurationError(
+                "the baseline's session was killed, or is still running",
+                file=str(file),
+                key="status",
+                found=baseline.status,
+                expected="complete, or interrupted, of which the finished campaigns are compared",
+                remedy="run the baseline's session to its end",
+            )
+        return baseline
+
+    def to_json(self, record: SessionRecord | None = None) -> dict[str, Any]:
+        """Plain data for the record's key ``baseline``.
+
+        ``tests`` counts what Holm's correction counts, ``comparisons`` are those of
+        :func:`compare_claims`.
+
+        Args:
+            record: The new session's record; ``None`` as long as it runs.
+        """
+        told = {key: value for key, value in vars(self).items() if key != "claims"}
+        found = [] if record is None else compare_claims(claims_of(record), self.claims)
+        return {
+            **told,
+            "correction": "Holm",
+            "tests": sum(one.p_worse is not None for one in found),
+            "comparisons": [one.to_json() for one in found],
+        }
+
+
+def regression_objections(baseline: Mapping[str, Any]) -> list[str]:
+    """What fails a gate that is to fail where something got worse.
+
+    Args:
+        baseline: Of :meth:`Baseline.to_json` of a finished session.
+    """
+    found = baseline["comparisons"]
+    if all(one["test"] is None for one in found):
+        return ["the gate fails: nothing in this session can be compared with the baseline"]
+    return [
+        f"the gate fails: {one['requirement']} on {one['case']} is worse than in the baseline"
+        for one in found
+        if one["word"] == "worse"
+    ]
+
+
+def _seed(value: Any) -> int:
+    if isinstance(value, bool) or not isinstance(value, int):
+        raise TypeError(f"{value!r} is no seed")
+    return value
+
+
+def _without_sources(component: dict[str, Any]) -> dict[str, Any]:
+    """What is recorded of an earlier component; its files are listed where it is."""
+    component.pop("sources", None)
+    return component

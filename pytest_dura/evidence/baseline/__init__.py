@@ -1,1 +1,0 @@
-"""The baseline: an earlier record, and what the rates of violations did since."""

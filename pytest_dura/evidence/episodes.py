@@ -1,0 +1,403 @@
+"""Episodes on their way into the record: an entry each, an item's report, a spool on disk."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import os
+import sqlite3
+import tempfile
+import weakref
+import zlib
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from pytest_dura.core.episode import Episode
+from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.propagation import switching
+from pytest_dura.evidence.metrics import with_chains
+from pytest_dura.evidence.model import plain_data
+from pytest_dura.evidence.sessions import OWN_ORIGIN
+from pytest_dura.requirements.verdicts.campaigns import Situations, varies
+
+
+def episode_record(
+    episode: Episode, *, planned: bool, origin: Mapping[str, Any] = OWN_ORIGIN
+) -> dict[str, Any]:
+    """Plain data of an episode: what it was run from, what happened, what it measures.
+
+    Args:
+        episode: The episode.
+        planned: Whether it is part of its case's plan. One whose seed was chosen by hand is not,
+            and does not enter the case's rates.
+        origin: The earlier ``session`` that it was taken over from, or what ``changed`` since one
+            simulated an episode of its name.
+    """
+    # The recorded timeouts stand in for the clock when the episode is replayed.
+    spec = replace(episode.spec, timeouts=episode.timeouts).to_json()
+    record: dict[str, Any] = plain_data(
+        {
+            "id": episode.id,
+            "case": episode.spec.case,
+            "component": episode.spec.component,
+            "seed": episode.spec.seed,
+            "planned": planned,
+            "origin": dict(origin),
+            "validity": episode.validity,
+            "invalid_reason": episode.invalid_reason,
+            "termination": episode.termination,
+            "failure": episode.failure,
+            "digest": episode.digest,
+            "trajectory": episode.trajectory,
+            "drawn": episode.drawn,
+            "trace": None,
+            "outcome": outcome_figures(episode),
+            "metrics": episode.metrics.summary(),
+            "faults": [{**asdict(fault), **fault.latencies()} for fault in episode.faults],
+            "events": [event.to_json() for event in episode.events],
+            "timings": {
+                "simulated_seconds": episode.time[-1] if episode.ticks else 0.0,
+                "processing_seconds": {
+                    role: sum(nanoseconds) / 1e9
+                    for role, (_, nanoseconds) in episode.metrics.processing_ns.items()
+                },
+            },
+            "spec": spec,
+        }
+    )
+    return record
+
+
+def outcome_figures(episode: Episode) -> dict[str, Any]:
+    """The figures of the case table; ``None`` where the domain has no such signal.
+
+    ``clearance_time`` is the time at which ``cleared`` was first raised, in seconds; gridlock is
+    not to have cleared when the episode's time was up.
+    """
+    cleared_at = None
+    gridlock = None
+    cleared = episode.signals.get("cleared")
+    if cleared is not None:
+        raised = np.flatnonzero(cleared > 0.5)
+        cleared_at = float(episode.time[raised[0]]) if len(raised) else None
+        gridlock = cleared_at is None and episode.termination in ("time", "iterations")
+    return {
+        "flagged": episode.flagged,
+        "collided": episode.collided if "collided" in episode.signals else None,
+        "clearance_time": cleared_at,
+        "gridlock": gridlock,
+        "recoveries": len(episode.metrics.recoveries),
+        "alerts": episode.metrics.alerts,
+        "switching": switching(episode).to_json(),
+    }
+
+
+def case_situations(case: Mapping[str, Any]) -> Situations:
+    """What takes in the runs of a recorded case and says whether they are all equal."""
+    return Situations(varies=varies(case["variation"], {one["id"] for one in case["faults"]}))
+
+
+def add_episode(situations: Situations, episode: Mapping[str, Any]) -> None:
+    """Take in a recorded episode."""
+    situations.add_run(
+        episode["case"],
+        episode["spec"]["run"],
+        episode["trajectory"],
+        valid=episode["validity"] == "valid",
+        drawn=episode["drawn"],
+    )
+
+
+JsonObject = dict[str, Any]
+
+EPISODES_PER_PART = 64
+"""Records of episodes that a process holds as they are; more of them are told or packed."""
+_PART_KEYS = ("components", "cases", "requirements", "episodes", "chains")
+
+
+@dataclass
+class ItemReport:
+    """What one test item tells; plain data, which crosses processes as JSON.
+
+    Args:
+        item: Node id.
+        components: Components under test, of :func:`describe_component`.
+        sources: SHA-256 of the files of components by their names, by the components' digests.
+        cases: ``{id, scenario, faults, component, requirements, planned}``.
+        requirements: ``Requirement.to_json()`` of each requirement involved.
+        episodes: Of :func:`episode_record`.
+        verdicts: ``CampaignVerdict.to_json()``, with the ``check`` and ``paired`` of the
+            requirement that was judged.
+        outcomes: ``EpisodeVerdict.to_json()`` of tests that look at one episode, with ``case``,
+            ``planned``, the ``at_most`` and ``confidence`` of the requirement, and the
+            ``assertion`` of the test: what it looked at, and what failed.
+        searches: ``Falsification.to_json()``, with the ``scenario`` of its case, the ``simulator``
+            and the ``roles``.
+        monitors: ``MonitorQuality.to_json()``, with the ``case`` that it was measured on.
+        chains: What came of each fault, with the ``episode`` and its ``case``.
+        claims: ``{requirement, case, each_run}`` of what the item is to decide, told before it.
+        traces: ``{id, component, digest, trace}`` of episodes whose trace was written.
+        models: Language models that were used, as the record's ``models`` has them, with what this
+            ``process`` has asked them since it began.
+        problems: What casts doubt on the whole session, each beginning with ``infrastructure:``.
+        objections: What else stands against the session, whatever its verdicts say.
+        notes: What the user should know of the session and casts no doubt on it.
+        searched: ``{run, origin}`` of simulations of searches, where earlier sessions may have made
+            them; ``run`` tells them apart.
+        repeats: What came of repeating an episode of a ``case`` with a ``component``, as the
+            record's cases have it.
+        parts: Packed reports with earlier episodes of the item.
+    """
+
+    item: str
+    components: list[JsonObject] = field(default_factory=list)
+    sources: dict[str, dict[str, str]] = field(default_factory=dict)
+    cases: list[JsonObject] = field(default_factory=list)
+    requirements: list[JsonObject] = field(default_factory=list)
+    episodes: list[JsonObject] = field(default_factory=list)
+    verdicts: list[JsonObject] = field(default_factory=list)
+    outcomes: list[JsonObject] = field(default_factory=list)
+    searches: list[JsonObject] = field(default_factory=list)
+    monitors: list[JsonObject] = field(default_factory=list)
+    chains: list[JsonObject] = field(default_factory=list)
+    claims: list[JsonObject] = field(default_factory=list)
+    traces: list[JsonObject] = field(default_factory=list)
+    models: list[JsonObject] = field(default_factory=list)
+    problems: list[str] = field(default_factory=list)
+    objections: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    searched: list[JsonObject] = field(default_factory=list)
+    repeats: list[JsonObject] = field(default_factory=list)
+    parts: list[str] = field(default_factory=list)
+
+    def to_json(self) -> JsonObject:
+        """Plain data."""
+        return dict(vars(self))
+
+    def __bool__(self) -> bool:
+        """Whether there is anything to tell."""
+        return any(value for name, value in vars(self).items() if name != "item")
+
+    @property
+    def full(self) -> bool:
+        """Whether its episodes are so many that they should go."""
+        return len(self.episodes) + len(self.chains) >= EPISODES_PER_PART
+
+    def without_secrets(self, redact: Callable[[Any], Any]) -> ItemReport:
+        """The same report as it may be told; what is packed has lost its secrets before."""
+        return ItemReport(**{**redact({**self.to_json(), "parts": []}), "parts": self.parts})
+
+    def split(self, redact: Callable[[Any], Any]) -> str:
+        """Take the episodes out of it, as a packed report that makes sense on its own.
+
+        Args:
+            redact: Takes secrets out of plain data.
+        """
+        part = ItemReport("", **{name: getattr(self, name) for name in _PART_KEYS})
+        self.episodes, self.chains = [], []
+        text = json.dumps(part.without_secrets(redact).to_json(), allow_nan=False)
+        return base64.b64encode(zlib.compress(text.encode(), 1)).decode()
+
+
+def unpack_report(part: str) -> JsonObject:
+    """The report of :meth:`ItemReport.split`."""
+    found: JsonObject = json.loads(zlib.decompress(base64.b64decode(part)))
+    return found
+
+
+SPOOL_PREFIX = ".session-"
+"""How the file's name begins. Only a system that removes no open files shows it to anybody."""
+
+Data = Mapping[str, Any]
+_T = TypeVar("_T")
+
+# What orders and tells apart are bytes: SQLite knows neither lone surrogates nor great integers.
+_TABLES = """
+PRAGMA journal_mode = OFF;
+PRAGMA synchronous = OFF;
+PRAGMA temp_store = FILE;
+CREATE TABLE episodes (
+    name BLOB, component BLOB, inputs BLOB, digest TEXT, planned INTEGER,
+    place BLOB, run BLOB, seed BLOB, data BLOB,
+    UNIQUE (name, component, inputs)
+);
+CREATE INDEX ordered ON episodes (place, component, run, seed);
+CREATE TABLE chains (
+    component BLOB, name BLOB, fault BLOB, data BLOB, PRIMARY KEY (component, name, fault)
+);
+CREATE TABLE traces (
+    component BLOB, name BLOB, digest TEXT, data BLOB, PRIMARY KEY (component, name, digest)
+);
+"""
+
+
+class EpisodeSpool:
+    """Records of episodes, and what is told of them later, in a file instead of in memory.
+
+    The file has no name as soon as it is open, so that a killed session leaves none behind.
+
+    Args:
+        directory: In which the file is made; by default that of the system's temporary files.
+
+    Raises:
+        ConfigurationError: If it cannot be made.
+    """
+
+    def __init__(self, directory: Path | None = None) -> None:
+        self._directory = directory
+        self._connection = self._told(self._opened)
+
+    def add(self, episode: Data) -> str:
+        """Take in an episode, and return the digest of the first one that had the same inputs.
+
+        What is already there stays, apart from ``planned``, which holds once it was true.
+
+        Args:
+            episode: Of :func:`episode_record`.
+
+        Raises:
+            ConfigurationError: If it cannot be kept, on a full disk for example.
+        """
+        inputs = {key: value for key, value in episode["spec"].items() if key != "timeouts"}
+        key = (
+            _key(episode["id"]),
+            _key(episode["component"]),
+            hashlib.sha256(json.dumps(inputs, sort_keys=True).encode()).digest(),
+        )
+        found = self._asked(
+            "SELECT digest, planned FROM episodes WHERE name = ? AND component = ? AND inputs = ?",
+            *key,
+        )
+        if not found:
+            order = _key(episode["case"]), _number(episode["spec"]["run"]), _number(episode["seed"])
+            values = (*key, episode["digest"], bool(episode["planned"]), *order, _packed(episode))
+            self._asked("INSERT INTO episodes VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)", *values)
+            return str(episode["digest"])
+        ((digest, planned),) = found
+        if episode["planned"] and not planned:
+            self._asked(
+                "UPDATE episodes SET planned = 1 WHERE name = ? AND component = ? AND inputs = ?",
+                *key,
+            )
+        return str(digest)
+
+    def add_chain(self, chain: Data) -> None:
+        """Take in what came of a fault of an episode; what is told last holds.
+
+        Raises:
+            ConfigurationError: If it cannot be kept.
+        """
+        keys = _key(chain["component"]), _key(chain["episode"]), _key(chain["id"])
+        self._asked("INSERT OR REPLACE INTO chains VALUES (?, ?, ?, ?)", *keys, _packed(chain))
+
+    def add_trace(self, trace: Data) -> None:
+        """Take in where the trace of an episode is: ``{id, component, digest, trace}``.
+
+        Several workers may tell of one, in any order; the weightiest reason to keep it stays.
+
+        Raises:
+            ConfigurationError: If it cannot be kept.
+        """
+        keys = _key(trace["component"]), _key(trace["id"]), trace["digest"]
+        known = "SELECT data FROM traces WHERE component = ? AND name = ? AND digest = ?"
+        if any(
+            _weight(_unpacked(one)) > _weight(trace["trace"])
+            for (one,) in self._asked(known, *keys)
+        ):
+            return
+        values = *keys, _packed(trace["trace"])
+        self._asked("INSERT OR REPLACE INTO traces VALUES (?, ?, ?, ?)", *values)
+
+    def __iter__(self) -> Iterator[dict[str, Any]]:
+        """All episodes by case, component, run and seed, each with its chains and its trace."""
+        query = """
+            SELECT episodes.data, episodes.planned, traces.data, episodes.component, episodes.name
+            FROM episodes LEFT JOIN traces USING (component, name, digest)
+            ORDER BY place, episodes.component, run, seed, episodes.rowid
+        """
+        with closing(self._told(lambda: self._connection.execute(query))) as cursor:
+            while (row := self._told(cursor.fetchone)) is not None:
+                data, planned, trace, *key = row
+                episode = {**_unpacked(data), "planned": bool(planned)}
+                if trace is not None:
+                    episode["trace"] = _unpacked(trace)
+                followed = bool(planned and episode["faults"])
+                yield with_chains(episode, self._chains_of(*key) if followed else {})
+
+    def _chains_of(self, component: bytes, name: bytes) -> dict[str, Data]:
+        """What came of the faults of the planned episode of this name, by fault id."""
+        found = self._asked(
+            "SELECT data FROM chains WHERE component = ? AND name = ?", component, name
+        )
+        return {chain["id"]: chain for chain in (_unpacked(data) for (data,) in found)}
+
+    def close(self) -> None:
+        """Forget everything."""
+        self._forget()
+
+    def _opened(self) -> sqlite3.Connection:
+        if self._directory is not None:
+            self._directory.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(prefix=SPOOL_PREFIX, dir=self._directory)
+        os.close(handle)
+        file: Path | None = Path(name)
+        # Autocommit: without a journal there is nothing to roll back to.
+        connection = sqlite3.connect(name, isolation_level=None, check_same_thread=False)
+        if os.name == "posix":
+            Path(name).unlink()
+            file = None
+        self._forget = weakref.finalize(self, _remove_spool, connection, file)
+        connection.executescript(_TABLES)
+        return connection
+
+    def _asked(self, statement: str, *values: Any) -> list[Any]:
+        return self._told(lambda: self._connection.execute(statement, values).fetchall())
+
+    def _told(self, ask: Callable[[], _T]) -> _T:
+        try:
+            return ask()
+        except (OSError, sqlite3.Error) as error:
+            raise ConfigurationError(
+                f"the episodes of the session cannot be kept: {error}",
+                key="--dura-evidence",
+                found=str(self._directory or tempfile.gettempdir()),
+                expected="a directory that can be written, with room for the session's episodes",
+                remedy="make room, or choose another directory",
+            ) from None
+
+
+def _remove_spool(connection: sqlite3.Connection, file: Path | None) -> None:
+    connection.close()
+    if file is not None:
+        file.unlink(missing_ok=True)
+
+
+def _key(text: str) -> bytes:
+    """Bytes that are ordered as the text is."""
+    return text.encode("utf-8", "surrogatepass")
+
+
+def _number(value: int) -> bytes:
+    """Bytes that are ordered as whole numbers from 0 on are."""
+    size = (value.bit_length() + 7) // 8
+    return size.to_bytes(4, "big") + value.to_bytes(size, "big")
+
+
+def _packed(value: Any) -> bytes:
+    return zlib.compress(json.dumps(value, allow_nan=False).encode(), 1)
+
+
+def _unpacked(data: bytes) -> Any:
+    return json.loads(zlib.decompress(data))
+
+
+def _weight(trace: Data) -> int:
+    """Of the reason for which a trace is kept; what a violation rests on weighs most."""
+    reasons = ("all", "sample", "missing", "violation")
+    return reasons.index(trace.get("kept_for", reasons[0]))

@@ -1,0 +1,472 @@
+"""Messages and schemas of a trace's channels, as Foxglove shows them.
+
+Foxglove's schemas have its published field names, and no others. In scenes y points upwards
+and angles run counter-clockwise, in the frame "map".
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_dura.core.simulator import Line, Scene, Tracks
+from pytest_dura.evidence.text import visible
+from pytest_dura.evidence.traces import Trace
+
+Schema = dict[str, Any]
+
+_TEXT_SCHEMA: Schema = {"type": "string"}
+_NUMBER_SCHEMA: Schema = {"type": "number"}
+_VALUE_SCHEMA: Schema = {"type": ["number", "null"]}
+_INTEGER_SCHEMA: Schema = {"type": "integer"}
+
+
+def _object_schema(title: str | None = None, /, **properties: Schema) -> Schema:
+    """An object with exactly these fields."""
+    return {
+        **({} if title is None else {"title": title}),
+        "type": "object",
+        "properties": properties,
+        "required": list(properties),
+        "additionalProperties": False,
+    }
+
+
+def _list_schema(items: Schema) -> Schema:
+    return {"type": "array", "items": items}
+
+
+def _mapping_schema(values: Schema) -> Schema:
+    return {"type": "object", "additionalProperties": values}
+
+
+def _time_schema(title: str, least: Schema) -> Schema:
+    nanoseconds: Schema = {"type": "integer", "minimum": 0, "maximum": 999999999}
+    return _object_schema(title, sec={"type": "integer", **least}, nsec=nanoseconds)
+
+
+_TIME_SCHEMA = _time_schema("time", {"minimum": 0})
+_DURATION_SCHEMA = _time_schema("duration", {})
+
+SIGNALS_SCHEMA: Schema = _object_schema(
+    "pytest_dura.Signals",
+    tick=_INTEGER_SCHEMA,
+    time=_NUMBER_SCHEMA,
+    truth={**_mapping_schema(_VALUE_SCHEMA), "description": "As the simulator knows them."},
+    percept={
+        **_mapping_schema(_VALUE_SCHEMA),
+        "description": "As the sensors report them after faults.",
+    },
+)
+DECISION_SCHEMA: Schema = _object_schema(
+    "pytest_dura.Decision",
+    tick=_INTEGER_SCHEMA,
+    time=_NUMBER_SCHEMA,
+    columns={
+        "description": "proposed, executed, source, verdict (0 safe, 1 warning, 2 unsafe), "
+        "attempts",
+        **_mapping_schema({"type": ["string", "number", "boolean", "null"]}),
+    },
+    explanation=_TEXT_SCHEMA,
+    reason=_TEXT_SCHEMA,
+    recovery=_TEXT_SCHEMA,
+    flags={
+        "description": "By monitor: 0 safe, 1 warning, 2 unsafe, -1 not asked.",
+        **_mapping_schema(_INTEGER_SCHEMA),
+    },
+    account={
+        "description": "What the component told of how it decided; empty if nothing.",
+        "type": "object",
+    },
+)
+LOG_SCHEMA: Schema = _object_schema(
+    "foxglove.Log",
+    timestamp=_TIME_SCHEMA,
+    level={
+        "title": "foxglove.LogLevel",
+        "oneOf": [
+            {"title": title, "const": number}
+            for number, title in enumerate(
+                ("UNKNOWN", "DEBUG", "INFO", "WARNING", "ERROR", "FATAL")
+            )
+        ],
+    },
+    message=_TEXT_SCHEMA,
+    name=_TEXT_SCHEMA,
+    file=_TEXT_SCHEMA,
+    line={"type": "integer", "minimum": 0},
+)
+
+
+@cache
+def scene_update_schema() -> Schema:
+    """``foxglove.SceneUpdate``: cubes, lines and texts; the other primitives are empty lists."""
+    xyz = _object_schema("foxglove.Vector3", x=_NUMBER_SCHEMA, y=_NUMBER_SCHEMA, z=_NUMBER_SCHEMA)
+    turn = _object_schema(
+        "foxglove.Quaternion",
+        x=_NUMBER_SCHEMA,
+        y=_NUMBER_SCHEMA,
+        z=_NUMBER_SCHEMA,
+        w=_NUMBER_SCHEMA,
+    )
+    pose = _object_schema("foxglove.Pose", position=xyz, orientation=turn)
+    share: Schema = {"type": "number", "minimum": 0, "maximum": 1}
+    color = _object_schema("foxglove.Color", r=share, g=share, b=share, a=share)
+    truth: Schema = {"type": "boolean"}
+    point = _object_schema("foxglove.Point3", x=_NUMBER_SCHEMA, y=_NUMBER_SCHEMA, z=_NUMBER_SCHEMA)
+    line_type: Schema = {
+        "title": "foxglove.LineType",
+        "oneOf": [
+            {"title": title, "const": number}
+            for number, title in enumerate(("LINE_STRIP", "LINE_LOOP", "LINE_LIST"))
+        ],
+    }
+    nothing: Schema = {"type": "array", "maxItems": 0}
+    entity = _object_schema(
+        "foxglove.SceneEntity",
+        timestamp=_TIME_SCHEMA,
+        frame_id=_TEXT_SCHEMA,
+        id=_TEXT_SCHEMA,
+        lifetime=_DURATION_SCHEMA,
+        frame_locked=truth,
+        metadata=_list_schema(
+            _object_schema("foxglove.KeyValuePair", key=_TEXT_SCHEMA, value=_TEXT_SCHEMA)
+        ),
+        arrows=nothing,
+        cubes=_list_schema(
+            _object_schema("foxglove.CubePrimitive", pose=pose, size=xyz, color=color)
+        ),
+        spheres=nothing,
+        cylinders=nothing,
+        lines=_list_schema(
+            _object_schema(
+                "foxglove.LinePrimitive",
+                type=line_type,
+                pose=pose,
+                thickness=_NUMBER_SCHEMA,
+                scale_invariant=truth,
+                points=_list_schema(point),
+                color=color,
+                colors=_list_schema(color),
+                indices=_list_schema({"type": "integer", "minimum": 0}),
+            )
+        ),
+        triangles=nothing,
+        texts=_list_schema(
+            _object_schema(
+                "foxglove.TextPrimitive",
+                pose=pose,
+                billboard=truth,
+                font_size=_NUMBER_SCHEMA,
+                scale_invariant=truth,
+                color=color,
+                text=_TEXT_SCHEMA,
+            )
+        ),
+        models=nothing,
+    )
+    return _object_schema("foxglove.SceneUpdate", deletions=nothing, entities=_list_schema(entity))
+
+
+CHANNELS = ("/signals", "/decision", "/events", "/scene/road", "/scene/truth", "/scene/percept")
+
+
+def schema_of(channel: str) -> Schema:
+    """The schema of a channel's messages."""
+    own = {"/signals": SIGNALS_SCHEMA, "/decision": DECISION_SCHEMA, "/events": LOG_SCHEMA}
+    return own.get(channel) or scene_update_schema()
+
+
+@cache
+def schema_text(channel: str) -> bytes:
+    """The schema as it stands in the file."""
+    return json.dumps(schema_of(channel), separators=(",", ":")).encode()
+
+
+Message = tuple[int, str]
+"""Nanoseconds of simulated time, and JSON in ASCII."""
+
+MAX_TEXT = 1000
+"""Characters of a text that a viewer shows; the columns have all of it."""
+_PERCEPT = "percept."
+_INFO, _WARNING, _ERROR = 2, 3, 4
+_LEVELS = {
+    **dict.fromkeys(("infrastructure", "component_failure", "critical", "halt"), _ERROR),
+    **dict.fromkeys(("unsafe", "alert", "performance_fail", "fault_manifested"), _WARNING),
+}
+
+
+def nanoseconds(time: float) -> int:
+    """Of a moment, or of the start where it is none that a file could hold."""
+    return round(time * 1e9) if 0.0 <= time < 1e9 else 0
+
+
+def foxglove_time(time: int) -> str:
+    """Nanoseconds as Foxglove's time."""
+    return f'{{"sec":{time // 10**9},"nsec":{time % 10**9}}}'
+
+
+class TextCache:
+    """Texts as JSON, harmless and bounded, each made once."""
+
+    def __init__(self) -> None:
+        self._made: dict[str, str] = {}
+
+    def __call__(self, text: str) -> str:
+        """The text as a JSON string."""
+        made = self._made.get(text)
+        if made is None:
+            made = self._made[text] = json.dumps(self.shown(text))
+        return made
+
+    def any(self, value: Any) -> str:
+        """Plain data as JSON, all of its texts so."""
+        return json.dumps(self._plain(value), sort_keys=True)
+
+    @staticmethod
+    def shown(text: str) -> str:
+        """The text itself, harmless and bounded."""
+        plain = len(text) <= MAX_TEXT and text.isascii() and text.isprintable()
+        return text if plain else visible(text, MAX_TEXT, hashed=True)
+
+    def _plain(self, value: Any) -> Any:
+        if isinstance(value, str):
+            return self.shown(value)
+        if isinstance(value, Mapping):
+            return {self.shown(str(key)): self._plain(one) for key, one in value.items()}
+        return [*map(self._plain, value)] if isinstance(value, (list, tuple)) else value
+
+
+def signal_messages(trace: Trace, texts: TextCache) -> Iterator[Message]:
+    """One for each tick: the truth, and what was perceived; ``null`` where there is no number."""
+    truth: list[tuple[str, list[str]]] = []
+    percept: list[tuple[str, list[str]]] = []
+    for name, column in trace.signals.items():
+        own = percept if name.startswith(_PERCEPT) else truth
+        own.append((texts(name.removeprefix(_PERCEPT)), _numbers(column)))
+    time = trace.time.tolist()
+    rows = zip(
+        _rows([name for name, _ in truth], [column for _, column in truth], len(time)),
+        _rows([name for name, _ in percept], [column for _, column in percept], len(time)),
+        strict=True,
+    )
+    for tick, (shown, perceived) in enumerate(rows):
+        told = f'"tick":{tick},"time":{_number(time[tick])},"truth":{shown},"percept":{perceived}'
+        yield nanoseconds(time[tick]), f"{{{told}}}"
+
+
+def _rows(names: Sequence[str], columns: Sequence[Sequence[str]], length: int) -> Iterator[str]:
+    """Objects with these fields, one for each row."""
+    if not names:
+        yield from ["{}"] * length
+        return
+    # Names are data, and in a template a percent sign would be read.
+    template = "{" + ",".join(f"{name.replace('%', '%%')}:%s" for name in names) + "}"
+    for row in zip(*columns, strict=True):
+        yield template % row
+
+
+def _numbers(column: Any) -> list[str]:
+    values = column.tolist()
+    if column.dtype.kind == "f" and not np.isfinite(column).all():
+        return [_number(value) for value in values]
+    if column.dtype.kind == "b":
+        return [str(value).lower() for value in values]
+    return [*map(repr, values)]
+
+
+def _number(value: float) -> str:
+    return repr(value) if math.isfinite(value) else "null"
+
+
+def decision_messages(trace: Trace, texts: TextCache) -> Iterator[Message]:
+    """One for each decision, at the time of the tick that it was made at."""
+    recording = trace.recording
+    time = trace.time.tolist()
+    columns = {name: column for name, column in trace.decisions.items() if column.ndim == 1}
+    length = min([len(time), *map(len, columns.values())]) if columns else 0
+    shown = [
+        [*map(texts, column.tolist())] if column.dtype.kind == "U" else _numbers(column)
+        for column in columns.values()
+    ]
+    decisions = _rows([*map(texts, columns)], [one[:length] for one in shown], length)
+    monitors = [(name, one) for name, one in recording.flags.items() if len(one) >= length]
+    flags = _rows(
+        [texts(name) for name, _ in monitors], [_numbers(one[:length]) for _, one in monitors],
+        length,
+    )  # fmt: skip
+    said = [
+        (*map(texts, column[:length]), *['""'] * (length - len(column)))
+        for column in (recording.explanations, recording.reasons, recording.recoveries)
+    ]
+    accounts = map(texts.any, recording.accounts[:length])
+    told = (*accounts, *["{}"] * (length - len(recording.accounts)))
+    rows = zip(decisions, flags, *said, told, strict=True)
+    for tick, (own, flag, explanation, reason, recovery, account) in enumerate(rows):
+        message = (
+            f'"tick":{tick},"time":{_number(time[tick])},"columns":{own},'
+            f'"explanation":{explanation},"reason":{reason},"recovery":{recovery},"flags":{flag},'
+            f'"account":{account}'
+        )
+        yield nanoseconds(time[tick]), f"{{{message}}}"
+
+
+def event_messages(trace: Trace, texts: TextCache) -> Iterator[Message]:
+    """Events as log messages: ``kind subject: detail``."""
+    for event in trace.events:
+        time = nanoseconds(_time_of(event))
+        kind, subject, detail = (str(event.get(key, "")) for key in ("kind", "subject", "detail"))
+        message = f"{kind} {subject}" + (f": {detail}" if detail else "")
+        told = (
+            f'"timestamp":{foxglove_time(time)},"level":{_LEVELS.get(kind, _INFO)},'
+            f'"message":{texts(message)},"name":{texts(kind)},"file":"","line":0'
+        )
+        yield time, f"{{{told}}}"
+
+
+def _time_of(event: Mapping[str, Any]) -> float:
+    time = event.get("time")
+    return float(time) if isinstance(time, (int, float)) else 0.0
+
+
+OBJECT_HEIGHT = 1.5
+"""Metres; the scene is flat."""
+
+
+def _color(red: float, green: float, blue: float, alpha: float) -> str:
+    return f'{{"r":{red},"g":{green},"b":{blue},"a":{alpha}}}'
+
+
+EGO_COLOR = _color(0.16, 0.47, 0.89, 1.0)
+OTHER_COLOR = _color(0.45, 0.45, 0.48, 1.0)
+PERCEIVED_COLOR = _color(0.98, 0.75, 0.18, 0.35)
+GHOST_COLOR = _color(0.91, 0.16, 0.24, 0.6)
+"""Of what is perceived and not there."""
+_LINES = {
+    "edge": (0.2, _color(0.6, 0.6, 0.6, 1.0)),
+    "marking": (0.1, _color(0.85, 0.85, 0.85, 1.0)),
+    "stop_line": (0.4, _color(0.95, 0.95, 0.95, 1.0)),
+    "route": (0.3, _color(0.16, 0.47, 0.89, 0.5)),
+}
+_LINE = (0.15, _color(0.7, 0.7, 0.7, 1.0))
+
+_UPRIGHT = '"orientation":{"x":0,"y":0,"z":0,"w":1}'
+# x, y, z and w of the orientation; then what does not change, as it is put in beforehand.
+_CUBE_MARKER = (
+    '{"pose":{"position":{"x":%%.3f,"y":%%.3f,"z":%s},'
+    '"orientation":{"x":0,"y":0,"z":%%.5f,"w":%%.5f}},'
+    '"size":{"x":%%.3f,"y":%%.3f,"z":%s},"color":%s}'
+)
+_TEXT_MARKER = (
+    '{"pose":{"position":{"x":%%.3f,"y":%%.3f,"z":%s},' + _UPRIGHT + "},"
+    '"billboard":true,"font_size":12,"scale_invariant":true,"color":%s,"text":%s}'
+)
+
+
+def road_messages(trace: Trace, texts: TextCache) -> Iterator[Message]:
+    """What does not move, once; on a channel of its own, so that a viewer that jumps finds it."""
+    scene = trace.recording.scene
+    if scene is not None and scene.lines and len(trace.time):
+        time = nanoseconds(float(trace.time[0]))
+        lines = ",".join(map(_line, scene.lines))
+        yield time, _update(time, texts("road"), lines=lines)
+
+
+def _line(line: Line) -> str:
+    thickness, color = _LINES.get(line.kind, _LINE)
+    points = np.asarray(line.points, np.float64)
+    points = points[np.isfinite(points).all(axis=1)].tolist()
+    told = ",".join(f'{{"x":{x:.3f},"y":{-y:.3f},"z":0}}' for x, y in points)
+    return (
+        f'{{"type":0,"pose":{{"position":{{"x":0,"y":0,"z":0}},{_UPRIGHT}}},'
+        f'"thickness":{thickness},"scale_invariant":false,"points":[{told}],"color":{color},'
+        '"colors":[],"indices":[]}'
+    )
+
+
+def truth_messages(trace: Trace, texts: TextCache) -> Iterator[Message]:
+    """All that is there, tick by tick."""
+    scene = trace.recording.scene
+    if scene is None:
+        return
+    canvas = _Canvas(min(len(trace.time), len(scene.truth.poses)))
+    for number, name in enumerate(scene.truth.ids):
+        poses = scene.truth.poses[: canvas.ticks, number]
+        canvas.show(
+            poses, _present(poses), EGO_COLOR if name == scene.ego else OTHER_COLOR, texts(name)
+        )
+    yield from canvas.updates(trace, texts("truth"))
+
+
+def percept_messages(trace: Trace, texts: TextCache) -> Iterator[Message]:
+    """All that is perceived, tick by tick; a ghost has a colour and a name of its own."""
+    scene = trace.recording.scene
+    if scene is None:
+        return
+    canvas = _Canvas(min(len(trace.time), len(scene.truth.poses), len(scene.percept.poses)))
+    there = _presence(scene, canvas.ticks)
+    for number, name in enumerate(scene.percept.ids):
+        poses = scene.percept.poses[: canvas.ticks, number]
+        present, real = _present(poses), there.get(name, np.zeros(canvas.ticks, bool))
+        canvas.show(poses, present & real, PERCEIVED_COLOR)
+        canvas.show(poses, present & ~real, GHOST_COLOR, texts(f"{name} (ghost)"))
+    yield from canvas.updates(trace, texts("percept"))
+
+
+def _presence(scene: Scene, ticks: int) -> Mapping[str, NDArray[np.bool_]]:
+    """When each thing is really there, by id."""
+    truth: Tracks = scene.truth
+    return {name: _present(truth.poses[:ticks, i]) for i, name in enumerate(truth.ids)}
+
+
+def _present(poses: NDArray[np.float32]) -> NDArray[np.bool_]:
+    return np.array(np.isfinite(poses).all(axis=1), np.bool_)
+
+
+class _Canvas:
+    """What is to be shown at each of so many ticks."""
+
+    def __init__(self, ticks: int) -> None:
+        self.ticks = ticks
+        self._cubes: list[list[str]] = [[] for _ in range(ticks)]
+        self._labels: list[list[str]] = [[] for _ in range(ticks)]
+
+    def show(
+        self, poses: NDArray[np.float32], when: NDArray[np.bool_], color: str, label: str = ""
+    ) -> None:
+        """Add a thing to the ticks at which it is to be seen."""
+        ticks = np.flatnonzero(when)
+        own = poses[ticks].astype(np.float64)
+        half = -own[:, 2] / 2.0
+        columns = np.column_stack(
+            [own[:, 0], -own[:, 1], np.sin(half), np.cos(half), own[:, 4], own[:, 5]]
+        )
+        cube = _CUBE_MARKER % (OBJECT_HEIGHT / 2.0, OBJECT_HEIGHT, color)
+        text = _TEXT_MARKER % (OBJECT_HEIGHT + 0.5, color, label.replace("%", "%%"))
+        for tick, row in zip(ticks.tolist(), columns.tolist(), strict=True):
+            self._cubes[tick].append(cube % tuple(row))
+            if label:
+                self._labels[tick].append(text % (row[0], row[1]))
+
+    def updates(self, trace: Trace, name: str) -> Iterator[Message]:
+        """One for each tick."""
+        for tick, seconds in enumerate(trace.time[: self.ticks].tolist()):
+            time = nanoseconds(seconds)
+            cubes, labels = ",".join(self._cubes[tick]), ",".join(self._labels[tick])
+            yield time, _update(time, name, cubes=cubes, labels=labels)
+
+
+def _update(time: int, name: str, cubes: str = "", lines: str = "", labels: str = "") -> str:
+    """An update with one entity, which stays until the next one of its name."""
+    return (
+        f'{{"deletions":[],"entities":[{{"timestamp":{foxglove_time(time)},"frame_id":"map","id":{name},'
+        '"lifetime":{"sec":0,"nsec":0},"frame_locked":false,"metadata":[],"arrows":[],'
+        f'"cubes":[{cubes}],"spheres":[],"cylinders":[],"lines":[{lines}],"triangles":[],'
+        f'"texts":[{labels}],"models":[]}}]}}'
+    )

@@ -1,0 +1,535 @@
+"""RecordBuilder: gathers what the items of a session report, and makes the record of it."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
+
+from pytest_dura.core.episode import canonical
+from pytest_dura.evidence.conclude import (
+    PairedCourses,
+    effectiveness,
+    missing_runs,
+    verdicts_on_cases,
+)
+from pytest_dura.evidence.episodes import EpisodeSpool, add_episode, case_situations, unpack_report
+from pytest_dura.evidence.gate import REPEAT_KEYS, SearchRecords, worse_repeat
+from pytest_dura.evidence.metrics import CaseMetrics, PooledMetrics, SharedViolations, case_order
+from pytest_dura.evidence.model import SessionRecord
+from pytest_dura.evidence.sessions import NO_REUSE, ReuseRecord
+from pytest_dura.requirements.model import Requirement
+from pytest_dura.requirements.verdicts.campaigns import Situation, Situations
+from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict
+from pytest_dura.requirements.verdicts.judging import judge_campaign
+
+Data = Mapping[str, Any]
+
+
+class Components:
+    """Descriptions by name. One name may stand for a class with several sets of parameters."""
+
+    def __init__(self) -> None:
+        self._known: dict[str, dict[bytes, Data]] = {}
+        self._sources: dict[str, Mapping[str, str]] = {}
+
+    def add(self, component: Data) -> None:
+        """Take in a description: ``name``, ``path``, ``params`` and what else there is."""
+        key = canonical([component.get("path"), component.get("params"), component])
+        self._known.setdefault(component["name"], {}).setdefault(key, component)
+
+    def add_sources(self, sources: Mapping[str, Mapping[str, str]]) -> None:
+        """Take in what digests of components are made of; see ItemReport."""
+        self._sources.update(sources)
+
+    @property
+    def names(self) -> list[str]:
+        """Of all components."""
+        return list(self._known)
+
+    def problems(self) -> Iterator[str]:
+        """Names that stand for several classes, and verdicts go by the name."""
+        for name, several in self._known.items():
+            paths = sorted({str(one.get("path")) for one in several.values()})
+            if len(paths) > 1:
+                yield (
+                    f"infrastructure: several components are called {name}, and verdicts go by "
+                    f"that name: {', '.join(paths)}; rename all but one, or test them in sessions "
+                    "of their own"
+                )
+
+    def to_json(self) -> dict[str, Any]:
+        """The first one by name, with all ``others`` and the ``sources`` of them all."""
+        told = [one for name in sorted(self._known) for _, one in sorted(self._known[name].items())]
+        first: dict[str, Any] = dict(told[0]) if told else {"name": None, "version": None}
+        if len(told) > 1:
+            first["others"] = told[1:]
+        if self._sources:
+            first["sources"] = {key: self._sources[key] for key in sorted(self._sources)}
+        return first
+
+
+JsonObject = dict[str, Any]
+
+_COUNTS = ("asked", "reused", "injected", "missed")
+_NAMES = ("component", "model", "fingerprint", "prompts", "base_url", "mode")
+
+
+class LanguageModels:
+    """Gathers what the processes of a session tell. The same may be told twice."""
+
+    def __init__(self) -> None:
+        self._told: dict[tuple[Any, ...], dict[str, JsonObject]] = {}
+
+    def add(self, models: Iterable[Mapping[str, Any]]) -> None:
+        """What one process has asked since it began; what it told before is part of that.
+
+        Args:
+            models: Of :class:`pytest_dura.evidence.episodes.ItemReport`.
+        """
+        for one in models:
+            known = self._told.setdefault(tuple(one[name] for name in _NAMES), {})
+            before = known.get(one["process"])
+            if before is None or _total(one) >= _total(before):
+                known[one["process"]] = dict(one)
+
+    def to_json(self) -> list[JsonObject]:
+        """The record's key ``models``, sorted, without the cassette."""
+        found = []
+        for key in sorted(self._told, key=str):
+            told = self._told[key]
+            first = told[min(told)]
+            counts = {name: sum(one[name] for one in told.values()) for name in _COUNTS}
+            plain = {name: value for name, value in first.items() if name != "process"}
+            found.append({**plain, **counts, "cassette": None})
+        return found
+
+
+def _total(one: Mapping[str, Any]) -> int:
+    return sum(one[name] for name in _COUNTS)
+
+
+def test_function(item: str) -> str:
+    """The test function of a node id, without its parameters."""
+    return item.partition("[")[0]
+
+
+def question_key(item: str, verdict: JsonObject) -> tuple[str, ...]:
+    """What a verdict answers: who asked, of what, and what was asked."""
+    asked = [verdict["check"], verdict["paired"], verdict["method"]]
+    asked += [verdict["bound"]["at_most"], verdict["bound"]["confidence"]]
+    names = ("requirement", "case", "component")
+    return item, *(verdict[name] for name in names), json.dumps(asked, sort_keys=True)
+
+
+def final_outcomes(told: Sequence[JsonObject]) -> list[JsonObject]:
+    """Of several attempts of an item a violation counts before anything else, then the last."""
+    final: dict[str, JsonObject] = {}
+    for one in told:
+        before = final.get(one["item"])
+        if before is None or before["verdict"] != "violated":
+            final[one["item"]] = one
+    return list(final.values())
+
+
+MAX_OBSERVED = 50
+"""Names of what a test looked at."""
+MAX_FAILED = 10
+"""Episodes with the assertion that failed there."""
+WORST_FIRST = ("violated", "missing", "open", "invalid", "satisfied")
+
+
+def worst_of_each_episode(final: list[JsonObject]) -> list[EpisodeVerdict]:
+    """One verdict for each episode, at which other parameters of a test may look again."""
+    names = EpisodeVerdict.__dataclass_fields__
+    worst: dict[str, JsonObject] = {}
+    for one in sorted(final, key=lambda one: WORST_FIRST.index(one["verdict"])):
+        worst.setdefault(one["episode"], one)
+    found = sorted(worst.values(), key=lambda one: _run_number(one["episode"]))
+    return [EpisodeVerdict.from_json({name: one[name] for name in names}) for one in found]
+
+
+def judge_test(
+    requirement: Requirement,
+    case: str,
+    component: str,
+    told: Sequence[JsonObject],
+    situation: Situation | None = None,
+) -> JsonObject:
+    """The verdict of a test that looks at one episode at a time, as plain data.
+
+    Args:
+        requirement: What it decides; its rate is that of the test.
+        case: Id of the case.
+        component: Name of the component under test.
+        told: All that it told of episodes, with ``item``, ``planned``, ``at_most``, ``confidence``.
+        situation: What the case's runs are, if all of them are equal.
+    """
+    # Tests are a fixed number, and run in no fixed order: no sequential method applies.
+    judged_by = replace(
+        requirement,
+        at_most=told[0]["at_most"],
+        confidence=told[0]["confidence"],
+        method=None,
+        p0=None,
+    )
+    planned = max(one["planned"] for one in told)
+    final = worst_of_each_episode(final_outcomes(told))
+    # Each run is a test of its own here: none is saved where they are all equal.
+    whole = len(final) >= planned > 1
+    return judge_campaign(
+        judged_by,
+        case,
+        final,
+        planned=planned,
+        component=component,
+        situation=situation if whole else None,
+    ).to_json()
+
+
+def assertion_summary(final: Sequence[JsonObject]) -> JsonObject:
+    """What the assertions of a test rest on, over all episodes that it looked at.
+
+    Args:
+        final: Of :func:`final_outcomes`.
+    """
+    told = [(one["episode"], one["assertion"]) for one in final]
+    false = Counter(check for _, one in told for check in one["false"])
+    failed = sorted((name, one["failed"]) for name, one in told if one["failed"])
+    return {
+        "alone": all(one["alone"] for _, one in told),
+        "by_check": sum(one["by_check"] for _, one in told),
+        "observed": sorted({name for _, one in told for name in one["observed"]})[:MAX_OBSERVED],
+        "false": [
+            {"check": name, "episodes": false[name]} for name in sorted(false)[:MAX_OBSERVED]
+        ],
+        "failed": [{"episode": name, "message": why} for name, why in failed[:MAX_FAILED]],
+    }
+
+
+def _run_number(episode: str) -> tuple[str, int]:
+    case, _, run = episode.rpartition("#")
+    return case, int(run)
+
+
+SCHEMA_VERSION = "2"
+NO_QUESTION = {"check": "", "paired": None}
+"""Of a verdict that no campaign was asked for."""
+UNKNOWN_COMPONENT = "unknown"
+"""The name of a component that a conftest defines, until the first episode tells it."""
+
+Status = Literal["running", "complete", "interrupted"]
+
+
+@dataclass
+class RecordBuilder:
+    """The record of a session while it grows. The same report may come twice.
+
+    Args:
+        header: ``created``, ``tool``, ``command``, ``base_seed``, ``environment``.
+        directory: The bundle's, on whose disk the episodes are kept: in memory there are few.
+            Without one they are in a temporary file of the system.
+
+    Raises:
+        ConfigurationError: If the directory cannot be made or written.
+    """
+
+    header: JsonObject
+    directory: Path | None = None
+    searches: SearchRecords = field(default_factory=SearchRecords, init=False)
+    objections: dict[str, None] = field(default_factory=dict, init=False)
+    """What items say that stands against the session, whatever its verdicts say."""
+    _components: Components = field(default_factory=Components)
+    _requirements: dict[str, JsonObject] = field(default_factory=dict)
+    _cases: dict[tuple[str, str], JsonObject] = field(default_factory=dict)
+    _components_of: dict[str, list[str]] = field(default_factory=dict)
+    """By the id of a case."""
+    _spool: EpisodeSpool = field(init=False)
+    _verdicts: dict[tuple[str, ...], JsonObject] = field(default_factory=dict)
+    _outcomes: dict[tuple[str, ...], dict[str, JsonObject]] = field(default_factory=dict)
+    _monitors: dict[tuple[str, ...], JsonObject] = field(default_factory=dict)
+    _expected: dict[tuple[str, str, str], JsonObject] = field(default_factory=dict)
+    _waivers: dict[str, JsonObject] = field(default_factory=dict)
+    _first_waived: dict[str, str] = field(default_factory=dict)
+    """The first item of each test that was waived."""
+    _clashes: dict[tuple[str, str], str] = field(default_factory=dict)
+    _models: LanguageModels = field(default_factory=LanguageModels)
+    _problems: set[str] = field(default_factory=set)
+    _reuse: ReuseRecord = field(default_factory=ReuseRecord)
+    _ran: set[str] = field(default_factory=set)
+    """Cases with any episode."""
+    _repeats: dict[tuple[str, str], JsonObject] = field(default_factory=dict)
+    _situations: dict[tuple[str, str], Situations] = field(default_factory=dict)
+    """Of the planned episodes of each case with a component."""
+
+    def __post_init__(self) -> None:
+        """Make room for the episodes."""
+        self._spool = EpisodeSpool(self.directory)
+
+    def close(self) -> None:
+        """Forget the episodes, also those of records that were made of them."""
+        self._spool.close()
+
+    def expect(self, item: str, requirement: JsonObject, case: JsonObject) -> None:
+        """A campaign's item that will run; if it never reports, its verdict is undecided."""
+        self._expected[item, requirement["id"], case["id"]] = case
+        self._requirements.setdefault(requirement["id"], requirement)
+
+    def add(self, report: Mapping[str, Any]) -> None:
+        """What an item told, all that :class:`ItemReport` has.
+
+        Raises:
+            ConfigurationError: If its episodes cannot be kept.
+        """
+        for part in report["parts"]:
+            self.add(unpack_report(part))
+        item = report["item"]
+        for claim in report["claims"]:
+            case, decides = claim["case"], test_function(item) if claim["each_run"] else item
+            self._expected.setdefault((decides, claim["requirement"], case["id"]), case)
+        for component in report["components"]:
+            self._components.add(component)
+        self._components.add_sources(report.get("sources", {}))
+        for requirement in report["requirements"]:
+            self._requirements.setdefault(requirement["id"], requirement)
+        for case in report["cases"]:
+            self._add_case(case)
+        self._add_episodes(report)
+        for repeat in report["repeats"]:
+            about = repeat["case"], repeat["component"]
+            told = {name: repeat[name] for name in REPEAT_KEYS}
+            self._repeats[about] = dict(worse_repeat(self._repeats.get(about), told) or told)
+        self._models.add(report["models"])
+        self._problems.update(report["problems"])
+        self.objections.update(dict.fromkeys(report["objections"]))
+        self._reuse.add(report)
+        for verdict in report["verdicts"]:
+            self._add_verdict(item, verdict)
+        self.searches.add(item, report["searches"])
+        for monitor in report["monitors"]:
+            key = tuple(monitor[name] for name in ("case", "component", "target", "monitor"))
+            self._monitors[key] = monitor
+        for outcome in report["outcomes"]:
+            # What two tests make of one episode are two answers, and no attempts at one.
+            key = test_function(item), outcome["requirement"], outcome["case"], outcome["component"]
+            told = outcome | {"item": item}
+            self._outcomes.setdefault(key, {})[json.dumps(told, sort_keys=True)] = told
+
+    def add_traces(self, traces: Iterable[JsonObject]) -> None:
+        """Where traces of episodes are: ``{id, component, digest, trace}``, in any order.
+
+        Raises:
+            ConfigurationError: If that cannot be kept.
+        """
+        for trace in traces:
+            self._spool.add_trace(trace)
+
+    def adopt(self, verdict: JsonObject) -> None:
+        """A verdict as another session came to it, with its item, its waiver and its attempts."""
+        self._verdicts[question_key(verdict["item"], verdict)] = verdict
+
+    def waive(self, item: str, kind: str, reason: str) -> None:
+        """The item's failure was excused: ``xfail``, ``rerun`` or ``skip``."""
+        self._waivers[item] = {"kind": kind, "reason": reason}
+        self._first_waived.setdefault(test_function(item), item)
+
+    @property
+    def problems(self) -> list[str]:
+        """What casts doubt on the whole session; each begins with ``infrastructure:``."""
+        return sorted({*self._clashes.values(), *self._problems, *self._components.problems()})
+
+    def record(self, status: Status) -> SessionRecord:
+        """The record, with the keys of the design; its episodes are read as long as it is open.
+
+        Raises:
+            ConfigurationError: If the episodes cannot be read.
+        """
+        self._add_unheard_cases()
+        verdicts = self.verdicts()
+        shared = SharedViolations(verdicts)
+        courses = PairedCourses(verdicts)
+        cases, overall = self._measured_cases(verdicts, shared, courses)
+        monitors = [self._monitors[key] for key in sorted(self._monitors)]
+        counts = zip(verdicts, shared.to_json(), strict=True)
+        head = {
+            "schema_version": SCHEMA_VERSION,
+            "status": status,
+            **self.header,
+            "reuse": self._reuse.to_json(self.header.get("reuse", NO_REUSE)),
+            "component_under_test": self._components.to_json(),
+            "models": self._models.to_json(),
+            "requirements": [self._requirements[name] for name in sorted(self._requirements)],
+            "cases": cases,
+            "verdicts": [{**verdict, "also_without": count} for verdict, count in counts],
+            "searches": self.searches.to_json(self._waivers),
+            "monitors": monitors,
+            "overall": overall,
+            "effectiveness": effectiveness(verdicts, monitors, courses),
+        }
+        return SessionRecord(head, self.directory or Path(), self._spool.__iter__)
+
+    def verdicts(self) -> list[JsonObject]:
+        """All verdicts, also of campaigns that never reported, sorted by case and requirement."""
+        found = [dict(verdict) for verdict in self._verdicts.values()]
+        found += [
+            self._of_outcomes(key, list(told.values())) for key, told in self._outcomes.items()
+        ]
+        heard = {(one["item"], one["requirement"], one["case"]) for one in found}
+        for claim, case in self._unsearched():
+            if claim not in heard:
+                found.append(self._not_run(*claim[:2], case))
+        for verdict in found:
+            self._qualify(verdict)
+        return sorted(found, key=lambda one: (one["case"], one["requirement"], one["item"]))
+
+    def _add_case(self, case: JsonObject) -> None:
+        key = case["id"], case["component"]
+        if key not in self._cases:
+            self._cases[key] = dict(case)
+            self._components_of.setdefault(case["id"], []).append(case["component"])
+        known = self._cases[key]
+        known["planned"] = max(known["planned"], case["planned"])
+
+    def _add_episodes(self, report: Mapping[str, Any]) -> None:
+        """The episodes of a report, and what it tells of them beside."""
+        for episode in report["episodes"]:
+            self._ran.add(episode["case"])
+            self._add_situation(episode)
+            first = self._spool.add(episode)
+            if first != episode["digest"]:
+                self._clashes[episode["case"], episode["component"]] = (
+                    f"infrastructure: nondeterministic: the episode {episode['id']} was run twice, "
+                    f"with the digests {first[:12]} and {episode['digest'][:12]}"
+                )
+        for chain in report["chains"]:
+            self._spool.add_chain(chain)
+        self.add_traces(report["traces"])
+
+    def _add_situation(self, episode: JsonObject) -> None:
+        key = episode["case"], episode["component"]
+        if not episode["planned"] or key not in self._cases:
+            return
+        if key not in self._situations:
+            self._situations[key] = case_situations(self._cases[key])
+        add_episode(self._situations[key], episode)
+
+    def _add_verdict(self, item: str, verdict: JsonObject) -> None:
+        # The same item may ask several questions; what is asked again is another attempt.
+        key = question_key(item, verdict)
+        before = self._verdicts.get(key)
+        new = {**verdict, "item": item, "waiver": None, "attempts": [], "assertion": None}
+        if before is None:
+            self._verdicts[key] = new
+            return
+        told = {name: value for name, value in before.items() if name in verdict}
+        if told == verdict:
+            return
+        # Of several attempts a violation counts before anything else; all of them are kept.
+        new["attempts"] = [*before["attempts"], told]
+        if before["verdict"] == "violated":
+            new = {**before, "attempts": [*before["attempts"], verdict]}
+        self._verdicts[key] = new
+
+    def _of_outcomes(self, key: tuple[str, ...], told: list[JsonObject]) -> JsonObject:
+        """The verdict of a test that looks at one episode at a time."""
+        test, requirement, case, component = key
+        final = final_outcomes(told)
+        known = self._situations.get((case, component))
+        situation = None if known is None else known.situation
+        verdict = judge_test(self._requirement(requirement), case, component, told, situation)
+        waiver = self._waiver_of(final, verdict)
+        own: JsonObject = {
+            "item": test,
+            "waiver": waiver,
+            "attempts": [],
+            "assertion": assertion_summary(final),
+        }
+        return {**verdict, **NO_QUESTION, **own}
+
+    def _waiver_of(self, final: list[JsonObject], verdict: JsonObject) -> JsonObject | None:
+        """What excuses the verdict: nothing, if there is more than what waived items told."""
+        waivers = [self._waivers[one["item"]] for one in final if one["item"] in self._waivers]
+        bad = {one["item"] for one in final if one["verdict"] != "satisfied"}
+        excused = bad <= self._waivers.keys() and verdict["run"] >= verdict["planned"]
+        return waivers[0] if waivers and excused else None
+
+    def _add_unheard_cases(self) -> None:
+        """Cases that are expected, and of which nothing was heard."""
+        heard = set(self._components_of)
+        for _, case in self._unsearched():
+            if case["id"] not in heard:
+                self._add_case(self._with_component(case))
+
+    def _unsearched(self) -> list[tuple[tuple[str, str, str], JsonObject]]:
+        """What items are to decide, but for what they looked for violations of instead."""
+        answered = self.searches.answered
+        return [claim for claim in self._expected.items() if claim[0] not in answered]
+
+    def _with_component(self, case: JsonObject) -> JsonObject:
+        """An expected case with the component's name as far as the session has told it by now."""
+        if case["component"] != UNKNOWN_COMPONENT:
+            return case
+        names = self._components_of.get(case["id"]) or self._components.names
+        return {**case, "component": names[0]} if len(names) == 1 else case
+
+    def _not_run(self, item: str, requirement: str, case: JsonObject) -> JsonObject:
+        case = self._with_component(case)
+        verdict = judge_campaign(
+            self._requirement(requirement),
+            case["id"],
+            [],
+            planned=case["planned"],
+            component=case["component"],
+        ).to_json()
+        if item != f"{case['id']}::{requirement}":
+            # Its episodes may have run: what was not made is the verdict.
+            verdict["reason"] = "the test ended without a verdict on it"
+        elif case["id"] in self._ran:
+            verdict["reason"] = "episodes of the case ran, and no verdict was made on them"
+        waived = self._first_waived.get(item)
+        waiver = None if waived is None else self._waivers[waived]
+        own: JsonObject = {"item": item, "waiver": waiver, "attempts": [], "assertion": None}
+        return {**verdict, **NO_QUESTION, **own}
+
+    def _requirement(self, name: str) -> Requirement:
+        return Requirement.from_json(self._requirements.get(name, {"id": name}))
+
+    def _qualify(self, verdict: JsonObject) -> None:
+        """Take waivers into account, and doubts about the case's episodes."""
+        verdict["waiver"] = self._waivers.get(verdict["item"], verdict["waiver"])
+        clash = self._clashes.get((verdict["case"], verdict["component"]))
+        if clash is not None and verdict["verdict"] == "supported":
+            verdict["verdict"], verdict["reason"] = "undecided", clash
+
+    def _measured_cases(
+        self, verdicts: list[JsonObject], shared: SharedViolations, courses: PairedCourses
+    ) -> tuple[list[JsonObject], list[JsonObject]]:
+        """The cases with what their planned episodes come to, and all of a component together.
+
+        Cases come in the order that their scenarios give, then by name.
+        """
+        metrics = {key: CaseMetrics() for key in self._cases}
+        pooled = PooledMetrics(self._cases.values(), verdicts)
+        heard: dict[tuple[str, str], set[int]] = {key: set() for key in self._cases}
+        for episode in self._spool:
+            key = episode["case"], episode["component"]
+            if episode["planned"] and key in metrics:
+                metrics[key].add(episode)
+                pooled.add(episode)
+                shared.add(episode)
+                courses.add(episode)
+                heard[key].add(episode["spec"]["run"])
+        judged = verdicts_on_cases(verdicts)
+        cases = [
+            {
+                **self._cases[key],
+                "metrics": metrics[key].to_json(self._cases[key]["planned"]),
+                "repeat": self._repeats.get(key),
+                **missing_runs(self._cases[key], judged.get(key, []), heard[key]),
+            }
+            for key in sorted(self._cases, key=lambda key: case_order(self._cases[key]))
+        ]
+        return cases, pooled.to_json()

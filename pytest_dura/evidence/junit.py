@@ -1,0 +1,145 @@
+"""JUnit files: verdicts read back without the code that wrote them, and held to the record."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+from pytest_dura.evidence import text
+from pytest_dura.evidence.model import SessionRecord
+from pytest_dura.requirements.verdicts.campaigns import CAMPAIGN_STATUSES
+from pytest_dura.requirements.verdicts.episodes import EPISODE_STATUSES
+
+JunitKey = tuple[str, str, str]
+"""Case, requirement, and node id of the test; see :func:`junit_key`."""
+
+
+def junit_key(case: str, requirement: str, item: str) -> JunitKey:
+    """The key under which a verdict of the record stands in a JUnit file, whatever the names."""
+    return junit_name(case), junit_name(requirement), junit_name(item)
+
+
+def junit_name(name: str) -> str:
+    """A name as it stands in the file: on one line, bounded, and unlike every other name."""
+    return text.name(name, 400)
+
+
+def junit_verdicts(xml: str) -> dict[JunitKey, tuple[str, ...]]:
+    """The words of all verdicts on campaigns, sorted; a test may ask several questions.
+
+    Raises:
+        ValueError: If it is no JUnit file, has a document type, or a verdict of another word.
+    """
+    found: dict[JunitKey, list[str]] = {}
+    for item, group in _requirement_groups(xml):
+        word = group.get("verdict")
+        if word is not None:
+            found.setdefault(_result_key(item, group), []).append(
+                _checked_status(CAMPAIGN_STATUSES, word, item)
+            )
+    return {key: tuple(sorted(words)) for key, words in found.items()}
+
+
+def junit_outcomes(xml: str) -> dict[JunitKey, Counter[str]]:
+    """How many tests on one episode came to which word, by test function without parameters.
+
+    Raises:
+        ValueError: As :func:`junit_verdicts`.
+    """
+    found: dict[JunitKey, Counter[str]] = {}
+    for item, group in _requirement_groups(xml):
+        word = group.get("episode_verdict")
+        if word is not None:
+            key = _result_key(item.partition("[")[0], group)
+            found.setdefault(key, Counter())[_checked_status(EPISODE_STATUSES, word, item)] += 1
+    return found
+
+
+def _result_key(item: str, group: Mapping[str, str]) -> JunitKey:
+    return group.get("case", ""), group["requirement"], item
+
+
+def _checked_status(words: tuple[str, ...], word: str, item: str) -> str:
+    if word not in words:
+        raise ValueError(f"{item} has the verdict {word!r}, which is none of {', '.join(words)}")
+    return word
+
+
+def _requirement_groups(xml: str) -> Iterator[tuple[str, dict[str, str]]]:
+    """Node id and properties for each requirement of each test; a group begins with its id."""
+    found: dict[str, list[dict[str, str]]] = {}
+    for test in _parse_xml(xml).iter("testcase"):
+        item, groups = "", []
+        for one in test.iterfind("properties/property"):
+            name, value = one.get("name", ""), one.get("value", "")
+            if name == "item":
+                item = value
+            elif name == "requirement":
+                groups.append({name: value})
+            elif groups:
+                groups[-1][name] = value
+        found[item] = groups  # the last attempt knows of those before it
+    for item, groups in found.items():
+        for group in groups:
+            yield item, group
+
+
+class _NoDoctype(ET.TreeBuilder):
+    """Refuses a document type, without which there are no entities that expand or lead outside."""
+
+    def doctype(self, name: str, pubid: str | None, system: str | None) -> None:  # noqa: ARG002 - the parser's call
+        raise ValueError("the JUnit file has a document type, which none of pytest's has")
+
+
+def _parse_xml(xml: str) -> ET.Element:
+    parser = ET.XMLParser(target=_NoDoctype())  # noqa: S314 - see _NoDoctype
+    try:
+        parser.feed(xml.encode("utf-8"))
+        root: ET.Element = parser.close()
+    except (ET.ParseError, UnicodeEncodeError) as error:
+        raise ValueError(f"the JUnit file is no XML: {error}") from None
+    if root.tag not in ("testsuites", "testsuite"):
+        raise ValueError(f"the root is <{root.tag}>, and a JUnit file has <testsuites>")
+    return root
+
+
+def junit_problems(record: SessionRecord, file: Path) -> Iterator[str]:
+    """Everything in which the file differs from the record.
+
+    An undecided verdict may lack in it: the item of a worker that died reports nothing. And it may
+    be more in it: what two runs of one episode that differ make undecided is known at the end.
+    """
+    try:
+        xml = file.read_text(encoding="utf-8")
+        stated, outcomes = junit_verdicts(xml), junit_outcomes(xml)
+    except (OSError, ValueError, LookupError) as error:
+        yield f"{file.name}: cannot be read back ({type(error).__name__}: {error})"
+        return
+    held: dict[JunitKey, list[str]] = defaultdict(list)
+    for one in record["verdicts"]:
+        key = junit_key(one["case"], one["requirement"], one["item"])
+        name = f"{file.name}: {one['requirement']} on {one['case']}"
+        if key in outcomes:
+            told, run = outcomes[key]["violated"], outcomes[key].total()
+            if (told, run) != (one["violations"], one["run"]):
+                yield (
+                    f"{name}: {told} of {run} violated it, and the record says "
+                    f"{one['violations']} of {one['run']}"
+                )
+        else:
+            held[key].append(one["verdict"])
+    for key in sorted({*stated, *held}):
+        words, known = stated.get(key, ()), sorted(held.get(key, []))
+        decided = [one for one in known if one != "undecided"]
+        left = list(words)
+        for word in decided:
+            if word in left:
+                left.remove(word)
+            else:
+                yield f"{file.name}: {key[1]} on {key[0]} is {word} in the record, and not here"
+        if len(left) > known.count("undecided"):
+            yield f"{file.name}: {key[1]} on {key[0]} is {left[0]}, and not in the record"
+        elif "violated" in left:
+            yield f"{file.name}: {key[1]} on {key[0]} is violated, and undecided in the record"

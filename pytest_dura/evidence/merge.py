@@ -1,0 +1,446 @@
+"""Merge the bundles of all shards of a session into the bundle and the gate of the whole.
+
+The records of all parts are joined by the code that makes the record of a session, and
+written into a directory of their own.
+"""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.evidence.baseline import Baseline, regression_objections
+from pytest_dura.evidence.bundle import begin_bundle, write_bundle
+from pytest_dura.evidence.conclude import conclude_record
+from pytest_dura.evidence.episodes import ItemReport
+from pytest_dura.evidence.files import LOCK_FILE, DirectoryLock, write_file
+from pytest_dura.evidence.gate import NO_TESTS, OK, TESTS_FAILED, Gate
+from pytest_dura.evidence.gather import RecordBuilder
+from pytest_dura.evidence.merge_checks import (
+    ShardBundle,
+    check_complete,
+    check_consistent,
+    read_parts,
+)
+from pytest_dura.evidence.metrics import UNTRACED_FAULT
+from pytest_dura.evidence.model import SessionRecord, components_under_test
+from pytest_dura.evidence.sessions import merged_reuse
+from pytest_dura.evidence.traces import is_trace_path
+
+Data = Mapping[str, Any]
+_KEYS_MADE_ANEW = {"metrics", "missing_runs", "missing_runs_total", "repeat"}
+_KEYS_OF_ALL_COMPONENTS = {"others", "sources"}
+"""What the first component holds of the others."""
+_TRACE_REASONS = ("all", "sample", "missing", "violation")
+"""Of several reasons to keep a trace the last one is told."""
+
+
+def merged_header(parts: Sequence[ShardBundle], output: Path) -> dict[str, Any]:
+    """What a session's record begins with; see the schema for what is whose.
+
+    Args:
+        parts: Ordered by their numbers.
+        output: Where the merged evidence goes.
+    """
+    first = parts[0].record
+    dirty = [one.record["environment"]["git"]["dirty"] for one in parts]
+    git = {**first["environment"]["git"], "dirty": True if any(dirty) else dirty[0]}
+    return {
+        "created": min(one.record["created"] for one in parts),
+        "tool": first["tool"],
+        "command": merged_command(first["command"], output),
+        "base_seed": first["base_seed"],
+        "evidence_level": first["evidence_level"],
+        "require_repeatable": first["require_repeatable"],
+        "environment": {**first["environment"], "git": git},
+        "execution": first["execution"],
+        "argument": first["argument"],
+        "reuse": merged_reuse(one.record["reuse"] for one in parts),
+        "shard": None,
+        "selection": first["selection"],
+        "merged_from": [_shard_summary(one) for one in parts],
+    }
+
+
+def _shard_summary(part: ShardBundle) -> dict[str, Any]:
+    record, gate = part.record, part.record["gate"]
+    return {
+        "index": part.index,
+        "count": part.shard["count"],
+        "plan": part.shard["plan"],
+        "units": len(part.units),
+        **{key: record[key] for key in ("created", "finished", "command", "environment")},
+        "gate": gate["result"],
+        "exit_code": gate["exit_code"],
+        "wall_seconds": record["timings"]["wall_seconds"],
+        "record": part.sha256,
+    }
+
+
+def merged_command(command: str, output: Path) -> str:
+    """The command of the whole session: that of a shard, without it, and with this evidence."""
+    try:
+        words = shlex.split(command)
+    except ValueError:  # no shell reads such a command
+        words = ["pytest"]
+    kept: list[str] = []
+    given = iter(words)
+    for word in given:
+        name, equals, _ = word.partition("=")
+        if name not in ("--dura-shard", "--dura-evidence"):
+            kept.append(word)
+        elif not equals:
+            next(given, None)
+    return shlex.join([*kept, f"--dura-evidence={output}"])
+
+
+def join_records(record: RecordBuilder, parts: Sequence[ShardBundle]) -> None:
+    """Take the parts into a record, a few episodes at a time.
+
+    An episode that two parts hold is that of a test which chooses its episodes itself. It is the
+    same one in both, or the record says, as that of a session, that it came out differently.
+
+    Raises:
+        ConfigurationError: If the episodes cannot be kept.
+    """
+    for part in parts:
+        told = part.record
+        report = ItemReport("")
+        report.components += [
+            _without(one, _KEYS_OF_ALL_COMPONENTS)
+            for one in components_under_test(told)
+            if one["name"]
+        ]
+        report.sources.update(told["component_under_test"].get("sources", {}))
+        report.cases += [_without(one, _KEYS_MADE_ANEW) for one in told["cases"]]
+        report.repeats += [
+            {**one["repeat"], "case": one["id"], "component": one["component"]}
+            for one in told["cases"]
+            if one["repeat"] is not None
+        ]
+        report.requirements += map(dict, told["requirements"])
+        report.monitors += map(dict, told["monitors"])
+        report.models += [{**one, "process": part.name} for one in told["models"]]
+        report.notes += told["reuse"]["problems"]
+        record.add(report.to_json())
+        for verdict in told["verdicts"]:
+            record.adopt(dict(verdict))
+        for search in told["searches"]:
+            record.searches.adopt(search)
+    traced = _trace_owners(parts)
+    # What is told of an episode first holds, and a trace is that of the part which told it.
+    for with_trace in (True, False):
+        for part in parts:
+            for episode in part.record.episodes():
+                if (traced.get(_identity(episode)) == part.index) == with_trace:
+                    record.add(_report_of(episode, with_trace=with_trace).to_json())
+
+
+def _trace_owners(parts: Iterable[ShardBundle]) -> dict[tuple[str, ...], int]:
+    """The part whose trace of an episode is kept: the first of those with the best reason."""
+    found: dict[tuple[str, ...], tuple[int, int]] = {}
+    for part in parts:
+        for episode in part.record.episodes():
+            if episode["trace"] is not None:
+                one = -_TRACE_REASONS.index(episode["trace"]["kept_for"]), part.index
+                key = _identity(episode)
+                found[key] = min(one, found.get(key, one))
+    return {key: index for key, (_, index) in found.items()}
+
+
+def _identity(episode: Data) -> tuple[str, ...]:
+    return episode["id"], episode["component"], episode["digest"]
+
+
+def _report_of(episode: Data, *, with_trace: bool) -> ItemReport:
+    """An episode as the item told it that ran it; what came of its faults was told beside it."""
+    report = ItemReport("", episodes=[{**episode, "trace": None}])
+    about = {"component": episode["component"], "episode": episode["id"], "case": episode["case"]}
+    for fault in episode["faults"]:
+        followed = {key: fault[key] for key in UNTRACED_FAULT}
+        if followed != UNTRACED_FAULT:
+            report.chains.append({**about, "id": fault["id"], **followed})
+    if with_trace:
+        trace = {key: episode[key] for key in ("id", "component", "digest", "trace")}
+        report.traces.append(trace)
+    return report
+
+
+def _without(data: Data, keys: set[str]) -> dict[str, Any]:
+    return {key: value for key, value in data.items() if key not in keys}
+
+
+def merged_inputs(parts: Iterable[ShardBundle]) -> list[dict[str, Any]]:
+    """Every input file of any part; changed, if it changed while one of them ran."""
+    found: dict[tuple[str, str], dict[str, Any]] = {}
+    for part in parts:
+        for one in part.record["inputs"]:
+            known = found.setdefault((one["path"], one["kind"]), dict(one))
+            known["changed"] |= one["changed"]
+    return [found[key] for key in sorted(found)]
+
+
+def merged_cassettes(parts: Iterable[ShardBundle]) -> dict[tuple[Any, ...], Any]:
+    """The cassette of each language model; see :func:`model_key`."""
+    return {model_key(one): one["cassette"] for part in parts for one in part.record["models"]}
+
+
+def model_key(model: Data) -> tuple[Any, ...]:
+    """What tells a model of a record from the others."""
+    names = ("component", "model", "fingerprint", "prompts", "base_url", "mode")
+    return tuple(model[name] for name in names)
+
+
+def merged_gate(
+    parts: Sequence[ShardBundle],
+    verdicts: Sequence[Data],
+    searches: Sequence[Data],
+    objections: Sequence[str],
+) -> Gate:
+    """The gate of the whole, by the rules of a session: all verdicts, all tests, all objections.
+
+    Args:
+        parts: Ordered by their numbers.
+        verdicts: Of the merged record.
+        searches: Of the merged record.
+        objections: What stands against the merged record itself.
+    """
+    codes = {one.record["gate"]["exit_code"] for one in parts}
+    against = [reason for part in parts for reason in _objections(part)]
+    code = NO_TESTS
+    if codes != {NO_TESTS}:
+        idle = [one for one in parts if one.record["gate"]["exit_code"] == NO_TESTS]
+        against += [f"{one.name}: no test was run" for one in idle]
+        found = codes - {OK, NO_TESTS}
+        code = found.pop() if len(found) == 1 else TESTS_FAILED if found else OK
+    return Gate.of(
+        verdicts,
+        list(dict.fromkeys([*objections, *against])),
+        searches=searches,
+        interrupted=False,
+        exit_code=code,
+        failed=sum(one.record["gate"]["failed"] for one in parts),
+        warn_undecided=parts[0].record["gate"]["warn_undecided"],
+    )
+
+
+def _objections(part: ShardBundle) -> list[str]:
+    """What stands against a shard beside its verdicts and its tests."""
+    gate = part.record["gate"]
+    by_rule = Gate.of(
+        part.record["verdicts"],
+        (),
+        searches=part.record["searches"],
+        interrupted=False,
+        exit_code=gate["exit_code"],
+        failed=gate["failed"],
+        warn_undecided=gate["warn_undecided"],
+    )
+    return [reason for reason in gate["reasons"] if reason not in by_rule.reasons]
+
+
+_CHUNK = 1 << 20
+
+
+def check_output(output: Path, inputs: Sequence[Path]) -> None:
+    """Refuse a directory that holds something, or that belongs to what is merged.
+
+    Raises:
+        ConfigurationError: If the merged evidence cannot go there.
+    """
+    place = output.resolve()
+    for one in inputs:
+        bundle = one.resolve()
+        if place == bundle or place.is_relative_to(bundle) or bundle.is_relative_to(place):
+            raise _output_error(
+                "the merged evidence would go into what is merged, or around it", output, str(one)
+            )
+    if output.is_symlink():
+        raise _output_error("the merged evidence would go where a symbolic link leads", output)
+    if output.exists() and not output.is_dir():
+        raise _output_error("the merged evidence goes into a directory, and this is a file", output)
+    if output.is_dir() and (held := {one.name for one in output.iterdir()} - {LOCK_FILE}):
+        raise _output_error("this directory is not empty", output, min(held))
+
+
+def _output_error(problem: str, output: Path, found: str | None = None) -> ConfigurationError:
+    return ConfigurationError(
+        problem,
+        key="--output",
+        found=str(output) if found is None else f"{output}, with {found}",
+        expected="a directory that is empty, or that is not there yet",
+        remedy="name another directory, or remove this one",
+    )
+
+
+def copy_traces(record: SessionRecord, parts: Sequence[ShardBundle]) -> None:
+    """Copy the traces of a merged record out of its parts, each held against its digest.
+
+    Raises:
+        ConfigurationError: If one is not there as its record says, or it cannot be written.
+    """
+    places: dict[tuple[str, str], Path] = {
+        (episode["trace"]["file"], episode["trace"]["sha256"]): part.record.directory
+        for part in parts
+        for episode in part.record.episodes()
+        if episode["trace"] is not None
+    }
+    for episode in record.episodes():
+        if episode["trace"] is not None:
+            told = episode["trace"]
+            _copy(places[told["file"], told["sha256"]], record.directory, told)
+
+
+def _copy(source: Path, target: Path, told: Mapping[str, Any]) -> None:
+    name = told["file"]
+    file = source / name
+    # Verified already, and yet nothing is opened by a name that could lead anywhere else.
+    if not is_trace_path(name) or file.is_symlink() or file.parent.is_symlink():
+        raise _damaged_trace(file, "a name or a link that leads out of the bundle")
+    try:
+        written = write_file(target / name, _chunks(file))
+    except OSError as error:
+        raise _damaged_trace(file, error.strerror or str(error)) from None
+    if (written.sha256, written.bytes) != (told["sha256"], told["bytes"]):
+        raise _damaged_trace(file, "another file than the record names")
+
+
+def _chunks(file: Path) -> Iterator[bytes]:
+    with file.open("rb") as stream:
+        while chunk := stream.read(_CHUNK):
+            yield chunk
+
+
+def _damaged_trace(file: Path, found: str) -> ConfigurationError:
+    return ConfigurationError(
+        "a trace changed while it was copied",
+        file=str(file),
+        key="BUNDLE",
+        found=found,
+        expected="the file that the record names, with its SHA-256",
+        remedy="let nothing write to the bundles, and merge again",
+    )
+
+
+@dataclass(frozen=True)
+class MergeResult:
+    """What a merge came to.
+
+    Args:
+        shards: How many there were.
+        totals: Of the merged record.
+        reasons: Why its gate did not pass; empty if it did.
+    """
+
+    shards: int
+    totals: dict[str, Any]
+    reasons: tuple[str, ...]
+
+    @property
+    def passed(self) -> bool:
+        """Whether the gate of the whole passed."""
+        return bool(self.totals["gate"] == "passed")
+
+
+@dataclass(frozen=True)
+class MergeComparison:
+    """What the whole is held against.
+
+    Args:
+        baseline: An earlier record.
+        fail_worse: Whether a rate that got worse fails the gate.
+    """
+
+    baseline: Baseline | None = None
+    fail_worse: bool = False
+
+    def compared(self, record: SessionRecord) -> SessionRecord:
+        """The record beside the baseline."""
+        finished = None if record["status"] == "running" else record
+        found = None if self.baseline is None else self.baseline.to_json(finished)
+        return replace(record, head={**record.head, "baseline": found})
+
+    def objections(self, record: SessionRecord) -> list[str]:
+        """What the baseline says against a record beside it."""
+        return regression_objections(record["baseline"]) if self.fail_worse else []
+
+    def inputs(self) -> list[dict[str, Any]]:
+        """The baseline's file, as the record names its inputs."""
+        one = self.baseline
+        if one is None:
+            return []
+        return [{"path": one.path, "kind": "baseline", "sha256": one.sha256, "changed": False}]
+
+
+NO_COMPARISON = MergeComparison()
+
+
+def merge_bundles(
+    directories: Sequence[Path], output: Path, held: MergeComparison = NO_COMPARISON
+) -> MergeResult:
+    """Merge the bundles of all shards of a session.
+
+    The order of the bundles does not matter. Nothing is written before all of them are verified,
+    and found to be the whole of one session. A merge that is killed leaves a record that says so.
+
+    Args:
+        directories: Of the bundles, at least one.
+        output: Where the merged evidence goes: an empty directory, or one that is made.
+        held: What the whole is held against.
+
+    Raises:
+        ConfigurationError: For bundles that are no whole, and evidence that cannot be written.
+    """
+    check_output(output, directories)
+    parts = read_parts(directories)
+    check_complete(parts)
+    check_consistent(parts)
+    lock = DirectoryLock(output)
+    try:
+        check_output(output, directories)
+        record = RecordBuilder(merged_header(parts, output), output)
+        try:
+            written = _write_merged(record, parts, held)
+        finally:
+            record.close()
+    finally:
+        lock.release()
+    return MergeResult(len(parts), dict(written["totals"]), tuple(written["gate"]["reasons"]))
+
+
+def _write_merged(
+    record: RecordBuilder, parts: Sequence[ShardBundle], held: MergeComparison
+) -> SessionRecord:
+    warn_undecided = parts[0].record["gate"]["warn_undecided"]
+    running = Gate.running(warn_undecided=warn_undecided)
+    begin_bundle(_conclude_merged(held.compared(record.record("running")), parts, running, held))
+    join_records(record, parts)
+    whole = record.record("complete")
+    tapes = merged_cassettes(parts)
+    models = [{**one, "cassette": tapes[model_key(one)]} for one in whole["models"]]
+    whole = held.compared(replace(whole, head={**whole.head, "models": models}))
+    copy_traces(whole, parts)
+    against = [*record.problems, *held.objections(whole)]
+    gate = merged_gate(parts, whole["verdicts"], whole["searches"], against)
+    return write_bundle(_conclude_merged(whole, parts, gate, held))
+
+
+def _conclude_merged(
+    record: SessionRecord, parts: Sequence[ShardBundle], gate: Gate, held: MergeComparison
+) -> SessionRecord:
+    spent = [one.record["timings"] for one in parts]
+    ended = max(one.record["finished"] for one in parts)
+    return conclude_record(
+        record,
+        finished=None if record["status"] == "running" else ended,
+        gate=gate.to_json(),
+        inputs=[*merged_inputs(parts), *held.inputs()],
+        wall_seconds=sum(one["wall_seconds"] for one in spent),
+        evidence_seconds=sum(one["evidence_seconds"] for one in spent),
+        # The shards took out the secrets of the machines on which they ran.
+        redact=lambda same: same,
+    )

@@ -1,0 +1,406 @@
+"""Check bundles that are to be merged: intact, parts of one plan, and made alike.
+
+Alike are parts by the same code, from the same files, under the same options.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import islice, pairwise
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from pytest_dura.core.errors import ConfigurationError, shorten
+from pytest_dura.evidence.bundle import RECORD_FILE, read_session_record
+from pytest_dura.evidence.files import file_entry
+from pytest_dura.evidence.gather import question_key
+from pytest_dura.evidence.model import SessionRecord, components_under_test
+from pytest_dura.evidence.sessions import ShardUnit, plan_digest
+from pytest_dura.evidence.text import one_line
+from pytest_dura.evidence.verify import verify_bundle
+from pytest_dura.provenance import describe_tool
+
+Data = Mapping[str, Any]
+_MAX_PROBLEM_TEXT = 300
+"""Characters that are quoted of what a damaged bundle holds."""
+
+
+@dataclass(frozen=True)
+class ShardBundle:
+    """The bundle of one shard.
+
+    Args:
+        record: Its record.
+        sha256: Of its ``evidence.json``.
+    """
+
+    record: SessionRecord
+    sha256: str
+
+    @property
+    def file(self) -> str:
+        """Its record's file, for messages."""
+        return str(self.record.directory / RECORD_FILE)
+
+    @property
+    def shard(self) -> Data:
+        """Which part of which session it is."""
+        found: Data = self.record["shard"]
+        return found
+
+    @property
+    def index(self) -> int:
+        """The number of the shard."""
+        return int(self.shard["index"])
+
+    @property
+    def units(self) -> list[ShardUnit]:
+        """What it holds."""
+        return [ShardUnit.from_json(one) for one in self.shard["holds"]]
+
+    @property
+    def name(self) -> str:
+        """Such as ``shard 2 of 5``."""
+        return f"shard {self.index} of {self.shard['count']}"
+
+
+def read_parts(directories: Iterable[Path]) -> list[ShardBundle]:
+    """The bundles of these directories, ordered by the numbers of their shards.
+
+    Each is verified first, as ``python -m pytest_dura verify`` does. Nothing of it is run.
+
+    Raises:
+        ConfigurationError: If one is no intact bundle of a shard that came to its end.
+    """
+    return sorted(map(_read_part, directories), key=lambda one: one.index)
+
+
+def _read_part(directory: Path) -> ShardBundle:
+    found = verify_bundle(directory)
+    file = str(directory / RECORD_FILE)
+    if not found.intact:
+        more = len(found.problems) - 1
+        raise ConfigurationError(
+            "this bundle cannot be merged, because it is not intact",
+            file=file,
+            key="BUNDLE",
+            found=one_line(found.problems[0], _MAX_PROBLEM_TEXT)
+            + (f" and {more} more" if more else ""),
+            expected="an intact bundle of a shard that came to its end",
+            remedy=f"see `python -m pytest_dura verify {directory}`; copy it again, or run the "
+            "shard again",
+        )
+    record = read_session_record(directory)
+    if record["shard"] is None:
+        merged = record["merged_from"] is not None
+        raise ConfigurationError(
+            "this bundle is merged already"
+            if merged
+            else "this bundle is that of a whole session: sessions planned apart are no parts of "
+            "one, and what their runs come to together nobody has planned",
+            file=file,
+            key="shard",
+            found="a merged bundle" if merged else "a whole session",
+            expected="the bundle of a session with --dura-shard=K/N",
+            remedy="name the bundles of all shards" if merged else "run it with --dura-shard",
+        )
+    if record["shard"]["plan"] is None:
+        raise ConfigurationError(
+            "nobody told what this shard holds: all of its workers died",
+            file=file,
+            key="shard.plan",
+            expected="the bundle of a shard that collected its tests",
+            remedy="run the shard again",
+        )
+    return ShardBundle(record, str(file_entry(directory / RECORD_FILE)["sha256"]))
+
+
+_MAX_LISTED_UNITS = 8
+
+
+def check_complete(parts: Sequence[ShardBundle]) -> None:
+    """Refuse parts that overlap, that lack something, or that are parts of different sessions.
+
+    Args:
+        parts: Ordered by their numbers, at least one.
+
+    Raises:
+        ConfigurationError: For the first reason why they are no whole.
+    """
+    first = parts[0]
+    for other in parts[1:]:
+        for key, why in (
+            ("count", "the session was not split into the same number of shards"),
+            ("plan", "it is part of another session: what is to be run as a whole differs"),
+            ("units", "it is part of another session: what is to be run as a whole differs"),
+        ):
+            if other.shard[key] != first.shard[key]:
+                raise ConfigurationError(
+                    why,
+                    file=other.file,
+                    key=f"shard.{key}",
+                    found=other.shard[key],
+                    expected=f"{first.shard[key]!r}, as in {first.file}",
+                    remedy="run all shards of one commit with the same arguments; selections such "
+                    "as -k, -m and --lf have to be the same, too",
+                )
+    _check_numbers(parts)
+    _check_units(parts)
+
+
+def _check_numbers(parts: Sequence[ShardBundle]) -> None:
+    for one, other in pairwise(parts):
+        if one.index == other.index:
+            raise ConfigurationError(
+                f"{one.name} is there twice",
+                file=other.file,
+                key="shard.index",
+                found=other.index,
+                expected=f"another shard than that of {one.file}",
+                remedy="name each shard's bundle once",
+            )
+    count = parts[0].shard["count"]
+    there = {one.index for one in parts}
+    # A record may name any number of shards: the first of those that are missing are enough.
+    absent = (index for index in range(1, count + 1) if index not in there)
+    missing = list(islice(absent, _MAX_LISTED_UNITS + 1))
+    if missing:
+        names = ", ".join(map(str, missing[:_MAX_LISTED_UNITS]))
+        names += " and more" if len(missing) > _MAX_LISTED_UNITS else ""
+        several = "shards" if len(missing) > 1 else "shard"
+        verb = "are" if len(missing) > 1 else "is"
+        raise ConfigurationError(
+            f"{several} {names} of {count} {verb} missing, and without every shard there is no "
+            "gate on the whole",
+            key="BUNDLE",
+            found=", ".join(str(one.record.directory) for one in parts),
+            expected=f"the bundles of all {count} shards",
+            remedy=f"fetch what is missing, or run it: --dura-shard={missing[0]}/{count}",
+        )
+
+
+def _check_units(parts: Sequence[ShardBundle]) -> None:
+    holder: dict[tuple[str, str], ShardBundle] = {}
+    for one in parts:
+        for unit in one.units:
+            if unit.key in holder:
+                raise ConfigurationError(
+                    f"{unit.name!r} is in two shards, and would count twice",
+                    file=one.file,
+                    key="shard.holds",
+                    found=unit.name,
+                    expected=f"in one shard alone; it is in {holder[unit.key].file}, too",
+                    remedy="run the shards again: no two of them hold the same",
+                )
+            holder[unit.key] = one
+    found = plan_digest(unit for one in parts for unit in one.units)
+    if found != parts[0].shard["plan"]:
+        raise ConfigurationError(
+            "the shards together do not hold what the whole session was to run",
+            file=parts[0].file,
+            key="shard.plan",
+            found=f"{len(holder)} units with the digest {found}",
+            expected=f"{parts[0].shard['units']} units with the digest {parts[0].shard['plan']}",
+            remedy="a record was changed, or written by another version; run the shards again",
+        )
+
+
+NamedValues = Iterator[tuple[str, Any]]
+_SAME_OPTIONS = "give all shards the same options"
+_SAME_CODE = "run all shards of one commit, with the same packages"
+_SAME_FILES = "run all shards of one commit, from the same files"
+_KEYS_THAT_MAY_DIFFER = {"metrics", "planned", "missing_runs", "missing_runs_total", "repeat"}
+"""Keys of a case that follow from the episodes of its shard."""
+
+
+_ROOT = PurePosixPath()
+
+
+def check_consistent(parts: Sequence[ShardBundle]) -> None:
+    """Refuse parts whose results are not those of one session.
+
+    Machines may differ: where they ran is kept for each. What may change digests, or what a result
+    means, may not.
+
+    Args:
+        parts: Ordered by their numbers, at least one.
+
+    Raises:
+        ConfigurationError: For the first difference.
+    """
+    _check_version(parts[0])
+    for told, remedy in _COMPARED_VALUES:
+        known: dict[str, tuple[Any, ShardBundle]] = {}
+        for part in parts:
+            for key, value in told(part.record):
+                before, where = known.setdefault(key, (value, part))
+                if before != value:
+                    place, one, other = _first_difference(key, before, value)
+                    raise ConfigurationError(
+                        "the shards were not made alike",
+                        file=part.file,
+                        key=place,
+                        found=other,
+                        expected=f"{shorten(one)}, as in {where.file}",
+                        remedy=remedy,
+                    )
+    _check_seen(parts)
+    _check_verdicts(parts)
+
+
+def _check_seen(parts: Sequence[ShardBundle]) -> None:
+    """Refuse parts one of which saw a ``conftest.py`` or a configuration that was not there."""
+    known: dict[tuple[str, str], ShardBundle] = {}
+    for part in parts:
+        for key in _seen_files(part):
+            known.setdefault(key, part)
+    for part in parts:
+        inputs = part.record["inputs"]
+        tests = [PurePosixPath(one["path"]) for one in inputs if one["kind"] == "test"]
+        for kind, path in sorted(known.keys() - _seen_files(part)):
+            folder = PurePosixPath(path).parent
+            used = any(folder in one.parents for one in tests)
+            if kind == "conftest" and not used and not (folder == _ROOT and _simulated(part)):
+                continue
+            raise ConfigurationError(
+                "the shards were not made alike",
+                file=part.file,
+                key=f"inputs {kind} {path}",
+                found="no such file",
+                expected=f"the one of {known[kind, path].file}",
+                remedy=_SAME_FILES,
+            )
+
+
+def _seen_files(part: ShardBundle) -> set[tuple[str, str]]:
+    kinds = ("conftest", "configuration")
+    return {(one["kind"], one["path"]) for one in part.record["inputs"] if one["kind"] in kinds}
+
+
+def _simulated(part: ShardBundle) -> bool:
+    return bool(part.record["totals"]["episodes"])
+
+
+def _check_verdicts(parts: Sequence[ShardBundle]) -> None:
+    searched: dict[str, ShardBundle] = {}
+    for part in parts:
+        for item in {one["item"] for one in part.record["searches"]}:
+            first = searched.setdefault(item, part)
+            if first is not part:
+                raise ConfigurationError(
+                    "two shards ran the same search, and it would stand there twice",
+                    file=part.file,
+                    key="searches",
+                    found=item,
+                    expected=f"a test in one shard alone; it is in {first.file}, too",
+                    remedy="run the shards again: no two of them hold the same",
+                )
+    asked: dict[tuple[str, ...], ShardBundle] = {}
+    for part in parts:
+        for verdict in part.record["verdicts"]:
+            first = asked.setdefault(question_key(verdict["item"], verdict), part)
+            if first is not part:
+                raise ConfigurationError(
+                    "two shards judged the same, and it would count twice",
+                    file=part.file,
+                    key="verdicts",
+                    found=f"{verdict['requirement']} on {verdict['case']}",
+                    expected=f"a verdict in one shard alone; it is in {first.file}, too",
+                    remedy="run the shards again: no two of them hold the same",
+                )
+
+
+def _check_version(part: ShardBundle) -> None:
+    ours, theirs = describe_tool(), part.record["tool"]
+    if theirs["version"] != ours["version"]:
+        raise ConfigurationError(
+            "this bundle was written by another version of pytest-dura",
+            file=part.file,
+            key="tool.version",
+            found=theirs["version"],
+            expected=ours["version"],
+            remedy="merge with the version that wrote the bundles",
+        )
+    if theirs != ours:
+        raise ConfigurationError(
+            "this bundle was written by other code of pytest-dura of the same version",
+            file=part.file,
+            key="tool.code",
+            found=theirs["code"],
+            expected=ours["code"],
+            remedy="merge with the code that wrote the bundles: a released version, or one and "
+            "the same commit of a checkout",
+        )
+
+
+def _first_difference(key: str, one: Any, other: Any) -> tuple[str, Any, Any]:
+    """Where two values differ first, and by what."""
+    if isinstance(one, Mapping) and isinstance(other, Mapping):
+        for name in sorted({*one, *other}):
+            if one.get(name) != other.get(name):
+                return _first_difference(f"{key}.{name}", one.get(name), other.get(name))
+    return key, one, other
+
+
+def _session(record: SessionRecord) -> NamedValues:
+    for key in ("base_seed", "evidence_level", "require_repeatable", "argument", "selection"):
+        yield key, record[key]
+    yield "gate.warn_undecided", record["gate"]["warn_undecided"]
+    yield "shard.options", record["shard"]["options"]
+
+
+def _code(record: SessionRecord) -> NamedValues:
+    environment = record["environment"]
+    yield "tool", record["tool"]
+    yield "environment.python", environment["python"]
+    yield "environment.packages", environment["packages"]
+    yield "environment.git.commit", environment["git"]["commit"]
+
+
+def _under_test(record: SessionRecord) -> NamedValues:
+    known = [one for one in components_under_test(record) if one["name"] is not None]
+    times = Counter(one["name"] for one in known)
+    for one in known:
+        told = {key: value for key, value in one.items() if key not in ("others", "sources")}
+        alone = times[one["name"]] == 1
+        made = "" if alone else f" {json.dumps([one['path'], one['params']], sort_keys=True)}"
+        yield f"component_under_test {one['name']}{made}", told
+
+
+def _read_files(record: SessionRecord) -> NamedValues:
+    for one in record["inputs"]:
+        yield f"inputs {one['kind']} {one['path']}", one["sha256"]
+
+
+def _asked_questions(record: SessionRecord) -> NamedValues:
+    for one in record["requirements"]:
+        yield f"requirements {one['id']}", one
+    for one in record["cases"]:
+        told = {key: value for key, value in one.items() if key not in _KEYS_THAT_MAY_DIFFER}
+        yield f"cases {one['id']} with {one['component']}", told
+
+
+def _measured(record: SessionRecord) -> NamedValues:
+    for one in record["monitors"]:
+        names = (one[name] for name in ("case", "component", "target", "monitor"))
+        yield f"monitors {' '.join(names)}", one
+
+
+def _models(record: SessionRecord) -> NamedValues:
+    for one in record["models"]:
+        told = {key: one[key] for key in ("capabilities", "cassette")}
+        yield f"models {one['component']} {one['model']} {one['fingerprint']} {one['mode']}", told
+
+
+_COMPARED_VALUES: tuple[tuple[Callable[[SessionRecord], NamedValues], str], ...] = (
+    (_session, _SAME_OPTIONS),
+    (_code, _SAME_CODE),
+    (_under_test, _SAME_CODE),
+    (_read_files, _SAME_FILES),
+    (_asked_questions, _SAME_FILES),
+    (_models, "let all shards replay one cassette: --dura-llm=replay"),
+    (_measured, "run the shards again: no two of them measure the same"),
+)

@@ -1,0 +1,434 @@
+"""Metrics of a case: what its episodes, their faults and their failure modes add up to."""
+
+from __future__ import annotations
+
+import math
+import statistics
+from array import array
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from pytest_dura.core.metrics import DISCOMFORT
+from pytest_dura.requirements.statistics.rate_tests import upper_bound
+
+CONFIDENCE = 0.95
+"""Of the bound on the rate of episodes in which a failure mode shows."""
+FAILURE_MODE_COUNTS = ("hits", "of", "null_hits", "null_of")
+
+Data = Mapping[str, Any]
+
+
+class FailureModes:
+    """Sums over the valid episodes of a case with one component.
+
+    Of an episode it keeps a few numbers for each failure mode, and two for each decision.
+    """
+
+    def __init__(self) -> None:
+        self._kinds: dict[str, str] = {}
+        self._counts: dict[str, Counter[str]] = {}
+        self._seconds = array("d")
+        self._ages = array("d")
+
+    def add(self, metrics: Data) -> None:
+        """Take in the metrics of an episode's record."""
+        for name, tally in metrics["tallies"].items():
+            self._kinds.setdefault(name, tally["kind"])
+            counts = self._counts.setdefault(name, Counter())
+            counts.update({key: tally[key] for key in FAILURE_MODE_COUNTS})
+            counts["episodes"] += tally["hits"] > 0
+            counts["of_episodes"] += tally["of"] > 0
+        self._seconds.extend(metrics["answer_seconds"])
+        self._ages.extend(metrics["answer_ages"])
+
+    def to_json(self) -> list[dict[str, Any]]:
+        """Plain data, one entry for each failure mode, in the order in which they came up.
+
+        The decisions of an episode depend on each other, so that no bound is given on their
+        share. Episodes of a case are drawn independently: ``upper`` is the exact bound on the rate
+        of those in which the failure ever shows, of those in which it could.
+        """
+        return [self._of(name, counts) for name, counts in self._counts.items()]
+
+    def _of(self, name: str, counts: Counter[str]) -> dict[str, Any]:
+        episodes, of = counts["episodes"], counts["of_episodes"]
+        return {
+            "name": name,
+            "kind": self._kinds[name],
+            "hits": counts["hits"],
+            "of": counts["of"],
+            "share": share(counts["hits"], counts["of"]),
+            "null_hits": counts["null_hits"],
+            "null_of": counts["null_of"],
+            "null_share": share(counts["null_hits"], counts["null_of"]),
+            "episodes": episodes,
+            "of_episodes": of,
+            "upper": upper_bound(episodes, of, CONFIDENCE) if of else None,
+        }
+
+    def answer_times(self) -> dict[str, Any] | None:
+        """How long decisions took by the component's own account, in s of wall-clock time."""
+        return _percentile_summary(self._seconds)
+
+    def answer_ages(self) -> dict[str, Any] | None:
+        """How old decisions were when they came into force, in simulated s since their percept."""
+        return _percentile_summary(self._ages)
+
+
+def share(part: int, whole: int) -> float | None:
+    """``None`` of nothing."""
+    return part / whole if whole else None
+
+
+def _percentile_summary(values: Iterable[float]) -> dict[str, Any] | None:
+    """``None`` of nothing."""
+    ordered = sorted(values)
+    if not ordered:
+        return None
+    return {
+        "decisions": len(ordered),
+        "p50": _percentile(ordered, 0.50),
+        "p95": _percentile(ordered, 0.95),
+        "max": ordered[-1],
+    }
+
+
+def _percentile(ordered: list[float], rank: float) -> float:
+    """By the nearest rank: the value of a decision that there was."""
+    return ordered[max(math.ceil(rank * len(ordered)) - 1, 0)]
+
+
+UNTRACED_FAULT: Data = {
+    "propagation": None,
+    "propagated_at": None,
+    "unknown": "",
+    "outcome": None,
+    "violated": [],
+    "violated_without": None,
+}
+"""The rest of the chain where no verdict asked for it."""
+
+
+RATES: Mapping[str, tuple[str, str]] = {
+    "activation": ("activated", "run"),
+    "manifestation": ("manifested", "run"),
+    "propagation": ("propagated", "followed"),
+    "detection": ("detected", "manifested"),
+    "recovery": ("recovered", "recovery"),
+}
+"""Each rate's counts: how many did, of how many that could."""
+
+CHAIN_STEPS = (
+    "run", "activated", "manifested", "followed", "propagated",
+    "detected", "recovery", "recovered", "judged", "violated", "violated_without",
+)  # fmt: skip
+LATENCIES = ("detection_latency", "recovery_latency", "time_to_recover")
+
+
+def with_chains(episode: Data, chains: Mapping[str, Data]) -> dict[str, Any]:
+    """An episode's record with what is known of each of its faults, by fault id."""
+    faults = []
+    for fault in episode["faults"]:
+        chain = chains.get(fault["id"], UNTRACED_FAULT)
+        faults.append({**fault, **{key: chain[key] for key in UNTRACED_FAULT}})
+    return {**episode, "faults": faults}
+
+
+class FaultMetrics:
+    """How far each fault got, over the episodes in which it was planned.
+
+    Of an episode it keeps a few numbers at most, so that there may be many of them.
+    """
+
+    def __init__(self) -> None:
+        self._targets: dict[str, Any] = {}
+        self._counts: dict[str, Counter[str]] = {}
+        self._times: dict[tuple[str, str], array[float]] = {}
+
+    def add(self, episode: Data) -> None:
+        """Take in an episode, of :func:`with_chains`."""
+        for fault in episode["faults"]:
+            name = fault["id"]
+            self._targets.setdefault(name, fault["target"])
+            self._counts.setdefault(name, Counter()).update(_passed_steps(fault))
+            if fault["manifested_at"] is not None:
+                for latency in LATENCIES:
+                    if fault[latency] is not None:
+                        self._times.setdefault((name, latency), array("d")).append(fault[latency])
+
+    def to_json(self) -> list[dict[str, Any]]:
+        """Plain data, fault by fault.
+
+        ``activated`` and ``manifested`` are counted over all episodes that were run, what follows
+        over those in which the fault manifested: ``propagated`` beside ``followed``, in which that
+        is known, ``detected``, ``recovery`` (recovery acted) and ``recovered`` (control was handed
+        back). ``violated`` stands beside ``judged``, the episodes whose outcome is known: without a
+        verdict on a campaign nobody asked for it. What the run of the same seed violates without
+        the fault as well is none of its doing: episodes that violated no more than that are no part
+        of ``violated``, but ``violated_without``. Rates are shares of those that could: of
+        activation and manifestation over all runs, of propagation over those followed, of
+        detection over those manifested, of recovery over those in which it acted; ``None`` where
+        there are none. Latencies are seconds: from the activation to the alert, from the
+        manifestation to the first recovery action, and from there until the proposal was acceptable
+        again.
+        """
+        return [self._of_fault(name, counts) for name, counts in self._counts.items()]
+
+    def _of_fault(self, name: str, counts: Counter[str]) -> dict[str, Any]:
+        return {
+            "id": name,
+            "target": self._targets[name],
+            **{step: counts[step] for step in CHAIN_STEPS},
+            "rates": {
+                rate: counts[part] / counts[whole] if counts[whole] else None
+                for rate, (part, whole) in RATES.items()
+            },
+            **{
+                latency: _latency_summary(self._times.get((name, latency))) for latency in LATENCIES
+            },
+        }
+
+
+class SharedViolations:
+    """Counts, verdict by verdict, the violations that no fault can have caused.
+
+    The run of the same seed without any fault violates the requirement as well.
+
+    Args:
+        verdicts: Of the record.
+    """
+
+    def __init__(self, verdicts: Sequence[Data]) -> None:
+        self._counts: list[int | None] = [None] * len(verdicts)
+        self._wanted: dict[tuple[str, str], list[tuple[int, str]]] = {}
+        for place, verdict in enumerate(verdicts):
+            valid = [one["episode"] for one in verdict["counterexamples"] if one["valid"]]
+            for episode in valid:
+                key = verdict["component"], episode
+                self._wanted.setdefault(key, []).append((place, verdict["requirement"]))
+
+    def add(self, episode: Data) -> None:
+        """Take in a planned episode, of :func:`with_chains`."""
+        for place, requirement in self._wanted.get((episode["component"], episode["id"]), ()):
+            known = [
+                requirement in fault["violated_without"]
+                for fault in episode["faults"]
+                if requirement in fault["violated"] and fault["violated_without"] is not None
+            ]
+            if known:
+                self._counts[place] = (self._counts[place] or 0) + any(known)
+
+    def to_json(self) -> list[int | None]:
+        """For each verdict how many; ``None`` where that was measured of no violation."""
+        return self._counts
+
+
+def _passed_steps(fault: Data) -> list[str]:
+    """The steps that a fault passed in one episode."""
+    reached = fault["manifested_at"] is not None
+    passed = {
+        "run": True,
+        "activated": fault["activated_at"] is not None,
+        "manifested": reached,
+        "followed": reached and fault["propagation"] in ("propagated", "contained"),
+        "propagated": reached and fault["propagation"] == "propagated",
+        "detected": reached and fault["detected_at"] is not None,
+        "recovery": reached and fault["recovery_at"] is not None,
+        "recovered": reached and fault["recovered_at"] is not None,
+        "judged": fault["outcome"] not in (None, "missing"),
+        "violated": fault["outcome"] == "violated",
+        "violated_without": fault["outcome"] == "violated also without it",
+    }
+    return [step for step in CHAIN_STEPS if passed[step]]
+
+
+def _latency_summary(times: array[float] | None) -> dict[str, float] | None:
+    """Median and greatest of a latency in s, where it is known."""
+    return {"median": statistics.median(times), "max": max(times)} if times else None
+
+
+COUNTED_OUTCOMES = ("flagged", "collided", "gridlock")
+DERIVED_OUTCOMES = ("comfort_failed", "rescued")
+SUMMED_METRICS = ("decisions", "recovered", "takeovers", "switches", "censored")
+
+
+class CaseMetrics:
+    """What the planned episodes of a case with one component come to.
+
+    Of an episode it keeps a few numbers at most, so that there may be many of them.
+    """
+
+    def __init__(self) -> None:
+        self._words: Counter[str] = Counter()
+        self._early = 0
+        self._known: set[str] = set()
+        self._in_run: Counter[str] = Counter()
+        self._in_valid: Counter[str] = Counter()
+        self._sums: Counter[str] = Counter()
+        self._clears = False
+        self._times = array("d")
+        self._switching: Counter[str] = Counter()
+        self._times_to_safe = array("d")
+        self._reactions: Counter[str] = Counter()
+        self._user: dict[str, array[float]] = {}
+        self._faults = FaultMetrics()
+        self._failure_modes = FailureModes()
+
+    def add(self, episode: Data) -> None:
+        """Take in an episode.
+
+        Args:
+            episode: Of :func:`episode_record`.
+        """
+        told = episode["outcome"]
+        known = {**{key: told[key] for key in COUNTED_OUTCOMES}, **_derived(episode)}
+        raised = [key for key, value in known.items() if value]
+        self._words[episode["validity"]] += 1
+        self._early += episode["termination"] == "decided"
+        self._known.update(key for key, value in known.items() if value is not None)
+        self._in_run.update(raised)
+        self._faults.add(episode)
+        if episode["validity"] != "valid":
+            return
+        self._in_valid.update(raised)
+        self._sums.update({key: told[key] for key in ("recoveries", "alerts")})
+        self._reactions.update(episode["metrics"]["reactions"])
+        self._clears |= told["gridlock"] is not None
+        if told["clearance_time"] is not None:
+            self._times.append(told["clearance_time"])
+        self._failure_modes.add(episode["metrics"])
+        if told["switching"]["decisions"]:
+            self._add_switching(told["switching"])
+        for name, value in episode["metrics"]["user"].items():
+            column = self._user.setdefault(name, array("d"))
+            if value is not None:
+                column.append(value)
+
+    def _add_switching(self, told: Data) -> None:
+        self._switching["episodes"] += 1
+        self._switching.update({key: told[key] for key in SUMMED_METRICS})
+        self._times_to_safe.extend(time for time in told["time_to_safe"] if time is not None)
+
+    def to_json(self, planned: int) -> dict[str, Any]:
+        """Plain data.
+
+        Counts of ``flagged``, ``collided``, ``gridlock``, ``comfort_failed`` and ``rescued`` are
+        given over valid episodes and over all that were run, each with its share: of the valid
+        ones, and of the planned ones. Of those that ended once all was decided (``ended_early``),
+        they are what was seen by then.
+
+        Args:
+            planned: Episodes that were planned.
+        """
+        times = self._times
+        clearance = {
+            "runs": len(times),
+            "mean": statistics.fmean(times) if times else None,
+            "sd": statistics.stdev(times) if len(times) > 1 else None,
+        }
+        return {
+            "planned": planned,
+            "run": self._words.total(),
+            **{word: self._words[word] for word in ("valid", "invalid", "missing")},
+            "ended_early": self._early,
+            **{key: self._share(key, planned) for key in COUNTED_OUTCOMES},
+            "clearance_time": clearance if self._clears else None,
+            **{key: self._sums[key] for key in ("recoveries", "alerts")},
+            **{key: self._share(key, planned) for key in DERIVED_OUTCOMES},
+            "reactions": dict(sorted(self._reactions.items())),
+            "switching": self._shared_control(),
+            "user": {
+                name: {"mean": statistics.fmean(column) if column else None, "runs": len(column)}
+                for name, column in self._user.items()
+            },
+            "faults": self._faults.to_json(),
+            "failure_modes": self._failure_modes.to_json(),
+            "answer_times": self._failure_modes.answer_times(),
+            "answer_ages": self._failure_modes.answer_ages(),
+        }
+
+    def _share(self, key: str, planned: int) -> dict[str, Any] | None:
+        """``None`` where no episode has such a signal."""
+        if key not in self._known:
+            return None
+        valid = self._words["valid"]
+        return {
+            "valid": self._in_valid[key],
+            "run": self._in_run[key],
+            "share_of_valid": self._in_valid[key] / valid if valid else None,
+            "share_of_planned": self._in_run[key] / planned if planned else None,
+        }
+
+    def _shared_control(self) -> dict[str, Any] | None:
+        """How control was shared over the valid episodes: see :class:`Switching` for the terms."""
+        sums, times = self._switching, self._times_to_safe
+        if not sums["episodes"]:
+            return None
+        return {
+            "share": sums["recovered"] / sums["decisions"],
+            "takeovers": sums["takeovers"],
+            "switches_per_episode": sums["switches"] / sums["episodes"],
+            "time_to_safe": {
+                "median": statistics.median(times) if times else None,
+                "max": max(times) if times else None,
+                "censored": sums["censored"],
+            },
+        }
+
+
+def case_order(case: Data) -> tuple[float, str, str]:
+    """What cases are sorted by: the place that the scenario gives, then their names."""
+    place = math.inf if case["order"] is None else case["order"]
+    return place, case["id"], case["component"]
+
+
+class PooledMetrics:
+    """What the planned episodes of all cases of a component come to, twins of pairs left out.
+
+    Args:
+        cases: Of the record, with or without their metrics.
+        verdicts: Of the record.
+    """
+
+    def __init__(self, cases: Iterable[Data], verdicts: Iterable[Data] = ()) -> None:
+        self._planned: Counter[str] = Counter()
+        self._cases: dict[str, set[str]] = {}
+        judged, twins = set(), set()
+        for verdict in verdicts:
+            judged.add(verdict["case"])
+            if verdict["pairs"]:
+                twins.add(verdict["pairs"]["case"])
+        for case in cases:
+            # A case without faults may be a twin, or be judged for its own sake.
+            if not case["without"] and case["id"] not in twins - judged:
+                self._planned[case["component"]] += case["planned"]
+                self._cases.setdefault(case["component"], set()).add(case["id"])
+        self._metrics = {component: CaseMetrics() for component in self._cases}
+
+    def add(self, episode: Data) -> None:
+        """Take in a planned episode of any of the record's cases."""
+        component = episode["component"]
+        if episode["case"] in self._cases.get(component, ()):
+            self._metrics[component].add(episode)
+
+    def to_json(self) -> list[dict[str, Any]]:
+        """Plain data: an entry for each component, by name."""
+        return [
+            {
+                "component": component,
+                "cases": len(self._cases[component]),
+                "metrics": self._metrics[component].to_json(self._planned[component]),
+            }
+            for component in sorted(self._cases)
+        ]
+
+
+def _derived(episode: Data) -> dict[str, bool | None]:
+    """What follows from an episode's measures; ``None`` where nothing measures it."""
+    discomfort = episode["metrics"]["performance"].get(DISCOMFORT)
+    switching = episode["outcome"]["switching"]
+    return {
+        "comfort_failed": None if discomfort is None else discomfort["max"] > 1.0,
+        "rescued": switching["takeovers"] > 0 if switching["decisions"] else None,
+    }

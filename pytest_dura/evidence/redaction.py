@@ -1,0 +1,516 @@
+"""Redaction: keeps secrets out of whatever a session writes.
+
+A secret is known by the name of its variable or parameter, or by its shape, and is
+recognised in every form in which a text may hold it: as it is, escaped or encoded.
+"""
+
+from __future__ import annotations
+
+import base64
+import html
+import json
+import re
+import shlex
+import string
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from functools import partial
+from re import Pattern
+from typing import Any
+from urllib.parse import quote, quote_plus, unquote, urlsplit
+
+SHORTEST_SECRET = 8
+"""Characters; a shorter value would be found everywhere, and is no secret worth the name."""
+
+_VARIABLE = re.compile(
+    r"(?:TOKEN|SECRET|PASSWORD|PASSWD|PASSPHRASE|SSHPASS|CREDENTIAL|APIKEY)S?(?=_|\d*$)"
+    r"|CONNECTION_?STRINGS?(?=_|\d*$)"
+    # Whole parts of a name: PATH is no PAT, and a COMPASS no PASS.
+    r"|(?:^|_)(?:KEY|PASS|PWD|AUTH|COOKIE|PAT|WEBHOOK|CRED|LICEN[SC]E|DSN|CONN_STR)S?(?=_|\d*$)"
+    r"|(?:^|_)(?:DB|DATABASE|SQLALCHEMY\w*|MONGO\w*|REDIS\w*|POSTGRES\w*)_UR[IL](?=_|\d*$)"
+)
+_NO_SECRET = re.compile(r"_(?:FILE|PATH|DIR|SOCK|SOCKET|HOME)$|^(?:OLD)?PWD$")
+SECRET_PARAMETER = re.compile(
+    r"(?:^|.*[^a-z])(?:(?:api|access|private|secret|auth|account|encryption)[-_ ]?keys?"
+    r"|token|secrets?|passw(?:or)?ds?|passphrase|credentials?|authorization)$",
+    re.IGNORECASE,
+)
+"""The whole name of a parameter, a header or a key of data."""
+
+_COMMON_VALUES = {
+    "password", "passwords", "changeme", "redacted", "disabled", "undefined", "required",
+    "optional", "production", "development", "localhost", "username", "anonymous",
+}  # fmt: skip
+
+
+def secrets_of(environ: Mapping[str, str], globs: Sequence[str] = ()) -> Iterator[tuple[str, str]]:
+    """``(name, value)`` of the variables that hold secrets, and of passwords in their URLs.
+
+    Args:
+        environ: The variables.
+        globs: Names that the user calls secret, in letters of any case.
+    """
+    own = [glob.upper() for glob in globs]
+    for name, value in sorted(environ.items()):
+        upper = name.upper()
+        speaks = _VARIABLE.search(upper) and not _NO_SECRET.search(upper)
+        if speaks or any(fnmatchcase(upper, glob) for glob in own):
+            yield name, value
+        if "://" in value and "@" in value:
+            password = _password(value)
+            if password:
+                yield name, password
+
+
+def is_common(value: str) -> bool:
+    """Whether a value is too short or too ordinary to be told from any other text."""
+    return len(value) < SHORTEST_SECRET or len(set(value)) < 3 or value.lower() in _COMMON_VALUES
+
+
+def _password(url: str) -> str | None:
+    try:
+        found = urlsplit(url).password
+    except ValueError:  # no URL after all
+        return None
+    return None if found is None else unquote(found)
+
+
+_SHELL_ARGUMENT = r"""(?:'[^']*'|"(?:\\.|[^"\\])*"|\\.|[^\s'"\\])+"""
+"""A word of a shell's command line."""
+_OPTION = (
+    r"--?(?:[A-Za-z0-9]+[-_])*(?:api[-_]?key|access[-_]?key|private[-_]?key|token|secret"
+    r"|passw(?:or)?d|passphrase|credentials?|authorization)"
+)
+_NAME = r"(?:api[-_]?key|access[-_]?key|private[-_]?key|token|secret|passw(?:or)?d|passphrase)"
+SECRET_OPTION = re.compile(_OPTION, re.IGNORECASE)
+"""An option of a command that takes a secret, whole."""
+
+
+@dataclass(frozen=True)
+class SecretShape:
+    """A kind of secret, and how it is known.
+
+    Texts may be hostile: no pattern looks at a character more often than a fixed number of times.
+
+    Args:
+        name: What stands in its place.
+        hints: Of these, in lower case, one is in every text that the pattern matches.
+        pattern: Its group ``secret`` is replaced.
+    """
+
+    name: str
+    hints: tuple[str, ...]
+    pattern: Pattern[str]
+
+
+def _shape(name: str, hints: str, pattern: str) -> SecretShape:
+    if "(?P<secret>" not in pattern:
+        pattern = f"(?P<secret>{pattern})"
+    return SecretShape(name, tuple(hints.split()), re.compile(pattern, re.DOTALL))
+
+
+_KEY = r"(?<![A-Za-z0-9])"
+"""No letter or digit comes before: ``task-`` begins no key, though it ends like one."""
+
+SECRET_SHAPES = (
+    _shape(
+        "private key",
+        "-----begin",
+        r"-----BEGIN [A-Z0-9 ]*PRIVATE KEY(?: BLOCK)?-----.*?"
+        r"(?:-----END [A-Z0-9 ]*PRIVATE KEY(?: BLOCK)?-----|\Z)",
+    ),
+    _shape("API key", "sk-", _KEY + r"sk-(?=[A-Za-z_-]{0,64}[0-9])[A-Za-z0-9_-]{16,}"),
+    _shape(
+        "API key",
+        "sk_live_ sk_test_ rk_live_ rk_test_",
+        _KEY + r"[sr]k_(?:live|test)_[A-Za-z0-9]{10,}",
+    ),
+    _shape("API key", "aiza", _KEY + r"AIza[A-Za-z0-9_-]{30,}"),
+    _shape("GitHub token", "ghp_ gho_ ghu_ ghs_ ghr_", _KEY + r"gh[pousr]_[A-Za-z0-9]{16,}"),
+    _shape("GitHub token", "github_pat_", _KEY + r"github_pat_[A-Za-z0-9_]{16,}"),
+    _shape("GitLab token", "glpat-", _KEY + r"glpat-[A-Za-z0-9_-]{16,}"),
+    _shape("package token", "hf_ npm_ pypi-", _KEY + r"(?:hf_|npm_|pypi-)[A-Za-z0-9_-]{30,}"),
+    _shape("AWS key", "akia asia", _KEY + r"(?:AKIA|ASIA)[0-9A-Z]{16}(?![0-9A-Za-z])"),
+    _shape("Slack token", "xox", _KEY + r"xox[abeoprs]-[A-Za-z0-9-]{10,}"),
+    _shape(
+        "JSON web token",
+        "eyj",
+        r"(?<![A-Za-z0-9_-])eyJ[A-Za-z0-9_-]{8,}\.[A-Za-z0-9_-]{8,}(?:\.[A-Za-z0-9_-]*)*",
+    ),
+    _shape(
+        "authorization",
+        "authorization",
+        r"(?i:authorization[\"']*\s*[:=]\s*[\"']*(?:(?:bearer|basic|digest|token|apikey)\s+)?)"
+        r"(?P<secret>(?!(?:bearer|basic|digest|token|apikey)\s)[^\s\"',;]{8,})",
+    ),
+    _shape(
+        "authorization",
+        "bearer",
+        r"(?i:\bbearer\s+)(?P<secret>(?=[A-Za-z._~+/=-]{0,64}[0-9])[A-Za-z0-9._~+/=-]{16,})",
+    ),
+    _shape("URL password", "://", r"://[^/\s:@\"'?#]*:(?P<secret>[^/\s@\"']+)@"),
+    _shape("URL password", "://", r"://(?P<secret>[^/\s:@\"'?#]{16,})@"),
+    _shape(
+        "option",
+        "key token secret passw passphrase credential authorization",
+        rf"(?i:(?<![\w-]){_OPTION})(?:=|\s+(?!-))(?P<secret>{_SHELL_ARGUMENT})",
+    ),
+    _shape(
+        "assignment",
+        "key token secret passw passphrase",
+        rf"(?i:{_NAME}s?[\"']*\s*[:=]\s*)(?P<secret>\"(?:\\.|[^\"\\])+\"|'(?:\\.|[^'\\])+'"
+        r"|(?=[^\s\"',;)}\]]{0,64}[0-9])[^\s\"',;(){}\[\]]{8,})",
+    ),
+)
+
+
+def secret_forms(value: str) -> set[str]:
+    """The value itself, escaped for JSON, Python, shells, HTML and URLs, and in hexadecimal."""
+    quoted = shlex.quote(value)
+    found = {value, value.strip(), quoted if quoted == value else quoted[1:-1]}
+    found |= {html.escape(value), html.escape(value, quote=False)}
+    # Data within data is escaped twice.
+    for ascii_only in (True, False):
+        once = json.dumps(value, ensure_ascii=ascii_only)[1:-1]
+        found |= {once, json.dumps(once, ensure_ascii=ascii_only)[1:-1]}
+    found.add(repr(value)[1:-1])
+    found.add(value.encode("unicode_escape").decode("ascii"))
+    data = _bytes(value)
+    for safe in ("", "/", "/:=&?"):
+        for encoded in (quote(data, safe=safe), quote_plus(data, safe=safe)):
+            found |= {encoded, _small_hex(encoded)}
+    found |= {data.hex(), data.hex().upper()}
+    return found
+
+
+def base64_cores(value: str) -> set[str]:
+    """What the base64 of any text with this value in it contains, in both alphabets.
+
+    Three bytes make four characters, so that it depends on where the value begins; characters
+    that its neighbours have a share in are left out.
+    """
+    data = _bytes(value)
+    found = set()
+    for offset in range(3):
+        encoded = base64.b64encode(b"\0" * offset + data).decode("ascii")
+        core = encoded[(0, 2, 3)[offset] : (offset + len(data)) * 8 // 6]
+        for one in (core, core.translate(_URL_SAFE)):
+            found |= {one, quote(one, safe="")}
+    return found
+
+
+def enclosing_base64(text: str, begin: int, end: int) -> tuple[int, int]:
+    """The whole of the base64 that a core is part of."""
+    left = len(text[:begin].rstrip(_BASE64))
+    return left, len(text) - len(text[end:].lstrip(_BASE64 + "="))
+
+
+def truncated_pieces(value: str, text: str, shortest: int) -> Iterator[tuple[int, int]]:
+    """Where a text holds the beginning or the end of a value, cut off with dots.
+
+    Args:
+        value: The value.
+        text: The text.
+        shortest: Characters that a piece has at least.
+    """
+    head, tail = value[:shortest], value[-shortest:]
+    start = text.find(head)
+    while start >= 0:
+        end = start + _common_length(value, text[start : start + len(value)])
+        if text.startswith(_DOTS, end):
+            yield start, end
+        start = text.find(head, start + 1)
+    start = text.find(tail)
+    while start >= 0:
+        end = start + len(tail)
+        begin = end - _common_length(value[::-1], text[max(0, end - len(value)) : end][::-1])
+        if text.endswith(_DOTS, 0, begin):
+            yield begin, end
+        start = text.find(tail, start + 1)
+
+
+_DOTS = ("...", "…")
+_BASE64 = string.ascii_letters + string.digits + "+/-_%"
+_URL_SAFE = str.maketrans("+/", "-_")
+
+
+def _common_length(one: str, other: str) -> int:
+    """Length of the common beginning."""
+    pairs = zip(one, other, strict=False)
+    return next((i for i, (a, b) in enumerate(pairs) if a != b), min(len(one), len(other)))
+
+
+def _bytes(value: str) -> bytes:
+    # What no UTF-8 can hold came from the environment as bytes.
+    return value.encode("utf-8", "surrogateescape" if _fits_base64(value) else "backslashreplace")
+
+
+def _fits_base64(value: str) -> bool:
+    return all(not "\ud800" <= one <= "\udfff" or "\udc80" <= one <= "\udcff" for one in value)
+
+
+def _small_hex(text: str) -> str:
+    """The same with ``%2f`` for ``%2F``."""
+    head, *rest = text.split("%")
+    return "%".join([head, *(one[:2].lower() + one[2:] for one in rest)])
+
+
+PIECE = 12
+"""Characters of a secret that give it away, where the rest of it was cut off."""
+PARAMETER_NAME = "parameter"
+"""What stands for the value of a parameter whose name speaks of a secret."""
+
+_SHORT = 200
+_MARK = re.compile(r"(\[redacted: [\w. -]{1,200}\])")
+_HINT = "[redacted: "
+_NAMES_IN_DATA = ("key", "token", "secret", "passw", "passphrase", "credential", "authorization")
+_SHAPE_NAMES = {PARAMETER_NAME, *(shape.name for shape in SECRET_SHAPES)}
+
+
+class Redactor:
+    """Replaces secrets in plain data by ``[redacted: NAME]``.
+
+    It knows the values that it was told of, in every form of
+    :mod:`pytest_dura.evidence.redaction`, the shapes of
+    :mod:`pytest_dura.evidence.redaction`, and texts under keys such as ``api_key``. What is
+    redacted already stays as it is.
+
+    Args:
+        globs: Names of further variables whose values are secrets, in letters of any case.
+
+    Attributes:
+        ignored: Names of variables whose values are too short or too ordinary to be looked for.
+    """
+
+    def __init__(self, globs: Sequence[str] = ()) -> None:
+        self._globs = tuple(globs)
+        self.ignored: set[str] = set()
+        self._values: dict[str, str] = {}
+        self._forms: dict[str, str] = {}
+        self._cores: dict[str, str] = {}
+        self._seen: dict[str, str] = {}
+
+    @classmethod
+    def of_environment(cls, environ: Mapping[str, str], globs: Sequence[str] = ()) -> Redactor:
+        """One that knows the secrets among the environment's variables."""
+        redactor = cls(globs)
+        redactor.learn(environ)
+        return redactor
+
+    def learn(self, environ: Mapping[str, str]) -> None:
+        """Take in secrets that the environment has by now; those known before stay known."""
+        # Asked before whatever is written, when hardly anything has changed.
+        fresh = {name: one for name, one in environ.items() if self._seen.get(name) != one}
+        self._seen.update(fresh)
+        for name, value in secrets_of(fresh, self._globs):
+            self.add(name, value)
+
+    def add(self, name: str, value: str) -> None:
+        """Take in one secret.
+
+        Args:
+            name: What stands in its place.
+            value: Its value; one that is too short or too ordinary is ignored, see ``ignored``.
+        """
+        stripped = value.strip()
+        if is_common(stripped) or _is_record_vocabulary(stripped):
+            self.ignored |= {name} if stripped else set()
+            return
+        name = re.sub(r"[^\w. -]", "_", name)[:200]
+        self._values.setdefault(value, name)
+        for known, found in (
+            (self._forms, secret_forms(value)),
+            (self._cores, base64_cores(stripped)),
+        ):
+            for form in found:
+                if len(form) >= SHORTEST_SECRET:
+                    known.setdefault(form, name)
+
+    def redact(self, value: Any) -> Any:
+        """The same plain data without secrets; the very same object if there is none in it."""
+        if isinstance(value, str):
+            return self._active([value]).text(value)
+        active = self._active(_texts(value))
+        return active.data(value) if active else value
+
+    def _active(self, texts: Iterable[str]) -> _Active:
+        """What of all that is known occurs in any of these texts."""
+        joined = "\n".join(texts)
+        lower = joined.lower()
+        # Without a beginning or an end of a value there is no piece of it either.
+        ends = {
+            value: name
+            for value, name in self._values.items()
+            if len(value) > PIECE and (value[:PIECE] in joined or value[-PIECE:] in joined)
+        }
+        return _Active(
+            names=_SHAPE_NAMES | set(self._values.values()),
+            forms={form: name for form, name in self._forms.items() if form in joined},
+            cores={core: name for core, name in self._cores.items() if core in joined},
+            pieces=ends,
+            shapes=[shape for shape in SECRET_SHAPES if any(hint in lower for hint in shape.hints)],
+            named=any(hint in lower for hint in _NAMES_IN_DATA),
+        )
+
+
+class _Active:
+    """The part of a Redactor that may find something in the data at hand."""
+
+    def __init__(
+        self,
+        *,
+        names: set[str],
+        forms: Mapping[str, str],
+        cores: Mapping[str, str],
+        pieces: Mapping[str, str],
+        shapes: list[SecretShape],
+        named: bool,
+    ) -> None:
+        self.names = names
+        self.named = named
+        self.known: dict[str, str] = {}
+        self.named_keys: dict[str, bool] = {}
+        self.steps: list[Callable[[str], str]] = []
+        if cores:
+            self.steps.append(_replacing(cores, encoded=True))
+        if forms:
+            self.steps.append(_replacing(forms))
+        self.steps += [partial(_cut_pieces, *one) for one in pieces.items()]
+        self.steps += [partial(_shaped, one) for one in shapes]
+
+    def __bool__(self) -> bool:
+        """Whether there may be anything to redact."""
+        return bool(self.steps) or self.named
+
+    def text(self, text: str) -> str:
+        """One text without secrets."""
+        # Data of many entries has the same keys and words in each of them.
+        if len(text) > _SHORT:
+            return self._without(text)
+        if text not in self.known:
+            self.known[text] = self._without(text)
+        return self.known[text]
+
+    def _without(self, text: str) -> str:
+        for step in self.steps:
+            if _HINT not in text:
+                text = step(text)
+                continue
+            # What stands in a secret's place is left alone, unless something hides in it.
+            parts = _MARK.split(text)
+            for i, part in enumerate(parts):
+                if not (i % 2 and part[len(_HINT) : -1] in self.names):
+                    parts[i] = step(part)
+            text = "".join(parts)
+        return text
+
+    def data(self, value: Any) -> Any:
+        """Plain data without secrets."""
+        if isinstance(value, str):
+            return self.text(value)
+        if isinstance(value, Mapping):
+            found: dict[Any, Any] = {}
+            for key, item in value.items():
+                new = self.text(key) if isinstance(key, str) else key
+                while new in found:  # two keys that differed by their secrets alone
+                    new = f"{new} (another)"
+                found[new] = self._under(key, item)
+            return found
+        if isinstance(value, (list, tuple)):
+            items = [self.data(item) for item in value]
+            for i, item in enumerate(value[:-1]):
+                following = value[i + 1]
+                if isinstance(item, str) and SECRET_OPTION.fullmatch(item) and _is_open(following):
+                    items[i + 1] = _mark("option")
+            return items if isinstance(value, list) else tuple(items)
+        return value
+
+    def _under(self, key: Any, item: Any) -> Any:
+        redacted = self.data(item)
+        if not isinstance(key, str) or not _is_open(redacted):
+            return redacted
+        if key not in self.named_keys:
+            self.named_keys[key] = SECRET_PARAMETER.match(key) is not None
+        return _mark(PARAMETER_NAME) if self.named_keys[key] else redacted
+
+
+def count_redactions(value: Any) -> Counter[str]:
+    """How often each name stands in a secret's place, in plain data or in a text of JSON."""
+    texts = [value] if isinstance(value, str) else _texts(value)
+    found = (mark for text in texts if _HINT in text for mark in _MARK.findall(text))
+    return Counter(mark[len(_HINT) : -1] for mark in found)
+
+
+def holds_redaction(value: Any) -> bool:
+    """Whether plain data lacks a secret that it once had, so that nothing can be run from it."""
+    return bool(count_redactions(value))
+
+
+def _mark(name: str) -> str:
+    return f"{_HINT}{name}]"
+
+
+def _is_open(item: Any) -> bool:
+    """Whether it is a text with something in it that nothing was redacted from."""
+    return isinstance(item, str) and bool(item) and not _MARK.search(item)
+
+
+def _replacing(known: Mapping[str, str], *, encoded: bool = False) -> Callable[[str], str]:
+    # The longest first: one form may begin like another.
+    ordered = sorted(known, key=lambda form: (-len(form), form))
+    pattern = re.compile("|".join(map(re.escape, ordered)))
+
+    def replaced(text: str) -> str:
+        match, done, parts = pattern.search(text), 0, []
+        while match is not None:
+            begin, end = match.span()
+            if encoded:
+                begin, end = (
+                    done + at for at in enclosing_base64(text[done:], begin - done, end - done)
+                )
+            parts += [text[done:begin], _mark(known[match[0]])]
+            done = end
+            match = pattern.search(text, done)
+        return "".join([*parts, text[done:]])
+
+    return replaced
+
+
+def _cut_pieces(value: str, name: str, text: str) -> str:
+    done, parts = 0, []
+    for begin, end in sorted(truncated_pieces(value, text, PIECE)):
+        if begin >= done:
+            parts += [text[done:begin], _mark(name)]
+            done = end
+    return "".join([*parts, text[done:]])
+
+
+def _shaped(shape: SecretShape, text: str) -> str:
+    def replaced(match: re.Match[str]) -> str:
+        begin, end = (at - match.start() for at in match.span("secret"))
+        return match[0][:begin] + _mark(shape.name) + match[0][end:]
+
+    return shape.pattern.sub(replaced, text)
+
+
+def _texts(value: Any) -> Iterator[str]:
+    """Every text in plain data, keys too, in no particular order."""
+    left = [value]
+    while left:
+        one = left.pop()
+        if isinstance(one, str):
+            yield one
+        elif isinstance(one, Mapping):
+            yield from (key for key in one if isinstance(key, str))
+            left.extend(one.values())
+        elif isinstance(one, (list, tuple)):
+            left.extend(one)
+
+
+def _is_record_vocabulary(value: str) -> bool:
+    """Whether the record itself is written with this word: without it, nobody could read it."""
+    from pytest_dura.evidence.schema import record_vocabulary
+
+    return any(value in word for word in record_vocabulary())

@@ -1,1 +1,0 @@
-"""Redaction: no secret enters what a session leaves behind."""

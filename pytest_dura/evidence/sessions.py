@@ -1,0 +1,285 @@
+"""Work shared between sessions: episodes taken over from earlier ones, and shards of a whole."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from heapq import heapreplace
+from typing import Any, Literal
+
+from pytest_dura.evidence.model import SessionRecord
+
+Data = Mapping[str, Any]
+
+OWN_ORIGIN: Data = {"session": None, "changed": None}
+"""The origin of an episode that was simulated by the session itself, for the first time."""
+NO_REUSE: Data = {"mode": "none", "session": None, "searched": None}
+"""Of a session that nobody told of others."""
+REUSE_MODES = ("none", "resume", "reuse")
+
+
+class ReuseRecord:
+    """What items tell of earlier sessions, beside the episodes of the record."""
+
+    def __init__(self) -> None:
+        self._notes: set[str] = set()
+        self._searched: dict[str, Data] = {}
+
+    def add(self, report: Data) -> None:
+        """What an item told: its ``notes``, and the origins of what it ``searched``."""
+        self._notes.update(report["notes"])
+        for one in report["searched"]:
+            self._searched.setdefault(one["run"], one)
+
+    def to_json(self, header: Data) -> dict[str, Any]:
+        """What the record says of reuse, what follows from its episodes apart.
+
+        Args:
+            header: What the session says of itself.
+        """
+        searched = (
+            None if header["mode"] == "none" else search_origin_counts(self._searched.values())
+        )
+        return {"searched": searched, **header, "problems": sorted(self._notes)}
+
+
+def search_origin_counts(runs: Iterable[Data]) -> dict[str, Any]:
+    """What the origins of the simulations of searches come to.
+
+    Args:
+        runs: ``{origin}`` of each.
+    """
+    known = list(runs)
+    return {"simulations": len(known), **origin_counts(known)}
+
+
+def origin_counts(episodes: Iterable[Data]) -> dict[str, Any]:
+    """What the origins of episodes come to, fault-free twins apart.
+
+    Args:
+        episodes: Of the record, or others with an ``origin``.
+
+    Returns:
+        ``taken_over``, ``sessions`` with their ``episodes``, and ``outdated``: what ``changed``
+        since an earlier session simulated so many ``episodes``.
+    """
+    sessions: Counter[str] = Counter()
+    changes: Counter[tuple[str, ...]] = Counter()
+    for one in episodes:
+        session, changed = one["origin"]["session"], one["origin"]["changed"]
+        if session is not None:
+            sessions[session] += 1
+        elif changed is not None:
+            changes[tuple(changed)] += 1
+    return _origin_summary(sessions, changes)
+
+
+def _origin_summary(sessions: Counter[str], changes: Counter[tuple[str, ...]]) -> dict[str, Any]:
+    return {
+        "taken_over": sessions.total(),
+        "sessions": [{"session": one, "episodes": sessions[one]} for one in sorted(sessions)],
+        "outdated": [{"changed": list(one), "episodes": changes[one]} for one in sorted(changes)],
+    }
+
+
+def merged_reuse(parts: Iterable[Data]) -> dict[str, Any]:
+    """What the record of merged shards begins with: each of them was a session of its own."""
+    told = list(parts)
+    searched = [one["searched"] for one in told if one["searched"] is not None]
+    return {
+        "mode": max((one["mode"] for one in told), key=REUSE_MODES.index),
+        "session": None,
+        "searched": _summed_origins(searched) if searched else None,
+    }
+
+
+def _summed_origins(counts: Sequence[Data]) -> dict[str, Any]:
+    """The sum of several :func:`searched_counts`; no two shards make the same search."""
+    sessions: Counter[str] = Counter()
+    changes: Counter[tuple[str, ...]] = Counter()
+    for one in counts:
+        sessions.update({each["session"]: each["episodes"] for each in one["sessions"]})
+        changes.update({tuple(each["changed"]): each["episodes"] for each in one["outdated"]})
+    return {
+        "simulations": sum(one["simulations"] for one in counts),
+        **_origin_summary(sessions, changes),
+    }
+
+
+def outdated_reason(changed: Iterable[str]) -> str:
+    """In words, why episodes of an earlier session do not count in this one."""
+    names = ", ".join(changed)
+    return f"{names} changed" if names else "missing or damaged in the earlier session"
+
+
+def reuse_problems(record: SessionRecord) -> Iterator[str]:
+    """Everything in which a record contradicts what it says of earlier sessions."""
+    told, again = record["reuse"], origin_counts(record.episodes())
+    for key, value in again.items():
+        if told[key] != value:
+            yield f"reuse: {key} is {told[key]}, and its episodes say {value}"
+    if told["mode"] == "none" and (again["taken_over"] or again["outdated"]):
+        yield "reuse: episodes of earlier sessions, though none was asked for"
+    if told["session"] in {one["session"] for one in again["sessions"]}:
+        yield "reuse: the session took over episodes from itself"
+    if (told["session"] is None) != (record["merged_from"] is not None):
+        yield "reuse: a session has an id, and merged shards have none"
+    yield from _searched_problems(told["mode"], told["session"], told["searched"])
+    for one in record.episodes():
+        if one["origin"]["session"] is not None and one["validity"] == "missing":
+            yield f"episode {one['id']}: it was taken over, and it is missing"
+
+
+def _searched_problems(
+    mode: str, session: str | None, searched: Mapping[str, Any] | None
+) -> Iterator[str]:
+    """What contradicts itself in the counts of searches, whose episodes are in no record."""
+    if (mode == "none") != (searched is None):
+        yield "reuse: searches are counted where earlier sessions are asked, and only there"
+    if searched is None:
+        return
+    taken, again = (
+        sum(one["episodes"] for one in searched[key]) for key in ("sessions", "outdated")
+    )
+    if searched["taken_over"] != taken:
+        yield f"reuse: {searched['taken_over']} runs of searches, and their sessions say {taken}"
+    if taken + again > searched["simulations"]:
+        yield f"reuse: {searched['simulations']} runs of searches, and {taken + again} origins"
+    if session in {one["session"] for one in searched["sessions"]}:
+        yield "reuse: the session took over runs of searches from itself"
+
+
+UnitKind = Literal["case", "test"]
+
+
+@dataclass(frozen=True)
+class ShardUnit:
+    """What no two shards share: items that look at the same episodes, or a test on its own.
+
+    Args:
+        kind: ``case`` for the items of cases, ``test`` for a test without one.
+        name: The first of its cases, or its node id.
+        items: How many items it has.
+        episodes: How many episodes are planned for it.
+        digest: Of the node ids of its items; see :func:`items_digest`.
+    """
+
+    kind: UnitKind
+    name: str
+    items: int
+    episodes: int
+    digest: str
+
+    @property
+    def key(self) -> tuple[str, str]:
+        """What tells it from the other units of a session, and orders them."""
+        return self.kind, self.name
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data."""
+        return dict(vars(self))
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> ShardUnit:
+        """The inverse of :meth:`to_json`."""
+        return cls(**data)
+
+    @classmethod
+    def of(cls, kind: UnitKind, name: str, node_ids: Sequence[str], episodes: int) -> ShardUnit:
+        """The unit of these items."""
+        return cls(kind, name, len(node_ids), episodes, items_digest(node_ids))
+
+
+def items_digest(node_ids: Iterable[str]) -> str:
+    """SHA-256 of the sorted node ids, as a list of JSON."""
+    return hashlib.sha256(json.dumps(sorted(node_ids)).encode()).hexdigest()
+
+
+def plan_digest(units: Iterable[ShardUnit]) -> str:
+    """SHA-256 over the units of a whole session, whatever order they are in.
+
+    Shards with the same one are parts of the same whole; the units of all of them together have to
+    have it as well.
+    """
+    told = [
+        [one.kind, one.name, one.items, one.episodes, one.digest]
+        for one in sorted(units, key=lambda one: one.key)
+    ]
+    return hashlib.sha256(json.dumps(told).encode()).hexdigest()
+
+
+def split_units(units: Iterable[ShardUnit], count: int) -> list[list[ShardUnit]]:
+    """The units in so many shards of about equal numbers of episodes; some may be empty.
+
+    The largest unit first, each goes to the shard that has the fewest episodes so far, and among
+    equals the fewest items: Graham's longest-processing-time rule, whose largest shard is at most
+    4/3 - 1/(3 count) times that of the best split. It depends on the set of units alone.
+
+    Args:
+        units: All units of the session, each with a key of its own.
+        count: How many shards.
+    """
+    shards: list[list[ShardUnit]] = [[] for _ in range(count)]
+    loads = [(0, 0, index) for index in range(count)]  # a heap
+    for unit in sorted(units, key=lambda one: (-one.episodes, -one.items, one.key)):
+        episodes, items, index = loads[0]
+        shards[index].append(unit)
+        heapreplace(loads, (episodes + unit.episodes, items + unit.items, index))
+    return [sorted(shard, key=lambda one: one.key) for shard in shards]
+
+
+def shard_problems(record: SessionRecord) -> Iterator[str]:
+    """Everything in which a record contradicts what it says of shards."""
+    yield from _shard_part_problems(record)
+    yield from _merged_problems(record)
+
+
+def _shard_part_problems(record: SessionRecord) -> Iterator[str]:
+    shard = record["shard"]
+    if shard is None:
+        return
+    if record["merged_from"] is not None:
+        yield "shard: it is a shard, and merged from shards"
+    if shard["index"] > shard["count"]:
+        yield f"shard: {shard['index']} of {shard['count']}"
+    held = [ShardUnit.from_json(one) for one in shard["holds"]]
+    keys = [unit.key for unit in held]
+    if keys != sorted(set(keys)):
+        yield "shard: its units are not sorted, or one is listed twice"
+    if shard["plan"] is None:
+        if held or shard["units"] is not None:
+            yield "shard: it holds units of no plan"
+        return
+    if shard["units"] is None or len(held) > shard["units"]:
+        yield f"shard: it holds {len(held)} units, and the whole session {shard['units']}"
+    elif len(held) == shard["units"] and plan_digest(held) != shard["plan"]:
+        yield "shard: it holds all units of the session, and they are not its plan"
+    elif shard["count"] == 1 and len(held) != shard["units"]:
+        yield f"shard: the only one holds {len(held)} of {shard['units']} units"
+
+
+def _merged_problems(record: SessionRecord) -> Iterator[str]:
+    parts = record["merged_from"]
+    if parts is None:
+        return
+    if (
+        not parts
+        or len(parts) != parts[0]["count"]
+        or any(one["index"] != number for number, one in enumerate(parts, 1))
+    ):
+        yield "merged_from: not every shard once"
+        return
+    if len({(one["count"], one["plan"]) for one in parts}) > 1:
+        yield "merged_from: shards of several plans"
+    if record["created"] != min(one["created"] for one in parts):
+        yield "created: not when the first of its shards began"
+    if record["status"] == "complete" and record["finished"] != max(
+        one["finished"] for one in parts
+    ):
+        yield "finished: not when the last of its shards ended"
+    failed = [one["index"] for one in parts if one["gate"] != "passed" or one["exit_code"]]
+    if failed and record["gate"]["result"] == "passed":
+        yield f"gate: passed, although shard {failed[0]} did not pass"

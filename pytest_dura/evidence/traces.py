@@ -1,0 +1,324 @@
+"""Trace: an episode tick by tick, the name of its file, and where two of them differ first."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import zip_longest
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_dura.core.episode import Episode
+from pytest_dura.core.loop_signals import NULL, SECONDS
+from pytest_dura.core.simulator import POSE, Recording, Scene
+from pytest_dura.core.state import Event
+from pytest_dura.evidence.model import plain_data
+from pytest_dura.evidence.text import one_line
+
+TRACE_FOLDER = "episodes"
+"""In the bundle: where the traces are."""
+MAX_SLUG = 80
+"""Characters of an id that a name keeps."""
+_NAME = re.compile(r"(?!.*\.\.)[A-Za-z0-9_][A-Za-z0-9._-]{0,79}-[0-9a-f]{8}\.mcap")
+_PATH = re.compile(rf"{TRACE_FOLDER}/({_NAME.pattern})")
+# Names of devices, which Windows sees whatever follows the first point.
+_DEVICE = re.compile(r"(?i)(con|prn|aux|nul|com[0-9]|lpt[0-9])(\.|-|$)")
+
+
+def episode_name(about: Mapping[str, Any]) -> str:
+    """A name without suffix: the id as far as it goes, and what tells it from all others.
+
+    Args:
+        about: With ``id``, ``component``, ``seed`` and ``digest`` of the episode.
+    """
+    identity = [about[key] for key in ("id", "component", "seed", "digest")]
+    digest = hashlib.sha256(json.dumps(identity).encode()).hexdigest()[:8]
+    return f"{slug(str(about['id']))}-{digest}"
+
+
+def slug(text: str) -> str:
+    """The text as the part of a file's name; two texts may have the same one."""
+    found = re.sub(r"[^A-Za-z0-9._-]+", "-", text[: 4 * MAX_SLUG])
+    found = re.sub(r"\.{2,}", ".", found).lstrip(".-")[:MAX_SLUG].rstrip(".-")
+    return f"_{found}"[:MAX_SLUG] if _DEVICE.match(found) else found or "episode"
+
+
+def trace_path(about: Mapping[str, Any]) -> str:
+    """Where the trace of an episode is in the bundle: ``episodes/<name>.mcap``."""
+    return f"{TRACE_FOLDER}/{episode_name(about)}.mcap"
+
+
+def is_trace_name(name: str) -> bool:
+    """Whether a file of this name in ``episodes`` is a trace of ours, whole or begun."""
+    begun = name.removeprefix(".").rpartition("-")[0] if name.startswith(".") else ""
+    return _NAME.fullmatch(begun or name) is not None
+
+
+def is_trace_path(path: Any) -> bool:
+    """Whether a record may name this path as that of a trace; none leads out of the bundle."""
+    return isinstance(path, str) and _PATH.fullmatch(path) is not None
+
+
+@dataclass(frozen=True)
+class Trace:
+    """All columns of an episode, bit by bit.
+
+    Args:
+        about: ``id``, ``case``, ``component``, ``seed``, ``digest``, ``validity``,
+            ``termination``, ``failure``.
+        time: Simulated seconds, shape ``(ticks,)``.
+        signals: By name, each of shape ``(ticks,)``; ``percept.name`` is as perceived.
+        decisions: ``verdict``, ``source``, ``proposed``, ``executed``, ``attempts``; each of shape
+            ``(ticks - 1,)``. See :class:`~pytest_dura.core.episode.Episode`.
+        events: ``{tick, time, kind, subject, detail, data}`` in their order; with ``wall_clock``
+            where that is true, of what depends on the machine's speed.
+        recording: What was said at each decision, and the scene. Accounts are without what does
+            not belong to the trace: the null component's, and wall-clock times.
+    """
+
+    about: Mapping[str, Any]
+    time: NDArray[np.float64]
+    signals: Mapping[str, NDArray[np.float64]]
+    decisions: Mapping[str, NDArray[Any]]
+    events: Sequence[Mapping[str, Any]]
+    recording: Recording
+
+    @classmethod
+    def of(cls, episode: Episode) -> Trace:
+        """Of an episode, whose columns it shares."""
+        about = {
+            "id": episode.id,
+            "case": episode.spec.case,
+            "component": episode.spec.component,
+            "seed": episode.spec.seed,
+            "digest": episode.digest,
+            "validity": episode.validity,
+            "termination": episode.termination,
+            "failure": episode.failure,
+        }
+        recording = episode.recording or Recording()
+        accounts = tuple(map(_account_data, recording.accounts))
+        return cls(
+            about,
+            episode.time,
+            episode.signals,
+            episode.decisions,
+            [_event_data(event) for event in episode.events],
+            replace(recording, accounts=accounts),
+        )
+
+    def without_secrets(self, redact: Callable[[Any], Any]) -> Trace:
+        """The same trace with what takes secrets out of plain data applied to all of its texts."""
+        decisions = dict(self.decisions)
+        for name, column in decisions.items():
+            if column.dtype.kind == "U":
+                found, places = np.unique(column, return_inverse=True)
+                texts = found.tolist()
+                told = redact(texts)
+                if told is not texts:
+                    decisions[name] = np.array(told, dtype=np.str_)[places]
+        said = self.recording
+        return replace(
+            self,
+            about=redact(self.about),
+            decisions=decisions,
+            events=redact(self.events),
+            recording=replace(
+                said,
+                explanations=_redacted(said.explanations, redact),
+                reasons=_redacted(said.reasons, redact),
+                recoveries=_redacted(said.recoveries, redact),
+                accounts=_redacted_accounts(said.accounts, redact),
+                problem=None if said.problem is None else redact(said.problem),
+            ),
+        )
+
+
+def _redacted(texts: tuple[str, ...], redact: Callable[[Any], Any]) -> tuple[str, ...]:
+    """Texts that are the same for many ticks are looked at once."""
+    distinct = list(dict.fromkeys(texts))
+    told = redact(distinct)
+    if told is distinct:
+        return texts
+    found = dict(zip(distinct, told, strict=True))
+    return tuple(found[text] for text in texts)
+
+
+def _account_data(account: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in account.items() if key not in (NULL, SECONDS)}
+
+
+def _redacted_accounts(
+    accounts: tuple[Mapping[str, Any], ...], redact: Callable[[Any], Any]
+) -> tuple[Mapping[str, Any], ...]:
+    """Those that nothing is taken out of stay what they are."""
+    return tuple(redact(account) for account in accounts)
+
+
+def _event_data(event: Event) -> dict[str, Any]:
+    told: dict[str, Any] = plain_data(event.to_json())
+    return told | ({"wall_clock": True} if event.wall_clock else {})
+
+
+ABSENT = "nothing"
+"""What stands for a value that one of the two does not have."""
+
+
+@dataclass(frozen=True)
+class Difference:
+    """The first difference.
+
+    Args:
+        column: What differs, such as ``signals.gap``, ``decisions.executed`` or ``events``.
+        recorded: What it is in the one trace, in words.
+        replayed: What it is in the other.
+        tick: From which tick on; ``None`` for what belongs to none.
+        time: Simulated seconds at that tick.
+        also: Further columns that differ at the same tick.
+        covered: Whether the episode's digest covers it. It leaves out what is only shown.
+    """
+
+    column: str
+    recorded: str
+    replayed: str
+    tick: int | None = None
+    time: float | None = None
+    also: tuple[str, ...] = ()
+    covered: bool = True
+
+    def __str__(self) -> str:
+        """One line."""
+        place = "" if self.tick is None else f"tick {self.tick}"
+        place += "" if self.time is None else f" ({self.time:.3f} s)"
+        told = f"{place}, " if place else ""
+        told += f"{self.column}: recorded {self.recorded}, replayed {self.replayed}"
+        if self.also:
+            more = f" and {len(self.also) - 4} more" if len(self.also) > 4 else ""
+            told += f"; at this tick also {', '.join(self.also[:4])}{more}"
+        return told
+
+
+def first_difference(
+    recorded: Trace, replayed: Trace, *, covered: bool = False
+) -> Difference | None:
+    """The earliest tick at which a column differs; or else events, end or what belongs to no tick.
+
+    Columns are compared bit by bit. Events that depend on the machine's speed are left out.
+
+    Args:
+        recorded: The one.
+        replayed: The other.
+        covered: Whether to look only at what the episode's digest covers.
+    """
+    found = [one for one in _column_difference(recorded, replayed) if one.covered or not covered]
+    timed = [one for one in found if one.tick is not None]
+    if timed:
+        tick = min(one.tick for one in timed if one.tick is not None)
+        first, *others = [one for one in timed if one.tick == tick]
+        time = _time(recorded, replayed, tick)
+        return replace(first, time=time, also=tuple(one.column for one in others))
+    return next(iter([*_other_differences(recorded, replayed), *found]), None)
+
+
+def _time(recorded: Trace, replayed: Trace, tick: int) -> float | None:
+    for trace in (recorded, replayed):
+        if tick < len(trace.time):
+            return float(trace.time[tick])
+    return None
+
+
+def _column_difference(recorded: Trace, replayed: Trace) -> Iterator[Difference]:
+    left, right = _all_columns(recorded), _all_columns(replayed)
+    for name in dict.fromkeys([*left, *right]):
+        covered = name == "time" or name.startswith(("signals.", "decisions."))
+        if name not in left or name not in right:
+            own, other = ("such a column" if name in one else ABSENT for one in (left, right))
+            yield Difference(name, own, other, covered=covered)
+            continue
+        found = _first_place(left[name], right[name])
+        if found is not None:
+            tick, own, other = found
+            yield Difference(name, own, other, tick, covered=covered)
+
+
+def _first_place(left: NDArray[Any], right: NDArray[Any]) -> tuple[int | None, str, str] | None:
+    """The first place at which two columns differ, and what is there."""
+    if left.dtype != right.dtype and not left.dtype.kind == right.dtype.kind == "U":
+        return None, str(left.dtype), str(right.dtype)
+    shared = min(len(left), len(right))
+    places = np.flatnonzero(_bits(left[:shared]) != _bits(right[:shared]))
+    place = int(places[0]) if len(places) else shared
+    if place == len(left) == len(right):
+        return None
+    words = [_value_text(one[place]) if place < len(one) else ABSENT for one in (left, right)]
+    return place, words[0], words[1]
+
+
+def _bits(column: NDArray[Any]) -> NDArray[Any]:
+    """What is equal where the bits are: a NaN is itself, and zeros of both signs differ."""
+    if column.dtype.kind == "f":
+        return np.ascontiguousarray(column).view(f"u{column.dtype.itemsize}")
+    return column
+
+
+def _value_text(value: Any) -> str:
+    plain = value.item() if isinstance(value, np.generic) else value
+    return one_line(plain, 200, hashed=True) or "''" if isinstance(plain, str) else repr(plain)
+
+
+def _all_columns(trace: Trace) -> dict[str, NDArray[Any]]:
+    """Every column by a name of its own: what the loop measured before what it only said."""
+    recording = trace.recording
+    found: dict[str, NDArray[Any]] = {"time": trace.time}
+    found |= {f"signals.{name}": column for name, column in trace.signals.items()}
+    found |= {f"decisions.{name}": column for name, column in trace.decisions.items()}
+    found |= {f"flags.{name}": column for name, column in recording.flags.items()}
+    for name in ("explanations", "reasons", "recoveries"):
+        texts: tuple[str, ...] = getattr(recording, name)
+        # An array of texts would be as wide as its longest, and drop a NUL at the end.
+        found[name] = np.array([*texts, None], object)[:-1]
+    accounts = (json.dumps(account, sort_keys=True) for account in recording.accounts)
+    found["accounts"] = np.array([*accounts, None], object)[:-1]
+    if recording.scene is not None:
+        found |= _poses(recording.scene, len(trace.time))
+    return found
+
+
+def _poses(scene: Scene, ticks: int) -> dict[str, NDArray[Any]]:
+    """A column for each number of each thing; of one that is never there, none."""
+    found = {}
+    for kind, tracks in (("truth", scene.truth), ("percept", scene.percept)):
+        for number, name in enumerate(tracks.ids):
+            for place, what in enumerate(POSE):
+                found[f"{kind}.{name}.{what}"] = tracks.poses[:ticks, number, place]
+    return found
+
+
+def _other_differences(recorded: Trace, replayed: Trace) -> Iterator[Difference]:
+    pairs = enumerate(zip_longest(_events(recorded), _events(replayed)))
+    for number, (left, right) in pairs:
+        if left != right:
+            tick, time = (left or right)["tick"], (left or right)["time"]
+            yield Difference(f"events[{number}]", _event_text(left), _event_text(right), tick, time)
+            break
+    for key in ("termination", "validity", "failure"):
+        values = recorded.about.get(key), replayed.about.get(key)
+        if values[0] != values[1]:
+            own, other = (ABSENT if one is None else _value_text(one) for one in values)
+            yield Difference(key, own, other)
+
+
+def _events(trace: Trace) -> list[dict[str, Any]]:
+    return [dict(event) for event in trace.events if not event.get("wall_clock")]
+
+
+def _event_text(event: dict[str, Any] | None) -> str:
+    if event is None:
+        return ABSENT
+    told = " ".join(str(event.get(key, "")) for key in ("kind", "subject", "detail"))
+    return f"{one_line(told, 200, hashed=True)} {event.get('data') or ''}".strip()

@@ -1,0 +1,604 @@
+"""Verify that a record agrees with itself: episodes, searches, sums, references and gate."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from hashlib import sha256
+from math import isclose
+from pathlib import PurePosixPath, PureWindowsPath
+from typing import Any
+
+from pytest_dura.core.episode import canonical
+from pytest_dura.core.metrics import FaultRecord
+from pytest_dura.core.propagation import outcome_of
+from pytest_dura.core.seeding import derive_seed
+from pytest_dura.evidence.bundle import RECORD_FILE
+from pytest_dura.evidence.gate import (
+    NOTHING_FOUND,
+    VIOLATED_OUTCOMES,
+    outcome_status,
+    repeat_objections,
+    repeat_problems,
+)
+from pytest_dura.evidence.gate import outcome_objection as sentence
+from pytest_dura.evidence.model import Counts, SessionRecord, components_under_test
+from pytest_dura.evidence.redaction import holds_redaction
+from pytest_dura.evidence.sessions import shard_problems
+from pytest_dura.provenance import digest_of
+from pytest_dura.requirements.statistics.rate_tests import EXACT_METHOD, upper_bound
+
+Data = Mapping[str, Any]
+
+
+def episode_problems(episode: Data, case: Data, base_seed: int) -> Iterator[str]:
+    """Everything in which an episode contradicts itself.
+
+    Args:
+        episode: Of the record.
+        case: Its case.
+        base_seed: From which the seeds of planned runs follow.
+    """
+    own = (
+        *_input_problems(episode, case, base_seed),
+        *_metric_problems(episode),
+        *_chain_problems(episode),
+    )
+    for problem in own:
+        yield f"episode {episode['id']}: {problem}"
+
+
+def _input_problems(episode: Data, case: Data, base_seed: int) -> Iterator[str]:
+    name, spec = episode["id"], episode["spec"]
+    seed = derive_seed(base_seed, spec["scenario"]["name"], spec["run"])
+    if episode["planned"] and episode["seed"] != seed:
+        yield f"planned, and its seed is {episode['seed']}, not {seed} as that of its run"
+    if name != f"{spec['case']}#{spec['run']}" or episode["case"] != spec["case"]:
+        yield f"its spec is that of {spec['case']}#{spec['run']}"
+    faults = [
+        [(one["id"], one.get("type"), one.get("target")) for one in of["faults"]]
+        for of in (case, spec)
+    ]
+    if spec["scenario"]["name"] != case["scenario"] or faults[0] != faults[1]:
+        yield f"its spec has {spec['scenario']['name']} with {faults[1]}, and its case {faults[0]}"
+    if episode["seed"] != spec["seed"]:
+        yield f"seed {episode['seed']}, and {spec['seed']} in its spec"
+    if (episode["validity"] == "missing") != (episode["failure"] is not None):
+        yield f"{episode['validity']}, and its failure is {episode['failure']!r}"
+    if (episode["validity"] == "invalid") != (
+        episode["failure"] is None and episode["invalid_reason"] is not None
+    ):
+        yield f"{episode['validity']}, because {episode['invalid_reason']!r}"
+    missing = {one["id"] for one in spec["faults"]} - {one["id"] for one in episode["faults"]}
+    if missing:
+        yield f"nothing is said of its faults {', '.join(sorted(missing))}"
+
+
+def _metric_problems(episode: Data) -> Iterator[str]:
+    """Whether what an episode measures agrees with its outcome, its faults and its events."""
+    metrics, faults = episode["metrics"], episode["faults"]
+    counts = {
+        "planned": len(faults),
+        "succeeded": sum(one["manifested_at"] is not None for one in faults),
+        "detected": sum(one["detected_at"] is not None for one in faults),
+        "recovered": sum(one["recovered_at"] is not None for one in faults),
+        "impact_ticks": sum(one["flagged_ticks"] for one in faults),
+    }
+    if metrics["faults"] != counts:
+        yield f"its faults are {metrics['faults']}, and they come to {counts}"
+    for key in ("recoveries", "alerts"):
+        if metrics[key] != episode["outcome"][key]:
+            yield f"{metrics[key]} {key}, and {episode['outcome'][key]} in its outcome"
+    if metrics["valid_proposals"] > metrics["proposals"]:
+        yield "more valid proposals than there were"
+    yield from _tally_problems(metrics, episode["outcome"]["switching"]["decisions"])
+    oldest, lasted = (
+        max(metrics["answer_ages"], default=0.0),
+        episode["timings"]["simulated_seconds"],
+    )
+    if oldest > round(lasted, 9):  # as ages are
+        yield f"a decision came into force {oldest} s after its percept, within {lasted} s"
+    first: dict[str, float] = {}
+    for event in episode["events"]:
+        if event["kind"] == "fault_manifested":
+            first.setdefault(event["subject"], event["time"])
+    for one in faults:
+        if one["manifested_at"] != first.get(one["id"]):
+            yield (
+                f"{one['id']} manifested at {one['manifested_at']} s, and its events "
+                f"say {first.get(one['id'])}"
+            )
+
+
+def _chain_problems(episode: Data) -> Iterator[str]:
+    """Whether latencies and outcome of each fault follow from the rest of its chain."""
+    alerts = {event["time"] for event in episode["events"] if event["kind"] == "alert"}
+    for told in episode["faults"]:
+        name = told["id"]
+        fault = FaultRecord(**{key: told[key] for key in FaultRecord.__dataclass_fields__})
+        for latency, seconds in fault.latencies().items():
+            if told[latency] != seconds:
+                yield f"{name}: {latency} is {told[latency]} s, and its times give {seconds}"
+        detected, began = fault.detected_at, fault.began_at
+        if detected is not None and (not fault.success or began is None or detected < began):
+            yield f"{name}: detected at {detected} s, and no alert of then can answer it"
+        elif detected is not None and detected not in alerts:
+            yield f"{name}: detected at {detected} s, and its events say of no alert then"
+        also = told["violated_without"]
+        if extra := sorted({*(also or ())} - {*told["violated"]}):
+            yield f"{name}: {extra[0]} is violated without it, and not with it"
+        outcome = told["outcome"]
+        missing = episode["failure"] is not None
+        again = outcome_of(fault, told["propagation"], told["violated"], also, missing=missing)
+        if outcome is None and told["violated"]:
+            yield f"{name}: violated, and it has no outcome"
+        if outcome not in (None, again):
+            yield f"{name}: its outcome is {outcome!r}, and its chain gives {again!r}"
+
+
+def _tally_problems(metrics: Data, decisions: int) -> Iterator[str]:
+    """Whether no more was told than there were decisions to tell of."""
+    for name, one in metrics["tallies"].items():
+        for part, whole in (("hits", "of"), ("null_hits", "null_of")):
+            if not one[part] <= one[whole] <= decisions:
+                yield f"{one[part]} of {one[whole]} for {name} ({part}), in {decisions} decisions"
+    for key, word in (("answer_seconds", "times"), ("answer_ages", "ages")):
+        if len(metrics[key]) > decisions:
+            yield f"the {word} of {len(metrics[key])} answers, in {decisions} decisions"
+
+
+EPISODE_MARK = "@"
+"""Stands in the id of a case that a search chose, and in no name of a scenario."""
+SILENT_SHARE = 0.2
+"""Of simulations that say nothing; with more of them a search is undecided."""
+
+
+def search_problems(record: SessionRecord) -> Iterator[str]:
+    """Everything in which searches contradict themselves or the record, and what rests on them."""
+    yield from _search_in_rate_problems(record)
+    listed = {one["id"]: one for one in record["requirements"]}
+    described = {one["name"] for one in components_under_test(record)}
+    told: Counter[bytes] = Counter()
+    for one in record["searches"]:
+        place = f"search by {one['item']} on {one['case']}"
+        told[canonical({key: value for key, value in one.items() if key != "waiver"})] += 1
+        if one["component"] not in described:
+            yield f"{place}: {one['component']} is not described"
+        for problem in (*_search_count_problems(one), *_outcome_problems(one, listed)):
+            yield f"{place}: {problem}"
+    if any(count > 1 for count in told.values()):
+        yield "searches: one of them is listed twice"
+
+
+def _search_in_rate_problems(record: SessionRecord) -> Iterator[str]:
+    """Whether episodes that a search chose stand where a rate is made of them."""
+    for episode in record.episodes():
+        if episode["planned"] and (
+            EPISODE_MARK in episode["case"] or EPISODE_MARK in episode["id"]
+        ):
+            yield f"episode {episode['id']}: a search chose it, and it counts as planned"
+    for case in record["cases"]:
+        if EPISODE_MARK in case["id"] and (case["planned"] or case["metrics"]["run"]):
+            yield f"case {case['id']}: a search chose it, and there are metrics of it"
+    for one in record["verdicts"]:
+        name = f"verdict {one['requirement']} on {one['case']}"
+        if EPISODE_MARK in one["case"]:
+            yield f"{name}: a search chose the case, and no rate can be made of it"
+        for found in one["counterexamples"]:
+            if EPISODE_MARK in found["episode"]:
+                yield f"{name}: a search chose its counterexample {found['episode']}"
+
+
+def _search_count_problems(one: Data) -> Iterator[str]:
+    """Whether its sums are those of its searchers."""
+    total = one["simulations"]
+    if not 0 < total <= one["budget"]:
+        yield f"{total} simulations, and its budget is {one['budget']}"
+    if one["unknown"] > total:
+        yield f"{one['unknown']} of {total} simulations said nothing"
+    if one["idle"] > total:
+        yield f"an added fault never came to act in {one['idle']} of {total} simulations"
+    done = sum(searcher["simulations"] for searcher in one["searchers"])
+    if done != total:
+        yield f"{total} simulations, and its searchers did {done}"
+    names = [outcome["requirement"] for outcome in one["outcomes"]]
+    if not names or len(set(names)) < len(names):
+        yield f"it is for the requirements {', '.join(names) or 'of nobody'}"
+    yield from _searcher_problems(one, names)
+
+
+def _searcher_problems(one: Data, names: Sequence[str]) -> Iterator[str]:
+    for kind in ("searchers", "baselines"):
+        if len({searcher["name"] for searcher in one[kind]}) < len(one[kind]):
+            yield f"one of its {kind} is listed twice"
+        for searcher in one[kind]:
+            yield from (
+                f"{searcher['name']}: {each}" for each in _problems_of_searcher(searcher, names)
+            )
+    for baseline in one["baselines"]:
+        if not baseline["trivial"]:
+            yield f"{baseline['name']} learns, and is no baseline"
+        if baseline["simulations"] > one["simulations"]:
+            yield f"{baseline['name']}: a baseline of {baseline['simulations']} simulations"
+
+
+def _problems_of_searcher(one: Data, names: Sequence[str]) -> Iterator[str]:
+    if set(one["best"]) != set(names) or set(one["first"]) != set(names):
+        yield "its figures are of other requirements"
+    for name, first in one["first"].items():
+        if first is not None and first > one["simulations"]:
+            yield f"violated {name} at {first} of its {one['simulations']} simulations"
+
+
+def _outcome_problems(one: Data, listed: Mapping[str, Data]) -> Iterator[str]:
+    for outcome in one["outcomes"]:
+        name = outcome["requirement"]
+        problems = [
+            *_outcome_status_problems(one, outcome),
+            *_first_violation_problems(one, outcome),
+        ]
+        if outcome["counterexample"] is not None:
+            problems += _counterexample_problems(one, outcome["counterexample"])
+        if name not in listed:
+            problems.append("the requirement is not listed")
+        elif listed[name]["check"] not in ("", outcome["check"]):
+            problems.append(f"searched {outcome['check']!r}, which is not its check")
+        yield from (f"{name}: {problem}" for problem in problems)
+
+
+def _outcome_status_problems(one: Data, outcome: Data) -> Iterator[str]:
+    """Whether what was found allows the word."""
+    word, found = outcome["word"], outcome["counterexample"]
+    if (found is not None) != (word in VIOLATED_OUTCOMES):
+        yield f"{word}, and {'a' if found is not None else 'no'} counterexample"
+    elif found is not None:
+        repeats = found["repeats"]
+        if not max(repeats["violated"], repeats["equal"]) <= repeats["runs"]:
+            yield f"more repeats than {repeats['runs']}"
+        confirmed = 0 < repeats["runs"] == repeats["violated"] == repeats["equal"]
+        if confirmed != (word == "falsified"):
+            told = f"{repeats['violated']} violated and {repeats['equal']} equal"
+            yield f"{word}, and of {repeats['runs']} replays {told}"
+        if not one["baselines"]:
+            yield f"{word}, and no baseline stands beside it"
+    else:
+        silent = one["unknown"] > SILENT_SHARE * one["simulations"]
+        if silent and word == NOTHING_FOUND:
+            told = f"{one['unknown']} of {one['simulations']}"
+            yield f"{word}, though {told} simulations said nothing of a requirement"
+        if not silent and word == "undecided":
+            yield f"{word}, and only {one['unknown']} simulations said nothing of a requirement"
+
+
+def _first_violation_problems(one: Data, outcome: Data) -> Iterator[str]:
+    """Whether its first violation and its least robustness are those of its searchers."""
+    name, total = outcome["requirement"], one["simulations"]
+    hits, met = (_first_violations(one[kind], name) for kind in ("searchers", "baselines"))
+    if outcome["counterexample"] is None:
+        if outcome["simulations"] != total or outcome["searcher"] is not None:
+            yield f"nothing violated it, in {outcome['simulations']} of {total} simulations"
+        for who, first in hits.items():
+            yield f"{who} violated it at its simulation {first}, and there is no counterexample"
+    elif not hits and outcome["searcher"] in met:
+        if outcome["simulations"] != met[outcome["searcher"]]:
+            yield f"violated at simulation {outcome['simulations']} of a baseline"
+    elif outcome["searcher"] not in hits:
+        yield f"{outcome['searcher']} found it, and violated nothing"
+    elif not hits[outcome["searcher"]] <= outcome["simulations"] <= total:
+        yield f"violated at simulation {outcome['simulations']} of {total}"
+    known = [each["best"].get(name) for each in one["searchers"]]
+    least = min((best for best in known if best is not None), default=None)
+    if outcome["best"] != least:
+        yield f"its least robustness is {outcome['best']}, and its searchers say {least}"
+
+
+def _first_violations(searchers: Sequence[Data], requirement: str) -> dict[str, int]:
+    """Who violated a requirement, and at which of its own simulations first."""
+    firsts = {each["name"]: each["first"].get(requirement) for each in searchers}
+    return {who: first for who, first in firsts.items() if first is not None}
+
+
+def _counterexample_problems(one: Data, found: Data) -> Iterator[str]:
+    if not found["case"].startswith(f"{one['scenario']}{EPISODE_MARK}"):
+        yield f"its counterexample {found['case']} is of another scenario than {one['scenario']}"
+    told = found["scenario"].get("name"), found["scenario"].get("seed")
+    if told != (one["scenario"], found["seed"]):
+        yield f"its counterexample is {one['scenario']} with seed {found['seed']}, and says {told}"
+    paths = [change["path"] for change in found["changes"]]
+    if len(set(paths)) < len(paths):
+        yield "a parameter of its counterexample changed twice"
+    shrinking = found["shrinking"]
+    if shrinking is not None:
+        if shrinking["simulations"] > shrinking["budget"]:
+            spent = shrinking["simulations"]
+            yield f"{spent} simulations to make it simpler, and {shrinking['budget']} were allowed"
+        if shrinking["after"] > shrinking["before"]:
+            yield f"made simpler from {shrinking['before']} to {shrinking['after']} parameters"
+    file = found["file"]
+    if (file is None) != (found["name"] is None):
+        yield f"its counterexample is kept in {file} as {found['name']}"
+    if file is not None and (
+        PurePosixPath(file).is_absolute() or PureWindowsPath(file).is_absolute()
+    ):
+        yield f"it is kept in {file}, which is a path of one machine"
+    if file is not None and found["repeats"]["equal"] != found["repeats"]["runs"]:
+        yield f"it is kept in {file}, and was never confirmed"
+
+
+EpisodeKey = tuple[str, str]
+_COUNTED = ("flagged", "collided", "gridlock")
+
+
+def record_problems(record: SessionRecord, counts: Counts) -> Iterator[str]:
+    """Everything in which a record contradicts itself."""
+    for problem in _all_problems(record, counts):
+        yield f"{RECORD_FILE}: {problem}"
+
+
+def _all_problems(record: SessionRecord, counts: Counts) -> Iterator[str]:
+    yield from _session_problems(record, counts)
+    cases = {(one["id"], one["component"]): one for one in record["cases"]}
+    requirements = {one["id"] for one in record["requirements"]}
+    ids: set[EpisodeKey] = set()
+    sums: dict[EpisodeKey, Counter[str]] = defaultdict(Counter)
+    known: set[bytes] = set()
+    digests: dict[EpisodeKey, set[str]] = {
+        (one["repeat"]["episode"], one["component"]): set()
+        for one in record["cases"]
+        if one["repeat"] is not None
+    }
+    described = {one["name"] for one in _component_problems(record)} | {"none"}
+    for episode in record.episodes():
+        ids.add((episode["id"], episode["component"]))
+        if (episode["id"], episode["component"]) in digests:
+            digests[episode["id"], episode["component"]].add(episode["digest"])
+        if episode["component"] not in described:
+            yield f"component_under_test: {episode['component']} is not described"
+        if (episode["case"], episode["component"]) not in cases:
+            yield f"episode {episode['id']}: its case is not listed"
+        else:
+            case = cases[episode["case"], episode["component"]]
+            yield from episode_problems(episode, case, record["base_seed"])
+        inputs = canonical([episode["component"], {**episode["spec"], "timeouts": None}])
+        if (digest := sha256(inputs).digest()) in known:
+            yield f"episode {episode['id']}: it is listed twice"
+        known.add(digest)
+        if episode["planned"]:
+            _add_episode(sums[episode["case"], episode["component"]], episode)
+    for key, case in cases.items():
+        yield from _case_sum_problems(case, sums[key])
+        repeated = case["repeat"] and (case["repeat"]["episode"], case["component"])
+        for problem in repeat_problems(case, digests.get(repeated, ())):
+            yield f"case {case['id']}: {problem}"
+    for one in record["verdicts"]:
+        yield from _verdict_problems(one, cases, requirements, ids)
+    yield from _question_problems(record)
+    yield from _coverage_problems(record)
+    yield from _gate_problems(record)
+    yield from search_problems(record)
+    yield from shard_problems(record)
+
+
+def _session_problems(record: SessionRecord, counts: Counts) -> Iterator[str]:
+    if record["status"] != "complete":
+        yield f"the session is {record['status']}: its evidence is incomplete"
+    if record["totals"] != counts.to_json():
+        yield f"totals: {record['totals']}, and it holds {counts.to_json()}"
+    cases = {(one["id"], one["component"]): one for one in record["cases"]}
+    requirements = {one["id"] for one in record["requirements"]}
+    if len(cases) < len(record["cases"]):
+        yield "cases: one of them is listed twice"
+    if len(requirements) < len(record["requirements"]):
+        yield "requirements: one of them is listed twice"
+    hashed = {(one["path"], one["sha256"]) for one in record["inputs"]}
+    for file in (file for one in _component_problems(record) for file in one.get("files") or ()):
+        if (file["path"], file["sha256"]) not in hashed:
+            yield f"inputs: {file['path']} of the component is not among them"
+    yield from _source_problems(record)
+    for tape in (one["cassette"] for one in record["models"] if one["cassette"]):
+        if (tape["file"], tape["sha256"]) not in hashed:
+            yield f"inputs: the cassette {tape['file']} is not among them as it was replayed"
+    if record["timings"]["evidence_seconds"] > record["timings"]["wall_seconds"]:
+        yield "timings: the evidence took longer than the session"
+
+
+def _source_problems(record: SessionRecord) -> Iterator[str]:
+    """Whether the digests of components come out of those of their files."""
+    sources = record["component_under_test"].get("sources", {})
+    used = set()
+    for one in _component_problems(record):
+        name, digest = f"component {one['name']}", one.get("digest")
+        if digest is None:
+            continue
+        used.add(digest)
+        named = sources.get(digest)
+        if named is None:
+            yield f"{name}: no files are listed of which its digest could be made"
+            continue
+        # Without the name that was a secret it cannot be made again.
+        if not holds_redaction(list(named)) and digest_of(named) != digest:
+            yield f"{name}: its digest is not that of its files"
+        if one["file_count"] != len(named):
+            yield f"{name}: {one['file_count']} files, and {len(named)} are listed"
+        for file in one["files"]:
+            if file["sha256"] not in named.values():
+                yield f"{name}: {file['path']} is none of the files that its digest is made of"
+    for digest in sorted(set(sources) - used):
+        yield f"component_under_test: files of the digest {digest}, which no component has"
+
+
+def _question_problems(record: SessionRecord) -> Iterator[str]:
+    """Whether each question is answered once, and is the one that its requirement asks."""
+    asked: Counter[str] = Counter()
+    listed = {one["id"]: one for one in record["requirements"]}
+    for one in record["verdicts"]:
+        yield from _problems_of_question(one, listed.get(one["requirement"]))
+        parts = [one[name] for name in ("requirement", "case", "component", "item", "check")]
+        asked[canonical([*parts, one["paired"], one["method"], _limit_problems(one)]).decode()] += 1
+    for question, count in asked.items():
+        if count > 1:
+            yield f"verdicts: {question} is answered twice"
+
+
+def _problems_of_question(one: Data, requirement: Data | None) -> Iterator[str]:
+    """Whether what was asked is what the requirement says, as far as it says it."""
+    if requirement is None:
+        return
+    name = f"verdict {one['requirement']} on {one['case']}"
+    if requirement["check"] and one["check"] not in ("", requirement["check"]):
+        yield f"{name}: judged by {one['check']!r}, and its check is {requirement['check']!r}"
+    if requirement["at_most"] is not None and _limit_problems(one) != [
+        requirement["at_most"], requirement["confidence"],
+    ]:  # fmt: skip
+        yield f"{name}: judged by {_limit_problems(one)}, and its rate and confidence are others"
+
+
+def _limit_problems(verdict: Data) -> list[Any]:
+    return [verdict["bound"]["at_most"], verdict["bound"]["confidence"]]
+
+
+def _component_problems(record: SessionRecord) -> list[Data]:
+    first = record["component_under_test"]
+    return [first, *first.get("others", ())]
+
+
+def _add_episode(sums: Counter[str], episode: Data) -> None:
+    sums["run"] += 1
+    sums[episode["validity"]] += 1
+    sums["ended_early"] += episode["termination"] == "decided"
+    for key in _COUNTED:
+        if episode["outcome"][key]:
+            sums[f"{key}.run"] += 1
+            sums[f"{key}.valid"] += episode["validity"] == "valid"
+
+
+def _case_sum_problems(case: Data, sums: Mapping[str, int]) -> Iterator[str]:
+    metrics = case["metrics"]
+    told = {word: metrics[word] for word in ("run", "valid", "invalid", "missing", "ended_early")}
+    for key in _COUNTED:
+        for over in ("valid", "run"):
+            if metrics[key] is not None:
+                told[f"{key}.{over}"] = metrics[key][over]
+    for name, count in told.items():
+        if count != sums[name]:
+            yield f"case {case['id']}: {name} is {count}, and its episodes say {sums[name]}"
+
+
+def _verdict_problems(
+    one: Data, cases: Mapping[EpisodeKey, Data], requirements: set[str], episodes: set[EpisodeKey]
+) -> Iterator[str]:
+    name = f"verdict {one['requirement']} on {one['case']}"
+    if one["requirement"] not in requirements:
+        yield f"{name}: the requirement is not listed"
+    if (one["case"], one["component"]) not in cases:
+        yield f"{name}: the case is not listed"
+    named = [counterexample["episode"] for counterexample in one["counterexamples"]]
+    for episode in (*named, *one["open"], *one["unseen_crashes"]):
+        if (episode, one["component"]) not in episodes:
+            yield f"{name}: its episode {episode} is not listed"
+    yield from _verdict_count_problems(name, one)
+    yield from _verdict_status_problems(name, one)
+
+
+def _verdict_count_problems(name: str, one: Data) -> Iterator[str]:
+    """Whether the counts of a verdict go together."""
+    if one["episodes"] + one["invalid"] + one["missing"] != one["run"]:
+        yield f"{name}: valid, invalid and missing episodes do not add up to {one['run']}"
+    valid = sum(counterexample["valid"] for counterexample in one["counterexamples"])
+    listed = valid, len(one["counterexamples"]) - valid
+    if (one["violations"], one["without_effect"]) != listed:
+        counts = f"{one['violations']} violations, {one['without_effect']} without effect"
+        yield f"{name}: {counts}, and {listed[0]} and {listed[1]} counterexamples"
+    if one["violations"] + len(one["open"]) > one["episodes"]:
+        yield f"{name}: more violations and open episodes than the {one['episodes']} valid ones"
+    if one["without_effect"] > one["invalid"]:
+        yield f"{name}: more violations without effect than the {one['invalid']} invalid episodes"
+
+
+def _bound_problems(name: str, one: Data) -> Iterator[str]:
+    """Whether the bound is that of the counts, and there is none of runs that are all equal."""
+    bound = one["bound"]
+    if one["situation"] is not None:
+        if bound["upper"] is not None:
+            yield f"{name}: its runs are equal, and a rate is bound"
+    elif bound["method"] == EXACT_METHOD and one["episodes"]:
+        worst = one["violations"] + len(one["open"])
+        upper = upper_bound(min(worst, one["episodes"]), one["episodes"], bound["confidence"])
+        if bound["upper"] is None or not isclose(bound["upper"], upper, rel_tol=1e-9):
+            yield f"{name}: the bound is {bound['upper']}, and its counts give {upper}"
+
+
+def _verdict_status_problems(name: str, one: Data) -> Iterator[str]:
+    """Whether the counts allow the word; the statistics are computed again where n is fixed."""
+    bound, word = one["bound"], one["verdict"]
+    exact = bound["method"] == EXACT_METHOD
+    yield from _bound_problems(name, one)
+    broken = one["violations"] or one["without_effect"]
+    if word == "violated" and not broken and one["pairs"] is None:
+        yield f"{name}: violated without a violation"
+    if word != "supported":
+        return
+    if one["missing"] or not one["episodes"]:
+        yield f"{name}: supported, {one['episodes']} episodes valid and {one['missing']} missing"
+    if one["run"] + one["saved"] < one["planned"]:
+        yield f"{name}: supported with {one['run']} of {one['planned']} planned runs"
+    if bound["at_most"] is None and (one["violations"] or one["open"]):
+        counts = f"{one['violations']} violations and {len(one['open'])} open episodes"
+        yield f"{name}: supported with {counts}"
+    if one["without_effect"] or one["unseen_crashes"]:
+        yield f"{name}: supported, although an invalid run violates it or a crash violates nothing"
+    too_high = exact and bound["at_most"] is not None
+    if too_high and (bound["upper"] is None or bound["upper"] > bound["at_most"]):
+        yield f"{name}: supported with a bound of {bound['upper']} above {bound['at_most']}"
+
+
+def _coverage_problems(record: SessionRecord) -> Iterator[str]:
+    """Whether each verdict has its cell, and each tested cell its verdict."""
+    decided: dict[tuple[str, str], set[str]] = defaultdict(set)
+    for one in record["verdicts"]:
+        decided[one["requirement"], one["case"]].add(one["verdict"])
+    cells = defaultdict(set)
+    for cell in record["coverage"]["cells"]:
+        if cell["verdict"] is not None:
+            cells[cell["requirement"], cell["case"]].add(cell["verdict"])
+    for requirement, case in sorted(set(cells) - set(decided)):
+        yield f"coverage: {requirement} on {case} counts as tested, and has no verdict"
+    for key, words in sorted(cells.items()):
+        if key in decided and not words <= decided[key]:
+            yield f"coverage: {key[0]} on {key[1]} is not {', '.join(sorted(words))}"
+
+
+def _gate_problems(record: SessionRecord) -> Iterator[str]:
+    gate = record["gate"]
+    accepted = {"supported"} | ({"undecided"} if gate["warn_undecided"] else set())
+    against = [
+        f"{one['requirement']} on {one['case']} is {one['verdict']}"
+        for one in record["verdicts"]
+        if one["verdict"] not in accepted and one["waiver"] is None
+    ]
+    against += [
+        sentence(outcome["requirement"], one["case"], word)
+        for one in record["searches"]
+        for outcome in one["outcomes"]
+        if one["waiver"] is None and (word := outcome_status(one, outcome)) != NOTHING_FOUND
+        if word != "undecided" or not gate["warn_undecided"]
+    ]
+    if gate["result"] == "passed":
+        if against or record["status"] != "complete" or gate["exit_code"] != 0:
+            why = against[0] if against else f"status {record['status']}"
+            yield f"gate: passed, although {why} (exit code {gate['exit_code']})"
+    elif not gate["reasons"]:
+        yield f"gate: {gate['result']}, and no reason is given"
+    if gate["result"] != "passed" and gate["exit_code"] == 0:
+        yield f"gate: {gate['result']}, and the exit code is 0"
+    unrepeated = repeat_objections(record["cases"]) if record["require_repeatable"] else iter(())
+    if gate["result"] == "passed" and (objection := next(unrepeated, None)) is not None:
+        yield f"gate: passed, although it requires cases to be repeatable: {objection}"
+    if gate["result"] == "passed" and gate["failed"]:
+        yield f"gate: passed, although {gate['failed']} test items failed"
+    if gate["result"] == "passed" and gate["reasons"]:
+        yield f"gate: passed, although {gate['reasons'][0]}"
+    if (gate["result"] == "incomplete") != (record["status"] != "complete"):
+        yield f"gate: {gate['result']}, and the session is {record['status']}"
+    if gate["result"] != "passed" and (untold := sorted({*against} - {*gate["reasons"]})):
+        yield f"gate: {untold[0]}, which is no reason of it"

@@ -1,0 +1,500 @@
+"""Verify that verdicts are what the recorded episodes of their campaigns come to.
+
+A verdict names the episodes that violated it. What it makes of each of the others follows
+from their validity, or from their traces where there are any; then it is decided again.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, defaultdict
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from pytest_dura.evidence.episodes import case_situations
+from pytest_dura.evidence.model import SessionRecord, plain_data
+from pytest_dura.requirements.model import Requirement
+from pytest_dura.requirements.verdicts.campaigns import (
+    EQUAL_RUNS,
+    EVERY_EPISODE,
+    REPEATED,
+    CampaignVerdict,
+    Margins,
+    Situation,
+    Situations,
+)
+from pytest_dura.requirements.verdicts.episodes import EARLY_ENDS, EpisodeStatus, EpisodeVerdict
+from pytest_dura.requirements.verdicts.judging import CampaignJudge
+
+Data = Mapping[str, Any]
+
+
+def has_margin(verdict: EpisodeVerdict) -> bool:
+    """Whether an episode's margin is one of its campaign's: it is valid, and not open."""
+    return verdict.valid and verdict.verdict != "open"
+
+
+def margin_distribution(margins: Iterable[float | None]) -> dict[str, Any] | None:
+    """The record's distribution of those that there are."""
+    found = Margins.of([margin for margin in margins if margin is not None])
+    return None if found is None else asdict(found)
+
+
+def margin_problems(verdict: Data, on_traces: Iterable[EpisodeVerdict]) -> Iterator[str]:
+    """Everything in which the margins of a verdict contradict each other.
+
+    Args:
+        verdict: Of the record.
+        on_traces: What traces say of its episodes.
+    """
+    margins = verdict["margins"]
+    listed = [one["margin"] for one in verdict["counterexamples"] if one["valid"]]
+    order = [
+        (not one["valid"], one["margin"] or 0.0, one["episode"])
+        for one in verdict["counterexamples"]
+    ]
+    if order != sorted(order):
+        yield "its counterexamples are not in the order of their margins"
+    if (margins is None) != (verdict["margin"] is None):
+        yield f"the margin is {verdict['margin']}, and its distribution {margins}"
+    elif margins is not None:
+        yield from _distribution_problems(
+            verdict, [one for one in listed if one is not None], on_traces
+        )
+
+
+def _distribution_problems(
+    verdict: Data, listed: list[float], on_traces: Iterable[EpisodeVerdict]
+) -> Iterator[str]:
+    margins = verdict["margins"]
+    points = [margins[name] for name in ("min", "q25", "median", "q75", "max")]
+    if None in points or points != sorted(points):
+        yield "the quartiles of its margins are not in order"
+        return
+    if margins["min"] != verdict["margin"]:
+        yield f"its least margin is {verdict['margin']}, and its distribution has {margins['min']}"
+    if not len(listed) <= margins["n"] <= verdict["episodes"]:
+        yield f"{margins['n']} margins of {verdict['episodes']} episodes"
+    traced = [one.margin for one in on_traces if has_margin(one) and one.margin is not None]
+    for margin in (*listed, *traced):
+        if not margins["min"] <= margin <= margins["max"]:
+            yield f"its margins begin at {margins['min']}, and one is {margin}"
+    # A test on single episodes tells the margins of violations alone.
+    measured = verdict["paired"] is not None and verdict["paired"]["measure"]
+    by_tests = not verdict["check"] and not measured
+    whole = verdict["violations"] == verdict["episodes"] == len(listed) or by_tests
+    if whole and margins != plain_data(margin_distribution(listed)):
+        yield "the distribution of its margins is not that of its counterexamples"
+
+
+_ROUNDING = 1e-6
+_PAIR_COUNTS = ("only_with", "only_without", "both", "neither")
+
+
+def pair_problems(verdict: Data, recovered: int | None) -> Iterator[str]:
+    """Everything in which the table contradicts itself, its verdict, and its runs.
+
+    Args:
+        verdict: Of the record, on pairs.
+        recovered: Its runs in which recovery acted, if they are known.
+    """
+    pairs = verdict["pairs"]
+    if "change" in pairs:
+        yield from _change_problems(verdict)
+        return
+    from pytest_dura.requirements.statistics.comparison import mcnemar
+
+    open_pairs = pairs["incomplete"]
+    complete = sum(pairs[word] for word in _PAIR_COUNTS)
+    if not pairs["pairs"] == complete + open_pairs == verdict["run"]:
+        yield f"the table of its pairs does not add up to {verdict['run']}"
+    acted = sum(pairs[f"acted_{word}"] for word in _PAIR_COUNTS)
+    if any(pairs[f"acted_{word}"] > pairs[word] for word in _PAIR_COUNTS):
+        yield "recovery acted in more of its pairs than there are"
+    if recovered is not None and not acted <= recovered <= acted + open_pairs:
+        yield f"recovery acted in {acted} of its pairs, and in {recovered} of its runs"
+    p_value = mcnemar(pairs["only_with"], pairs["only_without"])
+    if pairs["p_value"] != p_value:
+        yield f"p is {pairs['p_value']}, and its table gives {p_value}"
+    tried = pairs["acted_only_without"] + pairs["acted_both"]
+    rate = pairs["acted_only_without"] / tried if tried else None
+    if pairs["success_rate"] != rate:
+        yield f"the rate of success is {pairs['success_rate']}, and its table gives {rate}"
+    for name in ("with", "without"):
+        least, told = pairs["both"] + pairs[f"only_{name}"], pairs[f"violated_{name}"]
+        if not least <= told <= least + open_pairs:
+            yield f"{told} runs {name} it violated it, and its table says {least}"
+
+
+def _change_problems(verdict: Data) -> Iterator[str]:
+    """Everything in which the changes of a measure contradict their summary and the verdict."""
+    from pytest_dura.requirements.pairs import Change
+
+    change = verdict["pairs"]["change"]
+    if len(change["pairs"]) != len(change["values"]):
+        yield f"its change has {len(change['values'])} values for {len(change['pairs'])} pairs"
+        return
+    if Change.from_json(change).to_json() != change:
+        yield "the summary of its change is not that of its values"
+    counted = change["n"] + sum(len(change[key]) for key in ("lost", "gained"))
+    if not counted <= verdict["run"]:
+        yield f"its change has {counted} pairs, of {verdict['run']}"
+    bound = verdict["paired"]["change_at_most"]
+    over = [value - bound for value in change["values"] if value is not None]
+    # Values that equal the bound but for rounding violate nothing.
+    slack = _ROUNDING * max(1.0, abs(bound))
+    least, most = (sum(one > shift for one in over) for shift in (slack, -slack))
+    lost = len(change["lost"])
+    if not least + lost <= verdict["violations"] <= most + lost:
+        yield f"{verdict['violations']} pairs violate it, and its changes give {least + lost}"
+
+
+TraceVerdicts = Mapping[tuple[int, str], EpisodeVerdict]
+"""What traces say, by the number of the verdict and the id of the episode."""
+EXTRA_SHARE = 0.2
+"""Further runs that may follow invalid ones, as a share of the planned ones."""
+_UNLISTED: Data = {"planned": math.inf, "variation": {}, "faults": []}
+"""In place of a case that the record does not have."""
+
+
+@dataclass(frozen=True)
+class _Run:
+    """What a verdict rests on of one planned run."""
+
+    episode: str
+    validity: str
+    termination: str
+    proposals: int
+    valid_proposals: int
+    idle: tuple[str, ...]
+    recovered: bool
+    trajectory: str
+    drawn: bool
+
+
+@dataclass
+class _Case:
+    """The planned runs of a case with one component."""
+
+    runs: dict[int, _Run] = field(default_factory=dict)
+    alike: bool = True
+    """Whether each number stands for one run."""
+
+    def add(self, episode: Data) -> None:
+        number, metrics = episode["spec"]["run"], episode["metrics"]
+        self.alike &= number not in self.runs
+        self.runs[number] = _Run(
+            episode["id"],
+            episode["validity"],
+            episode["termination"],
+            metrics["proposals"],
+            metrics["valid_proposals"],
+            tuple(one["id"] for one in episode["faults"] if one["manifested_at"] is None),
+            metrics["recoveries"] > 0,
+            episode["trajectory"],
+            episode["drawn"],
+        )
+
+    def add_to(self, situations: Situations, numbers: Iterable[int]) -> None:
+        """Have it take in the runs of these numbers."""
+        for number in numbers:
+            run = self.runs[number]
+            situations.add_run(
+                run.episode.rpartition("#")[0],
+                number,
+                run.trajectory,
+                valid=run.validity == "valid",
+                drawn=run.drawn,
+            )
+
+
+def _situation_text(situation: str | None) -> str:
+    return "no single situation" if situation is None else f"one situation, {situation}"
+
+
+def verdict_problems(record: SessionRecord, judged: TraceVerdicts) -> Iterator[str]:
+    """Everything in which verdicts are not what their episodes come to.
+
+    Args:
+        record: The record.
+        judged: What traces say.
+    """
+    cases: dict[tuple[str, str], _Case] = defaultdict(_Case)
+    for episode in record.episodes():
+        if episode["planned"]:
+            cases[episode["case"], episode["component"]].add(episode)
+    listed = {(one["id"], one["component"]): one for one in record["cases"]}
+    known = {one["id"]: one for one in record["requirements"]}
+    of_cases = {(one["id"], one["component"]): one["requirements"] for one in record["cases"]}
+    verdicts_on: dict[tuple[str, str], list[Data]] = defaultdict(list)
+    for one in record["verdicts"]:
+        verdicts_on[one["case"], one["component"]].append(one)
+    for number, one in enumerate(record["verdicts"]):
+        name = f"verdict {one['requirement']} on {one['case']}"
+        own, other = cases[one["case"], one["component"]], None
+        case = listed.get((one["case"], one["component"]), _UNLISTED)
+        if one["planned"] > case["planned"]:
+            yield f"{name}: {one['planned']} runs planned, and fewer of its case"
+        if one["pairs"] is not None:
+            other = cases[one["pairs"]["case"], one["component"]]
+        on_traces = {episode: was for (at, episode), was in judged.items() if at == number}
+        place = one["case"], one["component"]
+        seen = _violating_episodes(verdicts_on[place], one["run"], of_cases.get(place, ()))
+        asked = known.get(one["requirement"], {})
+        check = _VerdictCheck(one, asked, own, other, on_traces, seen, case_situations(case))
+        for problem in check.problems():
+            yield f"{name}: {problem}"
+
+
+def _violating_episodes(
+    verdicts: Sequence[Data], runs: int, requirements: Collection[str]
+) -> set[str] | None:
+    """Episodes that violate any requirement on a case; ``None`` if not each of them was judged.
+
+    Args:
+        verdicts: Those on the case.
+        runs: How many runs of it are looked at.
+        requirements: Those of the case.
+    """
+    judged = {one["requirement"] for one in verdicts if one["run"] >= runs}
+    if not judged.issuperset(requirements):
+        return None
+    return {counter["episode"] for one in verdicts for counter in one["counterexamples"]}
+
+
+@dataclass(frozen=True)
+class _VerdictCheck:
+    """One verdict beside the runs that it rests on."""
+
+    verdict: Data
+    requirement: Data
+    own: _Case
+    twins: _Case | None
+    on_traces: Mapping[str, EpisodeVerdict]
+    seen_elsewhere: Collection[str] | None
+    """Episodes that violate a requirement of the case, where each of these has a verdict."""
+    situations: Situations
+    """Of its case, without any run yet."""
+
+    def problems(self) -> Iterator[str]:
+        yield from margin_problems(self.verdict, self.on_traces.values())
+        one, unheard = self.verdict, self._unheard()
+        if one["spoilt"] is not None:
+            spoilt = one["spoilt"]["episode"]
+            if all(run.episode != spoilt for run in self.own.runs.values()):
+                yield f"{spoilt} says nothing of it, and is none of its runs"
+        if unheard is not None:
+            yield f"it rests on {one['run']} runs, and {unheard} is not among the episodes"
+            return
+        if self.own.alike and one["situation"] != (found := self._situation()):
+            told = _situation_text(one["situation"])
+            yield f"its runs are {told}, and their trajectories say {_situation_text(found)}"
+        if one["pairs"] is not None:
+            recovered = sum(self.own.runs[number].recovered for number in range(one["run"]))
+            yield from pair_problems(one, recovered if self.own.alike else None)
+            return
+        looked_at = self._looked_at()
+        violated = {counterexample["episode"] for counterexample in one["counterexamples"]}
+        # A violation that was seen before an infrastructure error counts.
+        valid = sum(
+            run.validity == "valid" or (run.validity == "missing" and run.episode in violated)
+            for run in looked_at
+        )
+        if one["episodes"] > valid:
+            yield f"{one['episodes']} episodes are valid to it, and {valid} are"
+        if violated - {run.episode for run in looked_at}:
+            yield f"{min(violated)} is its counterexample, and none of its runs"
+        yield from self._early_ends(looked_at)
+        if len(looked_at) == one["run"] and self.own.alike:
+            yield from self._decided_again(looked_at)
+
+    def _early_ends(self, runs: Sequence[_Run]) -> Iterator[str]:
+        """Whether runs that are open, crashed or without effect ended in such a way."""
+        one = self.verdict
+        ends = {run.episode: run for run in runs}
+        for episode in one["open"]:
+            if episode in ends and ends[episode].termination not in EARLY_ENDS:
+                yield f"{episode} is open, and it ended by {ends[episode].termination}"
+        for episode in one["unseen_crashes"]:
+            if episode in ends and ends[episode].termination != "critical":
+                yield f"{episode} crashed unseen, and it ended by {ends[episode].termination}"
+        for violated in one["counterexamples"]:
+            run = ends.get(violated["episode"])
+            if run is not None and violated["valid"] == (run.validity == "invalid"):
+                yield f"{run.episode} is {run.validity}, and its violation says otherwise"
+        if self.seen_elsewhere is None:
+            return
+        for run in runs:
+            seen = run.episode in self.seen_elsewhere or run.episode in one["unseen_crashes"]
+            if run.termination == "critical" and not seen and one["verdict"] == "supported":
+                yield f"supported, although {run.episode} crashed and violates nothing"
+
+    def _situation(self) -> Situation | None:
+        """What its runs are, by their trajectories."""
+        one = self.verdict
+        if not one["check"]:
+            self.own.add_to(self.situations, self.own.runs)
+            return self.situations.situation if one["run"] >= one["planned"] > 1 else None
+        for case in (self.own, self.twins):
+            if case is not None:
+                case.add_to(self.situations, range(one["run"]))
+        return self.situations.situation
+
+    def _unheard(self) -> str | None:
+        """A run that it rests on and that is not recorded."""
+        one = self.verdict
+        if not one["check"]:
+            # A test on single episodes, of which a part may have been chosen.
+            return None if one["run"] <= len(self.own.runs) else "one of them"
+        for case in (self.own, self.twins):
+            for number in range(one["run"]):
+                if case is not None and number not in case.runs:
+                    return f"number {number}"
+        return None
+
+    def _looked_at(self) -> list[_Run]:
+        """The runs that it may have looked at, in their order."""
+        chosen = self.own.runs
+        if self.verdict["check"]:
+            return [chosen[number] for number in range(self.verdict["run"])]
+        return [chosen[number] for number in sorted(chosen)]
+
+    def _decided_again(self, runs: Sequence[_Run]) -> Iterator[str]:
+        found = self._words(runs)
+        if found is None:
+            one = self.verdict
+            counts = ", ".join(f"{one[name]} {name}" for name in ("episodes", "invalid", "missing"))
+            yield f"its runs do not come to {counts}"
+            return
+        told, sure = found
+        if not sure and (self._sequential or any(run.idle for run in told)):
+            return  # which ones they are matters, and is not known
+        again = [self._judged(told, until) for until in (False, True)]
+        known = [verdict for verdict in again if verdict is not None]
+        if not any(self._agrees(verdict) for verdict in known):
+            gives = f"{known[0].verdict}: {known[0].reason}" if known else "another number of runs"
+            yield f"{self.verdict['verdict']}: {self.verdict['reason']}; its runs give {gives}"
+        if sure and all(run.episode in self.on_traces for run in runs):
+            margins = [run.margin for run in told if has_margin(run)]
+            if self.verdict["margins"] != plain_data(margin_distribution(margins)):
+                yield "the distribution of its margins is not that of its traces"
+            if self.verdict["vacuous"] != sum(run.vacuous for run in told):
+                yield f"{self.verdict['vacuous']} vacuous, and its traces say otherwise"
+
+    @property
+    def _sequential(self) -> bool:
+        return self.verdict["method"] not in (EVERY_EPISODE, "fixed")
+
+    def _words(self, runs: Sequence[_Run]) -> tuple[list[EpisodeVerdict], bool] | None:
+        """What each run came to, and whether that is known or one way in which it can be."""
+        one = self.verdict
+        violated = {said["episode"]: said for said in one["counterexamples"]}
+        left = Counter(
+            satisfied=one["episodes"] - one["violations"] - len(one["open"]),
+            open=len(one["open"]),
+            invalid=one["invalid"] - one["without_effect"],
+            missing=one["missing"],
+            violated=one["violations"] + one["without_effect"],
+        )
+        sure, vacuous, found = True, one["vacuous"], []
+        least = Counter(
+            run.validity
+            for run in runs
+            if run.episode not in violated and run.episode not in one["open"]
+        )
+        exact = least["valid"] == left["satisfied"] and least["invalid"] == left["invalid"]
+        for run in runs:
+            traced, said = self.on_traces.get(run.episode), violated.get(run.episode)
+            word: EpisodeStatus = "satisfied"
+            if said is not None:
+                word = "violated"
+            elif run.episode in one["open"]:
+                word = "open"
+            elif traced is not None and traced.verdict != "violated":
+                word = traced.verdict
+            elif run.validity != "valid":
+                # An invalid one may be missing to a function that fails.
+                word = "missing" if run.validity == "missing" or not left["invalid"] else "invalid"
+            elif not left["satisfied"]:
+                word = "invalid" if left["invalid"] else "missing"
+            known = said is not None or traced is not None or word == "open"
+            sure &= exact or known
+            left[word] -= 1
+            empty = vacuous > 0 and word == "satisfied" and (traced is None or traced.vacuous)
+            vacuous -= empty
+            margin, time = (None, None) if said is None else (said["margin"], said["time"])
+            if said is None and traced is not None:
+                margin, empty = traced.margin, traced.vacuous
+            found.append(
+                EpisodeVerdict(
+                    one["requirement"],
+                    run.episode,
+                    one["component"],
+                    word,
+                    margin,
+                    time,
+                    "",
+                    run.proposals,
+                    run.valid_proposals,
+                    empty,
+                    run.idle,
+                    without_effect=word == "violated" and run.validity == "invalid",
+                    ended=run.termination if run.termination in EARLY_ENDS else "",
+                    unseen_crash=run.episode in one["unseen_crashes"],
+                )
+            )
+        return None if any(left.values()) else (found, sure)
+
+    def _judged(self, told: Sequence[EpisodeVerdict], until: bool) -> CampaignVerdict | None:
+        """The verdict again; ``None`` if it would have taken another number of runs."""
+        one, bound = self.verdict, self.verdict["bound"]
+        judge = CampaignJudge(
+            Requirement(
+                id=one["requirement"],
+                at_most=bound["at_most"],
+                confidence=bound["confidence"],
+                method=None if one["method"] == EVERY_EPISODE else one["method"],
+                p0=self.requirement.get("p0") if one["method"] == "sprt" else None,
+            ),
+            one["case"],
+            planned=one["planned"],
+            component=one["component"],
+            until_decided=until,
+        )
+        for verdict in told:
+            over = judge.decided or len(judge.verdicts) == one["planned"]
+            if one["check"] and judge.sequential and over:
+                return None
+            judge.add(verdict)
+        judge.situation = one["situation"]
+        if one["check"] and judge.situation == REPEATED:
+            return judge.verdict() if len(told) == EQUAL_RUNS else None
+        if one["check"]:
+            enough = judge.decided or len(told) == one["planned"]
+            if not (enough if judge.sequential else len(told) == self._plan()):
+                return None
+        return judge.verdict()
+
+    def _plan(self) -> int:
+        """How many runs a plan of a fixed number comes to, those after invalid ones included."""
+        planned = end = self.verdict["planned"]
+        budget, number = math.ceil(EXTRA_SHARE * planned), 0
+        while number < end and number in self.own.runs:
+            if self.own.runs[number].validity == "invalid" and end < planned + budget:
+                end += 1
+            number += 1
+        return int(end)
+
+    def _agrees(self, again: CampaignVerdict) -> bool:
+        one = self.verdict
+        if one["run"] == 0 and one["verdict"] == "undecided":
+            return True
+        bound = plain_data(asdict(again.bound))
+        if (again.method, again.saved, bound) != (one["method"], one["saved"], one["bound"]):
+            return False
+        if one["verdict"] == "undecided" and again.verdict == "supported":
+            return bool(one["reason"].startswith("infrastructure: nondeterministic"))
+        spoilt = None if again.spoilt is None else again.spoilt.verdict
+        told = None if one["spoilt"] is None else one["spoilt"]["verdict"]
+        return (again.verdict, again.reason, spoilt) == (one["verdict"], one["reason"], told)

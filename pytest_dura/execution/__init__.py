@@ -1,0 +1,1 @@
+"""Execution: who simulates the episodes of a session, and where they are kept."""

@@ -1,0 +1,439 @@
+"""EpisodeCache: episodes in a directory that many processes share; pruning it."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import sys
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pytest_dura.core.episode import Episode, EpisodeSpec
+from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.files import OwnedHandle, is_named, lock
+from pytest_dura.execution.address import Address
+from pytest_dura.execution.codec import MAX_UNPACKED_BYTES, DamagedEpisodeError, unpack
+
+EPISODE, CLAIM, NEW = ".episode", ".claim", ".new"
+MAX_ATTEMPTS = 2
+"""Processes that an episode may end before it is given up."""
+_SECONDS_OF_USE = 3600.0
+"""How exactly it is noted when an episode was used last: so it is rarely written."""
+_FORMAT = 1
+_PRIVATE = 0o600
+"""Mode of all files: they hold what secrets components were given, and what they made of them."""
+_MAX_HEADER_BYTES = 1 << 20
+_MAX_FILE_BYTES = _MAX_HEADER_BYTES + MAX_UNPACKED_BYTES
+
+
+@dataclass(frozen=True)
+class CacheEntry:
+    """What the beginning of an episode's file tells.
+
+    Args:
+        id: ``case#run``.
+        component: Name of the component under test.
+        session: Id of the session that simulated it.
+        parts: Of its :class:`Address`.
+        changed: What had changed since an earlier session simulated an episode of this name, which
+            is why this one did; ``None`` if there was no earlier one.
+    """
+
+    id: str
+    component: str
+    session: str
+    parts: Mapping[str, str]
+    changed: tuple[str, ...] | None = None
+
+
+class Claim:
+    """The right to simulate an episode, as long as this process holds it.
+
+    A process that is forked meanwhile, by a simulator for example, does not hold it as well: it
+    may outlive this one, and nobody would take the episode over.
+
+    Args:
+        handle: The open and locked file.
+        file: Its name.
+        attempts: How many processes ended while they had it, before this one.
+    """
+
+    def __init__(self, handle: int, file: Path, attempts: int) -> None:
+        self._handle = OwnedHandle(handle)
+        self._file = file
+        self.attempts = attempts
+        _HELD.add(self)
+
+    @property
+    def is_held(self) -> bool:
+        """Whether nobody closed its file, which gives the claim up."""
+        return self._handle.is_intact
+
+    def release(self) -> None:
+        """Let others have it. A second call does nothing."""
+        _HELD.discard(self)
+        if not self.is_held:  # somebody closed it: by now the name may be another's
+            return
+        # While it is locked: afterwards the name may be another's. What cannot be removed counts
+        # as an attempt, no more.
+        if sys.platform == "win32":  # which removes no open files
+            self._handle.close()
+        with suppress(OSError):
+            self._file.unlink(missing_ok=True)
+        self._handle.close()
+
+    def forget(self) -> None:
+        """Close the file without giving the claim up, for a copy of the process that holds it."""
+        self._handle.close()
+
+
+_HELD: set[Claim] = set()
+"""The claims of this process, also those that nobody has in hand any more."""
+
+
+def _after_fork() -> None:
+    for claim in list(_HELD):
+        claim.forget()
+    _HELD.clear()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_after_fork)
+
+
+class EpisodeCache:
+    """Episodes by address in a directory.
+
+    A claim is a lock of the operating system: it ends with the process that holds it, whereupon
+    another one takes the episode over. How many processes an episode has ended is kept beside it.
+
+    Args:
+        directory: Where; it is made when something is first put there.
+        session: Id of the session that puts episodes there.
+        earlier: Whether those of other sessions are taken over.
+    """
+
+    def __init__(self, directory: Path, session: str, *, earlier: bool = False) -> None:
+        self.directory, self.session, self.earlier = directory, session, earlier
+
+    def find(self, address: Address, spec: EpisodeSpec) -> tuple[Episode, CacheEntry] | None:
+        """An episode, and what is told of it; ``None`` if it is not there, or not whole."""
+        file = self._file(address, EPISODE)
+        try:
+            with file.open("rb") as opened:
+                data = opened.read(_MAX_FILE_BYTES)
+        except OSError:
+            return None
+        head, _, packed = data.partition(b"\n")
+        try:
+            entry = _entry(head, address)
+            episode = unpack(packed, spec)
+        except DamagedEpisodeError:
+            # Of a full disk or a loss of power; it is simulated again.
+            with suppress(OSError):
+                file.unlink()
+            return None
+        if entry.session != self.session:
+            _mark_used(file)
+        return episode, entry
+
+    def has(self, address: Address) -> bool:
+        """Whether there is an episode, whole or not."""
+        return self._file(address, EPISODE).is_file()
+
+    def claim(self, address: Address) -> Claim | None:
+        """The right to simulate an episode; ``None`` if another process has it.
+
+        Raises:
+            OSError: If the directory cannot be written.
+        """
+        file = self._file(address, CLAIM)
+        _make_folder(file.parent)
+        while True:
+            handle = os.open(file, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), _PRIVATE)
+            try:
+                lock(handle)
+                if not is_named(handle, file):
+                    os.close(handle)  # its former holder was done with it in between
+                    continue
+                told = os.read(handle, 200).decode(errors="replace").partition(" ")
+                # Of another session it says nothing: what was wrong may be mended.
+                attempts = int(told[0]) if told[0].isdigit() and told[2] == self.session else 0
+                os.lseek(handle, 0, os.SEEK_SET)
+                os.ftruncate(handle, 0)
+                os.write(handle, f"{attempts + 1} {self.session}".encode())
+            except (BlockingIOError, PermissionError):
+                os.close(handle)
+                return None
+            except BaseException:  # also ctrl-C leaves no open file; it is raised again
+                os.close(handle)
+                raise
+            return Claim(handle, file, attempts)
+
+    def put(
+        self,
+        address: Address,
+        spec: EpisodeSpec,
+        packed: bytes,
+        changed: Sequence[str] | None = None,
+    ) -> None:
+        """Let every process find an episode.
+
+        Args:
+            address: Where.
+            spec: What it was run from.
+            packed: Of :func:`pytest_dura.execution.codec.pack`.
+            changed: See :class:`Entry`.
+
+        Raises:
+            OSError: If it cannot be written.
+        """
+        head = {
+            "format": _FORMAT,
+            "id": spec.id,
+            "component": spec.component,
+            "session": self.session,
+            "parts": dict(address.parts),
+            "changed": None if changed is None else list(changed),
+        }
+        data = json.dumps(head).encode() + b"\n" + packed
+        file = self._file(address, EPISODE)
+        _make_folder(file.parent)
+        new = file.with_suffix(f".{os.getpid()}{NEW}")
+        try:
+            new.touch(_PRIVATE)
+            new.write_bytes(data)
+            new.replace(file)
+        except BaseException:  # also on ctrl-C nothing half-written stays; it is raised again
+            with suppress(OSError):
+                new.unlink(missing_ok=True)
+            raise
+
+    def entries(self) -> Iterator[CacheEntry]:
+        """What is told of all episodes, in no order; what cannot be read is left out."""
+        for file in self.directory.glob(f"??/*{EPISODE}"):
+            with suppress(OSError, DamagedEpisodeError), file.open("rb") as opened:
+                yield _entry(opened.readline(_MAX_HEADER_BYTES))
+
+    def count(self) -> int:
+        """How many episodes there are, of whatever sessions, whole or not."""
+        return sum(1 for _ in self.directory.glob(f"??/*{EPISODE}"))
+
+    def clear(self) -> None:
+        """Remove everything, by the names that we give; no symbolic link is followed.
+
+        Raises:
+            OSError: If something cannot be removed.
+        """
+        if self.directory.is_symlink():
+            self.directory.unlink()
+        if not self.directory.is_dir():
+            return
+        for folder in list(self.directory.iterdir()):
+            if len(folder.name) == 2 and folder.is_dir() and not folder.is_symlink():
+                for file in list(folder.iterdir()):
+                    if file.suffix in (EPISODE, CLAIM, NEW):
+                        file.unlink(missing_ok=True)
+                with suppress(OSError):  # somebody else's file lies there
+                    folder.rmdir()
+        with suppress(OSError):
+            self.directory.rmdir()
+
+    def _file(self, address: Address, kind: str) -> Path:
+        return self.directory / address.name[:2] / f"{address.name}{kind}"
+
+
+def _make_folder(folder: Path) -> None:
+    """Make a folder of episodes, which are not redacted: for the owner alone, if it is new."""
+    for one in (folder.parent, folder):
+        one.parent.mkdir(parents=True, exist_ok=True)
+        one.mkdir(mode=0o700, exist_ok=True)
+
+
+def _mark_used(file: Path) -> None:
+    """Note that an episode of another session is of use, for who prunes the directory."""
+    with suppress(OSError):  # it is somebody else's, or gone
+        if time.time() - file.stat().st_mtime > _SECONDS_OF_USE:
+            os.utime(file)
+
+
+def _entry(line: bytes, address: Address | None = None) -> CacheEntry:
+    try:
+        head: Any = json.loads(line)
+        changed = head["changed"]
+        found = CacheEntry(
+            head["id"],
+            head["component"],
+            head["session"],
+            dict(head["parts"]),
+            None if changed is None else tuple(changed),
+        )
+    except (LookupError, RecursionError, TypeError, ValueError) as error:
+        raise DamagedEpisodeError(f"{type(error).__name__}: {error}") from None
+    told = [found.id, found.component, found.session, *found.parts, *found.parts.values()]
+    told += found.changed or ()
+    if head.get("format") != _FORMAT or not all(isinstance(one, str) for one in told):
+        raise DamagedEpisodeError("its beginning is not as we write it")
+    if address is not None and found.parts != address.parts:
+        raise DamagedEpisodeError("it is not the episode of this name")
+    return found
+
+
+MIN_AGE = 3600.0
+"""s; what is younger may be of a session that still runs, which would simulate it again."""
+_AGES = {"h": 3600.0, "d": 86400.0, "w": 7 * 86400.0}
+_SIZES = {"M": 10**6, "G": 10**9, "T": 10**12}
+_ADDRESS = re.compile(r"[0-9a-f]{64}")
+
+
+@dataclass(frozen=True)
+class Pruned:
+    """What was removed, and what is left.
+
+    Args:
+        removed: Episodes that were removed.
+        removed_bytes: Their size.
+        kept: Episodes that are left.
+        kept_bytes: Their size.
+    """
+
+    removed: int
+    removed_bytes: int
+    kept: int
+    kept_bytes: int
+
+
+def prune(
+    directory: Path, *, older_than: float | None = None, at_most: int | None = None
+) -> Pruned:
+    """Remove episodes from a directory of ``--dura-reuse``; sessions may use it meanwhile.
+
+    A session that has looked for an episode before has it in memory or has its file open; one that
+    looks for it afterwards simulates it again. No claim of a session that runs is touched, no
+    symbolic link followed, and no file removed whose name we do not give.
+
+    Args:
+        directory: Where.
+        older_than: Seconds: what no session has written or taken over for so long goes.
+        at_most: Bytes: what was used least recently goes until no more are left, except for what is
+            younger than :data:`LEAST_AGE`.
+
+    Raises:
+        ConfigurationError: If there is no such directory.
+    """
+    if not directory.is_dir():
+        raise ConfigurationError(
+            "there is no such directory of episodes",
+            found=str(directory),
+            expected="the directory of --dura-reuse=DIR",
+        )
+    now = time.time()
+    found = sorted(
+        (told.st_mtime, told.st_size, file)
+        for file in _files(directory, EPISODE)
+        if (told := _stat_or_none(file)) is not None
+    )
+    left = sum(size for _, size, _ in found)
+    removed = removed_bytes = 0
+    for used, size, file in found:
+        old = older_than is not None and now - used > older_than
+        much = at_most is not None and left > at_most and now - used > MIN_AGE
+        if (old or much) and _remove(file):
+            removed, removed_bytes, left = removed + 1, removed_bytes + size, left - size
+    _remove_leftovers(directory, now)
+    return Pruned(removed, removed_bytes, len(found) - removed, left)
+
+
+def read_age(text: str) -> float:
+    """Seconds from a text such as ``30d``, ``12h`` or ``2w``.
+
+    Raises:
+        ConfigurationError: For anything else, and for less than an hour.
+    """
+    number = _number(text, _AGES)
+    if number is None or number < MIN_AGE:
+        raise ConfigurationError(
+            "--older-than takes a time",
+            key="--older-than",
+            found=text,
+            expected="hours, days or weeks, of an hour at least, such as 12h, 30d or 8w",
+            remedy="for example --older-than=30d",
+        )
+    return number
+
+
+def read_size(text: str) -> int:
+    """Bytes from a text such as ``500M`` or ``2.5G``, in powers of ten.
+
+    Raises:
+        ConfigurationError: For anything else.
+    """
+    number = _number(text, _SIZES)
+    if number is None:
+        raise ConfigurationError(
+            "--at-most takes a size",
+            key="--at-most",
+            found=text,
+            expected="megabytes, gigabytes or terabytes, such as 500M or 2.5G",
+            remedy="for example --at-most=2G",
+        )
+    return int(number)
+
+
+def _number(text: str, units: dict[str, float] | dict[str, int]) -> float | None:
+    found = re.fullmatch(r"([0-9]{1,9}(?:\.[0-9]{1,9})?)([A-Za-z])", text)
+    return None if found is None or found[2] not in units else float(found[1]) * units[found[2]]
+
+
+def _files(directory: Path, kind: str) -> Iterator[Path]:
+    """Files of a kind that have names as we give them."""
+    for file in directory.glob(f"??/*{kind}"):
+        ours = _ADDRESS.fullmatch(file.name.partition(".")[0]) and file.name[:2] == file.parent.name
+        if ours and not file.parent.is_symlink() and not file.is_symlink():
+            yield file
+
+
+def _stat_or_none(file: Path) -> os.stat_result | None:
+    try:
+        return file.stat()
+    except OSError:  # removed in between
+        return None
+
+
+def _remove(file: Path) -> bool:
+    try:
+        file.unlink()
+    except FileNotFoundError:  # by somebody else, who counts it
+        return True
+    except OSError:  # Windows removes no file that is open
+        return False
+    return True
+
+
+def _remove_leftovers(directory: Path, now: float) -> None:
+    """What killed processes left: half-written files, and claims that nobody holds."""
+    for kind in (NEW, CLAIM):
+        for file in _files(directory, kind):
+            told = _stat_or_none(file)
+            if told is None or now - told.st_mtime <= MIN_AGE:
+                continue
+            if kind == NEW:
+                _remove(file)
+            else:
+                _remove_claim(file)
+
+
+def _remove_claim(file: Path) -> None:
+    with suppress(OSError):  # it is held, or gone
+        handle = os.open(file, os.O_RDWR | getattr(os, "O_NOFOLLOW", 0))
+        try:
+            lock(handle)
+            if is_named(handle, file):
+                file.unlink()
+        finally:
+            os.close(handle)

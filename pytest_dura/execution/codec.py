@@ -1,0 +1,265 @@
+"""An episode as bytes and back: plain data, so that reading one runs nobody's code."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import re
+import zlib
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import asdict, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_dura.core.episode import Episode, EpisodeSpec
+from pytest_dura.core.errors import DuraError
+from pytest_dura.core.metrics import DependabilityMetrics, FaultRecord, Tally
+from pytest_dura.core.simulator import Line, Recording, Scene, Tracks
+from pytest_dura.core.state import Event
+
+Data = dict[str, Any]
+
+MAX_UNPACKED_BYTES = 1 << 28
+"""What an episode may unfold to: some hundred times what a long one with a full scene takes."""
+_SEAL = 32
+"""Bytes at the beginning: SHA-256 of the others."""
+_KINDS = "biufU"
+"""Kinds of NumPy columns: truth values, numbers and texts; none of them holds objects."""
+_DTYPE = re.compile(rf"[<>|=][{_KINDS}][0-9]{{1,9}}")
+_DIGEST = re.compile(r"[0-9a-f]{64}")
+_DIGESTS = ("digest", "trajectory")
+
+
+class DamagedEpisodeError(DuraError):
+    """Bytes that are no episode, or not the one that was packed."""
+
+
+def pack(episode: Episode) -> bytes:
+    """All of an episode but its spec, compressed.
+
+    Floats come back to the bit, so that the digest is the same. Tuples in the data of events come
+    back as lists.
+
+    Raises:
+        TypeError: For what is no plain data, in the events of a user's simulator for example.
+        ValueError: If it is larger than :data:`MOST_BYTES`.
+    """
+    columns = _Columns()
+    head = {
+        "key": episode.spec.key,
+        "digest": episode.digest,
+        "trajectory": episode.trajectory,
+        "drawn": episode.drawn,
+        "time": columns.add(episode.time),
+        "signals": {name: columns.add(one) for name, one in episode.signals.items()},
+        "decisions": {name: columns.add(one) for name, one in episode.decisions.items()},
+        "events": [{**event.to_json(), "wall_clock": event.wall_clock} for event in episode.events],
+        "faults": [asdict(fault) for fault in episode.faults],
+        "termination": episode.termination,
+        "metrics": _metrics(episode.metrics, columns),
+        "failure": episode.failure,
+        "timeouts": list(episode.timeouts),
+        "recording": None if episode.recording is None else _recording(episode.recording, columns),
+        "columns": columns.told,
+    }
+    text = json.dumps(head, default=_plain).encode()
+    whole = b"%d\n" % len(text) + text + b"".join(columns.data)
+    if len(whole) > MAX_UNPACKED_BYTES:
+        raise ValueError(f"it takes {len(whole)} bytes, and at most {MAX_UNPACKED_BYTES} are read")
+    data = zlib.compress(whole, 1)
+    return hashlib.sha256(data).digest() + data
+
+
+def unpack(data: bytes, spec: EpisodeSpec) -> Episode:
+    """The inverse of :func:`pack`.
+
+    Args:
+        data: What was packed.
+        spec: Of the same episode.
+
+    Raises:
+        DamagedEpisodeError: For anything else, the episode of another spec included.
+    """
+    seal, inner = data[:_SEAL], data[_SEAL:]
+    if hashlib.sha256(inner).digest() != seal:
+        raise DamagedEpisodeError("it is not as it was written")
+    try:
+        head, columns = _unfolded(inner)
+        if head["key"] != spec.key:
+            raise DamagedEpisodeError("it is the episode of another spec")
+        episode = _episode(head, columns, spec)
+        # As it was taken when the episode was made: taking it again would cost more than the rest.
+        for name in _DIGESTS:
+            vars(episode)[name] = head[name]
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+        raise DamagedEpisodeError(f"{type(error).__name__}: {error}") from None
+    except (zlib.error, RecursionError, MemoryError) as error:
+        raise DamagedEpisodeError(str(error) or type(error).__name__) from None
+    return episode
+
+
+class _Columns:
+    """Arrays beside the text that names them by their number."""
+
+    def __init__(self) -> None:
+        self.told: list[list[Any]] = []
+        self.data: list[bytes] = []
+
+    def add(self, column: NDArray[Any]) -> int:
+        """The number under which an array is found."""
+        array = np.asarray(column)
+        shape = array.shape
+        if array.dtype.kind not in _KINDS:
+            raise TypeError(f"a column of {array.dtype} is no plain data")
+        self.told.append([array.dtype.str, list(shape)])
+        self.data.append(array.tobytes())
+        return len(self.told) - 1
+
+
+def _unfolded(data: bytes) -> tuple[Data, list[NDArray[Any]]]:
+    unfolding = zlib.decompressobj()
+    whole = unfolding.decompress(data, MAX_UNPACKED_BYTES)
+    if not unfolding.eof:
+        raise ValueError("it is cut short, or too large")
+    size, _, rest = whole.partition(b"\n")
+    if not size.isdigit():
+        raise ValueError("it does not begin with the length of its head")
+    length = int(size)
+    head, place = json.loads(rest[:length]), length
+    columns = []
+    for dtype, shape in head["columns"]:
+        if not _DTYPE.fullmatch(dtype) or any(type(n) is not int or n < 0 for n in shape):
+            raise ValueError("a column is no plain data")
+        kind = np.dtype(dtype)
+        end = place + kind.itemsize * math.prod(shape)
+        # A copy: columns of an episode can be written to, whoever made it.
+        columns.append(np.frombuffer(rest[place:end], dtype=kind).reshape(shape).copy())
+        place = end
+    if place != len(rest):
+        raise ValueError("there is more than its columns")
+    return head, columns
+
+
+def _episode(head: Data, columns: list[NDArray[Any]], spec: EpisodeSpec) -> Episode:
+    _check_texts(head)
+    metrics = _metrics_of(head["metrics"], columns)
+    faults = tuple(FaultRecord(**fault) for fault in head["faults"])
+    metrics.faults = {fault.id: fault for fault in faults}
+    recording = head["recording"]
+    return Episode(
+        spec=spec,
+        time=_row(columns[head["time"]], "f"),
+        signals={name: _row(columns[place]) for name, place in head["signals"].items()},
+        decisions={name: _row(columns[place]) for name, place in head["decisions"].items()},
+        events=tuple(Event(**event) for event in head["events"]),
+        faults=faults,
+        termination=head["termination"],
+        metrics=metrics,
+        failure=head["failure"],
+        timeouts=tuple(head["timeouts"]),
+        recording=None if recording is None else _recording_of(recording, columns),
+        drawn=head["drawn"],
+    )
+
+
+def _check_texts(head: Data) -> None:
+    if not all(_DIGEST.fullmatch(head[name]) for name in _DIGESTS):
+        raise ValueError("its digest is none")
+    if not isinstance(head["drawn"], bool):
+        raise TypeError("what should be a truth value is none")
+    texts = [head["termination"], *(() if head["failure"] is None else (head["failure"],))]
+    texts += [event[name] for event in head["events"] for name in ("kind", "subject", "detail")]
+    texts += [fault[name] for fault in head["faults"] for name in ("id", "target")]
+    if not all(isinstance(one, str) for one in texts):
+        raise TypeError("what should be a text is none")
+
+
+def _row(column: NDArray[Any], kinds: str = _KINDS) -> NDArray[Any]:
+    if column.ndim != 1 or column.dtype.kind not in kinds:
+        raise ValueError("a column is not what it stands for")
+    return column
+
+
+SERIES = ("performance", "wall_clock", "robustness", "processing_ns")
+"""What of an episode's metrics is measured over time: two lists by name."""
+_PLAIN_NUMBERS = {float: np.dtype("<f8"), int: np.dtype("<i8")}
+
+
+def _metrics(metrics: DependabilityMetrics, columns: _Columns) -> Data:
+    """Everything but the faults, which the episode tells."""
+    told = {name: value for name, value in vars(metrics).items() if name != "faults"}
+    for name in SERIES:
+        told[name] = {
+            key: [_listed(one, columns) for one in two] for key, two in told[name].items()
+        }
+    return {**told, "tallies": {name: asdict(one) for name, one in metrics.tallies.items()}}
+
+
+def _listed(values: list[Any], columns: _Columns) -> int | list[Any]:
+    """The number of the column that holds a list, or the list itself; reading text takes longer."""
+    kinds = set(map(type, values))
+    kind = _PLAIN_NUMBERS.get(kinds.pop()) if len(kinds) == 1 else None
+    if kind is None:
+        return values
+    try:
+        return columns.add(np.array(values, kind))
+    except OverflowError:  # of whole numbers that no column holds
+        return values
+
+
+def _metrics_of(told: Data, columns: list[NDArray[Any]]) -> DependabilityMetrics:
+    series = {
+        name: {
+            key: tuple(columns[one].tolist() if isinstance(one, int) else one for one in two)
+            for key, two in told[name].items()
+        }
+        for name in SERIES
+    }
+    made = {
+        "violations": Counter(told["violations"]),
+        "reactions": Counter(told["reactions"]),
+        "recoveries": [tuple(one) for one in told["recoveries"]],
+        "tallies": {name: Tally(**one) for name, one in told["tallies"].items()},
+    }
+    return replace(DependabilityMetrics(), **{**told, **series, **made})
+
+
+def _recording(recording: Recording, columns: _Columns) -> Data:
+    told = dict(vars(recording))
+    told["flags"] = {name: columns.add(one) for name, one in recording.flags.items()}
+    scene = recording.scene
+    if scene is not None:
+        told["scene"] = {
+            "lines": [[line.kind, columns.add(line.points)] for line in scene.lines],
+            "truth": [list(scene.truth.ids), columns.add(scene.truth.poses)],
+            "percept": [list(scene.percept.ids), columns.add(scene.percept.poses)],
+            "ego": scene.ego,
+        }
+    return told
+
+
+def _recording_of(told: Data, columns: list[NDArray[Any]]) -> Recording:
+    scene = told["scene"]
+    if scene is not None:
+        tracks = {
+            name: Tracks(tuple(scene[name][0]), columns[scene[name][1]])
+            for name in ("truth", "percept")
+        }
+        lines = tuple(Line(kind, columns[place]) for kind, place in scene["lines"])
+        scene = Scene(lines, tracks["truth"], tracks["percept"], scene["ego"])
+    texts = ("explanations", "reasons", "recoveries", "accounts")
+    made = {name: tuple(told[name]) for name in texts}
+    flags = {name: columns[place] for name, place in told["flags"].items()}
+    return Recording(**{**told, **made, "flags": flags, "scene": scene})
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, (np.generic, np.ndarray)):
+        return value.tolist()
+    if isinstance(value, Mapping):
+        return dict(value)
+    raise TypeError(f"{type(value).__name__} is no plain data")

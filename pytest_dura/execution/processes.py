@@ -1,0 +1,466 @@
+"""ProcessPool: an executor of processes, which outlives them."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor, Future
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from typing import IO, Any, ParamSpec, TypeVar, cast
+
+from pytest_dura.core.errors import DuraError
+from pytest_dura.execution.worker import (
+    READY,
+    RETIRES,
+    CallFailedError,
+    ProcessLostError,
+    read_frame,
+    result_of,
+    write_frame,
+)
+
+_START = (
+    "import json, sys; sys.path[:] = json.loads(sys.argv.pop()); "
+    "from pytest_dura.execution.worker import main; main()"
+)
+SECONDS_TO_START = 300.0
+"""Imports from a disk that many processes read at once are slow."""
+_SECONDS_TO_END = 10.0
+"""How long a process is waited for that was killed, or closed its output."""
+_POLL_SECONDS = 1.0
+"""Seconds after which it is looked whether a process still exists."""
+
+
+@dataclass(frozen=True)
+class ProcessEnvironment:
+    """What a process needs to find what this one finds.
+
+    Args:
+        path: Where it imports from: ``sys.path``.
+        folder: The folder that it works in.
+    """
+
+    path: Sequence[str]
+    folder: str
+
+    @classmethod
+    def here(cls) -> ProcessEnvironment:
+        """As they are in this process now."""
+        folder = Path.cwd()
+        return cls([str(folder / one) for one in sys.path], str(folder))
+
+
+class WorkerEndedError(Exception):
+    """The process ended before it replied. ``seconds`` is the limit that it overran, if it did."""
+
+    def __init__(self, how: str, seconds: float | None = None) -> None:
+        self.seconds = seconds
+        super().__init__(how)
+
+
+class WorkerProcess:
+    """A process that carries out one call at a time.
+
+    It has a session of its own, so that a key pressed in the terminal does not reach it. No wait
+    for it rests on the end of its output alone, which a process that it left behind may hold open.
+
+    Args:
+        surroundings: What it finds.
+
+    Raises:
+        CallFailedError: If it cannot be started.
+    """
+
+    def __init__(self, surroundings: ProcessEnvironment) -> None:
+        command = [sys.executable, *["-O"] * sys.flags.optimize, "-c", _START]
+        self._errors = tempfile.TemporaryFile()  # noqa: SIM115 - closed in `end`
+        try:
+            self._process = subprocess.Popen(
+                [*command, json.dumps(list(surroundings.path))],
+                cwd=surroundings.folder,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=self._errors,
+                start_new_session=True,
+            )
+        except OSError as error:
+            self._errors.close()
+            raise CallFailedError(f"no process can be started: {error}") from None
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._calls = self._process.stdin
+        self._replies: SimpleQueue[bytes | None] = SimpleQueue()
+        """Frames as they come; ``None`` at the end."""
+        self._reader = threading.Thread(
+            target=self._read, args=(self._process.stdout,), name="dura-replies", daemon=True
+        )
+        self._reader.start()
+        self._over = False
+
+    def wait_until_ready(self) -> None:
+        """Wait until it takes calls.
+
+        Raises:
+            CallFailedError: If it does not get there; then it is ended.
+        """
+        try:
+            with self._limited(SECONDS_TO_START) as late:
+                ready = self._reply(SECONDS_TO_START, late) == READY
+            how = "it wrote something else"
+        except WorkerEndedError as ended:
+            ready, how = False, str(ended)
+        if ready:
+            return
+        self._errors.seek(0)
+        printed = self._errors.read().decode(errors="replace").strip()
+        self.end()
+        raise CallFailedError(f"a process that simulates did not start: {printed or how}")
+
+    @property
+    def pid(self) -> int:
+        """The number of the process."""
+        return self._process.pid
+
+    @property
+    def is_alive(self) -> bool:
+        """Whether it has not ended, as far as it is known."""
+        return not self._over and self._process.poll() is None
+
+    def call(
+        self, function: str, args: Sequence[Any], kwargs: Mapping[str, Any]
+    ) -> tuple[bytes, bool]:
+        """The reply to a call, and whether the process stays for another one.
+
+        Args:
+            function: ``package.module:name``.
+            args: Plain data.
+            kwargs: Plain data; ``seconds`` is the limit of the call.
+
+        Raises:
+            ChildEndedError: If there is no reply: the process ended, or was ended after so long.
+        """
+        request = {"function": function, "args": list(args), "kwargs": dict(kwargs)}
+        data, seconds = json.dumps(request).encode(), kwargs.get("seconds")
+        with self._limited(seconds) as late:
+            try:
+                write_frame(self._calls, data)  # a process that was stopped reads nothing
+            except OSError:
+                raise self._ended(seconds, late) from None
+            found = self._reply(seconds, late)
+        return found[1:], found[:1] != RETIRES
+
+    def kill(self) -> None:
+        """End it and what it started. Its call raises in the thread that waits for the reply."""
+        if hasattr(os, "killpg"):
+            with suppress(ProcessLookupError, PermissionError):  # all of them have ended
+                os.killpg(self._process.pid, signal.SIGKILL)
+        self._process.kill()
+
+    def end(self) -> None:
+        """End it, and let go of whatever it holds here. A second call does nothing."""
+        if self._over:
+            return
+        self._over = True
+        self.kill()
+        with suppress(subprocess.TimeoutExpired):  # the kernel does not let go of it
+            self._process.wait(_SECONDS_TO_END)
+        self._reader.join(_POLL_SECONDS)
+        with suppress(OSError):  # of a request that it never read
+            self._calls.close()
+        self._errors.close()
+
+    def _read(self, stream: IO[bytes]) -> None:
+        """Take in what it writes, in a thread of its own, which alone touches the stream."""
+        with stream:
+            found: bytes | None = b""
+            while found is not None:
+                try:
+                    found = read_frame(stream)
+                except Exception:  # whatever is written there that is no reply
+                    found = None
+                self._replies.put(found)
+
+    @contextmanager
+    def _limited(self, seconds: float | None) -> Iterator[threading.Event]:
+        """End the process after so long; the event tells that this happened."""
+        late = threading.Event()
+
+        def kill_late() -> None:
+            late.set()
+            self.kill()
+
+        if seconds is None:
+            yield late
+            return
+        timer = threading.Timer(seconds, kill_late)
+        timer.daemon = True
+        timer.start()
+        try:
+            yield late
+        finally:
+            timer.cancel()
+
+    def _reply(self, seconds: float | None, late: threading.Event) -> bytes:
+        over = False
+        while (found := self._next()) == b"" and not over:
+            over = late.is_set() or not self.is_alive  # what it wrote by then is on its way
+        if not found:  # also if what it left behind holds its output open
+            raise self._ended(seconds, late)
+        return found
+
+    def _next(self) -> bytes | None:
+        """The next frame; ``None`` behind the last one, and nothing if none comes for a while."""
+        try:
+            return self._replies.get(timeout=_POLL_SECONDS)
+        except Empty:
+            return b""
+
+    def _ended(self, seconds: float | None, late: threading.Event) -> WorkerEndedError:
+        if late.is_set():
+            return WorkerEndedError(f"it took longer than {seconds:g} s", seconds)
+        return WorkerEndedError(self._how_it_ended())
+
+    def _how_it_ended(self) -> str:
+        """In words."""
+        try:
+            code = self._process.wait(_SECONDS_TO_END)
+        except subprocess.TimeoutExpired:  # it closed its output, and goes on
+            return "it closed the pipe to the session"
+        if code >= 0 or os.name == "nt":
+            return f"it ended with exit code {code}"
+        try:
+            return f"it was ended by {signal.Signals(-code).name}"
+        except ValueError:
+            return f"it was ended by signal {-code}"
+
+
+T = TypeVar("T")
+P = ParamSpec("P")
+
+MAX_LOST = 2
+"""Processes that a call may end before it is given up."""
+MAX_STARTS = 3
+"""How often a process is started for a call before the call fails: one may be killed, or find no
+memory, before it takes any call. No call is to blame for that."""
+_IDLE_SECONDS = 60.0
+"""Seconds without a call after which a process ends; the next call starts another."""
+_SESSION_ENDED = "the session ended before the episode did"
+
+
+def usable_cores() -> int:
+    """How many cores this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+@dataclass
+class _Call:
+    """A call, and who waits for it."""
+
+    function: str
+    args: tuple[Any, ...]
+    kwargs: dict[str, Any]
+    future: Future[bytes] = field(default_factory=Future)
+
+
+class ProcessPool(Executor):
+    """Processes that each carry out one call at a time, looked after by a thread of this one.
+
+    A process that ends in the middle takes nothing with it but its own call, which another process
+    is given. So it is known which call ended which process: one that ended two is given up, and so
+    is one that overran its limit, after which its process is killed. Calls are named and their
+    arguments are plain data, and so are results and errors; nothing is pickled.
+
+    Args:
+        width: How many processes at most; they are started when they are needed.
+        surroundings: What they find; by default what this process finds at the first call.
+    """
+
+    def __init__(self, width: int, surroundings: ProcessEnvironment | None = None) -> None:
+        self.width = width
+        self._surroundings = surroundings
+        self._calls: SimpleQueue[_Call | None] = SimpleQueue()
+        self._lock = threading.Lock()
+        self._threads: list[threading.Thread] = []
+        self._children: dict[threading.Thread, WorkerProcess] = {}
+        self._unfinished = 0
+        self._closed = self._killing = False
+
+    @property
+    def pids(self) -> list[int]:
+        """The numbers of the processes that there are now."""
+        with self._lock:
+            return [child.pid for child in self._children.values()]
+
+    def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
+        """The future of a call in one of the processes.
+
+        Args:
+            fn: A function at the top of a module, which returns bytes.
+            args: Plain data.
+            kwargs: Plain data; ``seconds`` is also the limit that the call is held to.
+        """
+        call = _Call(f"{fn.__module__}:{fn.__name__}", args, kwargs)
+        with self._lock:
+            if self._closed:
+                raise RuntimeError("the pool is closed")
+            if self._surroundings is None:
+                self._surroundings = ProcessEnvironment.here()
+            self._unfinished += 1
+            self._calls.put(call)
+            if len(self._threads) < min(self.width, self._unfinished):
+                thread = threading.Thread(target=self._look_after, name="dura-pool", daemon=True)
+                self._threads.append(thread)
+                thread.start()
+        return cast("Future[T]", call.future)
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """End the processes.
+
+        Args:
+            wait: Whether what was begun is carried out before that.
+            cancel_futures: Whether what was not begun is given up.
+        """
+        with self._lock:
+            self._closed = True
+            self._killing = not wait
+            if cancel_futures or not wait:
+                self._drain()
+            threads = list(self._threads)
+            for _ in threads:
+                self._calls.put(None)
+            if not wait:
+                for child in self._children.values():
+                    child.kill()
+        for thread in threads:
+            thread.join()  # what has been killed ends at once
+
+    def _drain(self) -> None:
+        while True:
+            try:
+                call = self._calls.get_nowait()
+            except Empty:
+                return
+            if call is not None:
+                call.future.cancel()
+
+    def _look_after(self) -> None:
+        """What a thread does: hand calls to a process, one after the other."""
+        child: WorkerProcess | None = None
+        try:
+            while True:
+                try:
+                    call = self._calls.get(timeout=_IDLE_SECONDS)
+                except Empty:
+                    if self._leaves():
+                        return
+                    continue
+                if call is None:
+                    return
+                if call.future.set_running_or_notify_cancel():
+                    child = self._carry_out(call, child)
+                with self._lock:
+                    self._unfinished -= 1
+        finally:
+            self._end(child)
+
+    def _leaves(self) -> bool:
+        """Whether nothing is left to do, under the lock under which calls come."""
+        with self._lock:
+            if self._closed or not self._calls.empty():
+                return False
+            self._threads.remove(threading.current_thread())
+            return True
+
+    def _carry_out(self, call: _Call, child: WorkerProcess | None) -> WorkerProcess | None:
+        """Carry out a call, and return the process that the next one may have."""
+        lost = 0
+        while True:
+            try:
+                child = self._started(child)
+                reply, stays = child.call(call.function, call.args, call.kwargs)
+            except WorkerEndedError as ended:
+                self._end(child)
+                child, lost = None, lost + 1
+                error = self._verdict(ended, lost)
+                if error is None:
+                    continue
+                call.future.set_exception(error)
+            except Exception as error:  # none can be started, an argument is no plain data
+                call.future.set_exception(error)
+            else:
+                _settle(call.future, reply)
+                if not stays:
+                    self._end(child)
+                    child = None
+            return child
+
+    def _verdict(self, ended: WorkerEndedError, lost: int) -> Exception | None:
+        """What a call comes to that lost its process; ``None`` if another process is given it."""
+        if self._killing:
+            return CallFailedError(_SESSION_ENDED)
+        if ended.seconds is not None:
+            return ProcessLostError(f"its process was ended, since {ended}")
+        if lost >= MAX_LOST:
+            return ProcessLostError(f"it ended {lost} processes that simulated it: {ended}")
+        return None
+
+    def _started(self, child: WorkerProcess | None) -> WorkerProcess:
+        """A process that takes calls: the one at hand, or a fresh one.
+
+        Raises:
+            CallFailedError: If none can be started, in as many attempts as there are.
+        """
+        if child is not None and child.is_alive:
+            return child
+        self._end(child)
+        for left in reversed(range(MAX_STARTS)):
+            made = None
+            try:
+                made = self._begun()
+                made.wait_until_ready()
+            except CallFailedError:
+                self._end(made)
+                if self._killing or not left:
+                    raise
+            else:
+                return made
+        raise AssertionError("unreachable")
+
+    def _begun(self) -> WorkerProcess:
+        """A process that starts; known at once, so that the end of the pool reaches it."""
+        assert self._surroundings is not None
+        with self._lock:
+            if self._killing:
+                raise CallFailedError(_SESSION_ENDED)
+        made = WorkerProcess(self._surroundings)
+        with self._lock:
+            self._children[threading.current_thread()] = made
+            if self._killing:
+                made.kill()
+        return made
+
+    def _end(self, child: WorkerProcess | None) -> None:
+        if child is not None:
+            with self._lock:
+                self._children.pop(threading.current_thread(), None)
+            child.end()
+
+
+def _settle(future: Future[bytes], reply: bytes) -> None:
+    try:
+        result = result_of(reply)
+    except DuraError as error:
+        future.set_exception(error)
+    else:
+        future.set_result(result)

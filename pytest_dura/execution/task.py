@@ -1,0 +1,274 @@
+"""EpisodeTask: an episode to be simulated, and whether another process can do it."""
+
+from __future__ import annotations
+
+import inspect
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from pytest_dura.core.boundary import ROLE_TIMEOUT, Boundary
+from pytest_dura.core.episode import Episode, EpisodeSpec
+from pytest_dura.core.metrics import DependabilityMetrics, FaultRecord
+from pytest_dura.core.orchestrator import Orchestrator
+from pytest_dura.core.role_spec import RoleSpec
+from pytest_dura.core.state import NOTHING, Event
+from pytest_dura.library.roles import LocalRole, local_object
+from pytest_dura.requirements.early_end import RequirementJudge
+from pytest_dura.requirements.model import Requirement
+
+
+def reason_not_portable(task: EpisodeTask) -> str | None:
+    """Why an episode is simulated in the process that wants it; ``None`` for one that need not be.
+
+    A component that asks a language model stays where its exchanges are counted and recorded.
+    """
+    return next(_reasons(task), None)
+
+
+def _reasons(task: EpisodeTask) -> Iterator[str]:
+    for name, part in task.parts.items():
+        if isinstance(part, LocalRole) and is_named(part.target):
+            yield f"the class of its {name} is in a conftest.py"
+        elif isinstance(part, LocalRole) or part.path.partition(":")[0] in _PRIVATE:
+            yield f"no import path leads to the class of its {name}"
+        elif part.opaque:
+            yield f"its {name} is a bare instance"
+        elif stated_model(part) is not None:
+            yield f"its {name} asks a language model"
+        elif not _is_plain(part.params):
+            yield f"the parameters of its {name} are no plain data"
+    for name, metric in task.metrics.items():
+        if not is_importable(metric):
+            yield f"no import path leads to the metric {name}"
+
+
+def stated_model(role: RoleSpec) -> tuple[str, str] | None:
+    """Model and fingerprint of the server, if the settled parameters of a role state them."""
+    server = role.params.get("server")
+    place = server if isinstance(server, Mapping) else role.params
+    model, fingerprint = role.params.get("model"), place.get("fingerprint")
+    if isinstance(model, str) and isinstance(fingerprint, str):
+        return model, fingerprint
+    return None
+
+
+def is_named(function: Callable[..., Any]) -> bool:
+    """Whether its name in its file says which one it is, and nothing is bound to it."""
+    name = getattr(function, "__qualname__", "<")
+    is_plain = inspect.isclass(function) or inspect.isfunction(function)
+    return is_plain and "<" not in name and getattr(function, "__closure__", None) is None
+
+
+def is_importable(function: Callable[..., Any]) -> bool:
+    """Whether an import path leads to it, in any process."""
+    if not is_named(function) or function.__module__ in _PRIVATE:
+        return False
+    try:
+        return RoleSpec.of(function).resolve() is function
+    except Exception:  # importing runs the user's code: whatever it raises, it is not importable
+        return False
+
+
+def _is_plain(params: Mapping[str, Any]) -> bool:
+    """Whether they are the same once they have been JSON: a tuple would come back as a list."""
+    try:
+        return bool(json.loads(json.dumps(dict(params))) == dict(params))
+    except (TypeError, ValueError, RecursionError):
+        return False
+
+
+_PRIVATE = ("conftest", "__main__")
+
+
+Metrics = Mapping[str, Callable[[Episode], float]]
+Data = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class EpisodeTask:
+    """One episode to be had.
+
+    Args:
+        spec: What it is run from.
+        judging: The requirements that may end it before its time; empty where none may.
+        metrics: User-defined metrics by name.
+        recorded: Whether to keep what a viewer shows of it.
+        again: Number of the repetition, of an episode that is compared with itself.
+        role_timeout: Seconds for one call into a role or the simulator; see :class:`Orchestrator`.
+            No part of an episode's address: one that it ends is missing, and not taken over.
+    """
+
+    spec: EpisodeSpec
+    judging: tuple[Requirement, ...] = ()
+    metrics: Metrics = field(default=NOTHING, compare=False)
+    recorded: bool = False
+    again: int = 0
+    role_timeout: float | None = field(default=ROLE_TIMEOUT, compare=False)
+
+    def run(self) -> Episode:
+        """The episode, simulated here and now.
+
+        Raises:
+            ConfigurationError: If a part cannot be built.
+        """
+        judge = RequirementJudge(self.judging) if self.judging else None
+        return run_episode(
+            self.spec,
+            judge,
+            self.metrics,
+            recorded=self.recorded,
+            role_timeout=self.role_timeout,
+        )
+
+    def repeated(self) -> EpisodeTask:
+        """The same once more, to be compared with the first."""
+        return replace(self, again=self.again + 1)
+
+    @property
+    def parts(self) -> dict[str, RoleSpec]:
+        """The simulator and the roles, by name."""
+        return {"simulator": self.spec.simulator, **dict(sorted(self.spec.roles.items()))}
+
+    @cached_property
+    def local(self) -> tuple[Any, ...]:
+        """What gives it a meaning in this process only: bare instances, classes of a function."""
+        found = [
+            one for part in self.parts.values() if (one := _process_local_target(part)) is not None
+        ]
+        return (*found, *(one for one in self.metrics.values() if not is_named(one)))
+
+    @cached_property
+    def portable(self) -> bool:
+        """Whether plain data says all, so that another process can simulate it."""
+        return reason_not_portable(self) is None
+
+    def to_json(self) -> Data:
+        """Plain data of a portable task, from which :meth:`from_json` makes an equal one."""
+        paths = {name: f"{one.__module__}:{one.__qualname__}" for name, one in self.metrics.items()}
+        return {
+            "spec": self.spec.to_json(),
+            "judging": [one.to_json() for one in self.judging],
+            "metrics": paths,
+            "recorded": self.recorded,
+            "again": self.again,
+            "role_timeout": self.role_timeout,
+        }
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> EpisodeTask:
+        """The inverse of :meth:`to_json`.
+
+        Raises:
+            ConfigurationError: If a metric cannot be imported here.
+        """
+        return cls(
+            EpisodeSpec.from_json(data["spec"]),
+            tuple(Requirement.from_json(one) for one in data["judging"]),
+            {name: RoleSpec(path).resolve() for name, path in data["metrics"].items()},
+            data["recorded"],
+            data["again"],
+            data["role_timeout"],
+        )
+
+
+def run_episode(
+    spec: EpisodeSpec,
+    judge: RequirementJudge | None = None,
+    metrics: Metrics = NOTHING,
+    *,
+    recorded: bool = False,
+    role_timeout: float | None = ROLE_TIMEOUT,
+) -> Episode:
+    """The episode of a spec: the same spec gives the same trace, on any machine, in any order.
+
+    Args:
+        spec: What determines it.
+        judge: What ends it at a violation, or once all is decided, where the spec says so.
+        metrics: User-defined metrics by name.
+        recorded: Whether to keep what a viewer shows of it.
+        role_timeout: Seconds for one call into a role or the simulator; see :class:`Orchestrator`.
+
+    Raises:
+        ConfigurationError: If a part cannot be built.
+    """
+    with Boundary():
+        orchestrator = Orchestrator.build(
+            spec, judge, metrics, recorded=recorded, role_timeout=role_timeout
+        )
+        try:
+            episode = orchestrator.run(spec)
+        except BaseException:  # also on ctrl-C; it is raised again
+            if not spec.simulator.opaque:
+                orchestrator.simulator.close()
+            raise
+        return episode if spec.simulator.opaque else orchestrator.close(episode)
+
+
+def _process_local_target(part: RoleSpec) -> Any:
+    """What makes a part mean something here only; a class at the top of a conftest does not."""
+    found = local_object(part)
+    named = isinstance(part, LocalRole) and is_named(part.target)
+    return None if named else found
+
+
+class UpcomingTasks:
+    """Tasks step by step; each is made once, and only if somebody looks that far.
+
+    Args:
+        steps: How many steps there are.
+        make: The tasks of a step, counted from 0.
+    """
+
+    def __init__(self, steps: int, make: Callable[[int], Sequence[EpisodeTask]]) -> None:
+        self._steps, self._make = steps, make
+        self._made: dict[int, Sequence[EpisodeTask]] = {}
+        self._at = 0
+
+    def reach(self, step: int) -> None:
+        """Begin with this step from now on."""
+        for passed in range(self._at, step):
+            self._made.pop(passed, None)
+        self._at = step
+
+    def __iter__(self) -> Iterator[EpisodeTask]:
+        """The tasks from the present step on."""
+        for step in range(self._at, self._steps):
+            if step not in self._made:
+                self._made[step] = self._make(step)
+            yield from self._made[step]
+
+
+def missing_episode(spec: EpisodeSpec, cause: str) -> Episode:
+    """An episode without a single tick, which is missing.
+
+    Args:
+        spec: What it would have been run from.
+        cause: Why there is nothing.
+    """
+    failure = f"infrastructure: {cause}"
+    faults = tuple(
+        FaultRecord(fault["id"], fault["target"], by_chance=bool(fault.get("by_chance", False)))
+        for fault in spec.faults
+    )
+    return Episode(
+        spec=spec,
+        time=np.zeros(0),
+        signals={},
+        decisions={
+            "verdict": np.zeros(0, np.int8),
+            "source": np.zeros(0, "<U1"),
+            "proposed": np.zeros(0, "<U1"),
+            "executed": np.zeros(0, "<U1"),
+            "attempts": np.zeros(0, np.int16),
+        },
+        events=(Event(0, 0.0, "infrastructure", "process", cause),),
+        faults=faults,
+        termination="infrastructure",
+        metrics=DependabilityMetrics(faults={fault.id: fault for fault in faults}),
+        failure=failure,
+    )

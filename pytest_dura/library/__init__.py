@@ -1,0 +1,1 @@
+"""Files: scenarios, requirements, cases and fault campaigns, read and checked."""

@@ -1,0 +1,427 @@
+"""Cases: scenario x fault campaign, with stable ids, and the specs of their episodes.
+
+A SearchedCase is a case in which everything is fixed, chosen by a search or a strategy.
+"""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
+from typing import Any
+
+from pytest_dura.core.episode import EpisodeSpec, Policy, Termination, canonical
+from pytest_dura.core.error_messages import did_you_mean, list_names
+from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.role_spec import RoleSpec
+from pytest_dura.core.roles import STANDARD_ROLES
+from pytest_dura.core.seeding import derive_seed
+from pytest_dura.core.state import NOTHING
+from pytest_dura.domains import check_role_name, domain_of, role_spec, simulator_spec
+from pytest_dura.faults.catalogue import BY_CHANCE
+from pytest_dura.library import variation
+from pytest_dura.library.fault_campaigns import (
+    NO_FAULTS,
+    FaultCampaign,
+    Faults,
+    ScenarioFaults,
+    check_case_count,
+    expand_campaign,
+)
+from pytest_dura.library.planned_faults import check_chains, parse_fault, parse_scenario_fault
+from pytest_dura.library.roles import ParameterResolver
+from pytest_dura.library.scenario import Scenario, check_world
+
+
+def may_match_scenario(scenario: str, globs: Sequence[str]) -> bool:
+    """Whether a glob may match a case of the scenario."""
+    return any(fnmatchcase(scenario, re.split(r"[+~]", glob, maxsplit=1)[0]) for glob in globs)
+
+
+def select_cases(cases: list[Case], globs: Sequence[str]) -> list[Case]:
+    """The cases whose id or scenario any of the globs matches; all of them without a glob.
+
+    Raises:
+        ConfigurationError: For a glob that matches nothing.
+    """
+    if not globs:
+        return cases
+    kept: set[str] = set()
+    for glob in globs:
+        found = {
+            case.id
+            for case in cases
+            if fnmatchcase(case.id, glob) or fnmatchcase(case.scenario.name, glob)
+        }
+        if not found:
+            raise no_match_error(glob, [case.id for case in cases], "case")
+        kept |= found
+    return [case for case in cases if case.id in kept]
+
+
+def no_match_error(glob: str, names: Sequence[str], what: str) -> ConfigurationError:
+    """The error for a name or glob that fits nothing."""
+    return ConfigurationError(
+        f"no {what} matches {glob!r}",
+        found=glob,
+        expected=f"one of {list_names(names)}, or a glob of them" if names else f"a {what}",
+        remedy=did_you_mean(glob, names),
+    )
+
+
+SWITCHED_OFF_MARK = "~"
+"""Stands before a role that a case switches off."""
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """A scenario with the faults that are applied to it.
+
+    Args:
+        id: ``scenario``, ``scenario+fault+fault`` or ``scenario+none``.
+        scenario: The scenario.
+        faults: The planned faults as plain data, defaults filled in.
+        requirements: Ids of the requirements that apply.
+        without: Roles that are switched off, for the second runs of pairs.
+    """
+
+    id: str
+    scenario: Scenario
+    faults: tuple[dict[str, Any], ...]
+    requirements: tuple[str, ...]
+    without: tuple[str, ...] = ()
+
+    def switched_off(self, role: str) -> Case:
+        """The same case without a role, such as ``intersection/nominal~recovery_planner``.
+
+        Raises:
+            ConfigurationError: For an unknown role, and for the component under test.
+        """
+        check_role_name(role, switched_off=True)
+        if role in self.without:
+            raise ConfigurationError(
+                f"the case {self.id!r} is already without {role!r}",
+                key=role,
+                found=self.id,
+                expected="a case in which the role runs",
+                remedy=f"take the case {self.id.partition(SWITCHED_OFF_MARK)[0]!r}",
+            )
+        if role == "generator":
+            raise ConfigurationError(
+                "the generator cannot be switched off",
+                found=role,
+                expected="another role",
+                remedy="compare two components by running the session with each of them",
+            )
+        return replace(
+            self, id=f"{self.id}{SWITCHED_OFF_MARK}{role}", without=(*self.without, role)
+        )
+
+    def without_faults(self) -> Case:
+        """The same case without any fault, such as ``intersection/ghost-obstacle+none``."""
+        bare = case_with_faults(self.scenario, NO_FAULTS)
+        for role in self.without:
+            bare = bare.switched_off(role)
+        return bare
+
+    def seed(self, run: int, base_seed: int) -> int:
+        """The seed of a run. Cases of one scenario share it, which makes their runs pairs."""
+        own = self.scenario.seed
+        if own is not None:
+            return own if run == 0 else derive_seed(own, self.scenario.name, run)
+        return derive_seed(base_seed, self.scenario.name, run)
+
+    def spec(
+        self,
+        run: int,
+        base_seed: int,
+        roles: Mapping[str, RoleSpec | None] | None = None,
+        *,
+        simulator: RoleSpec | None = None,
+        policy: str | None = None,
+        seed: int | None = None,
+        resolver: ParameterResolver | None = None,
+    ) -> EpisodeSpec:
+        """All that determines one episode.
+
+        Args:
+            run: Number of the run, from 0.
+            base_seed: The session's seed.
+            roles: Roles that replace the scenario's and the domain's; ``None`` switches one off.
+            simulator: Replaces the scenario's simulator.
+            policy: Replaces the scenario's policy.
+            seed: Seed of the episode, instead of the one that follows from ``base_seed``.
+            resolver: Resolves parameters of roles, each once; by default anew.
+
+        Raises:
+            ConfigurationError: If a role is unknown or none is the component under test.
+        """
+        scenario = self.scenario
+        entry = scenario.simulator
+        seed = self.seed(run, base_seed) if seed is None else seed
+        simulator = simulator or simulator_spec(entry.path, entry.params)
+        world, faults = self._varied(simulator, seed)
+        resolve = (resolver or ParameterResolver()).resolve
+        return EpisodeSpec(
+            case=self.id,
+            run=run,
+            seed=seed,
+            simulator=simulator,
+            roles={name: resolve(role) for name, role in self.roles(roles or {}).items()},
+            scenario={"name": scenario.name, "duration": scenario.duration, "world": world},
+            faults=faults,
+            policy=Policy.parse(policy or self.policy),
+            termination=Termination(
+                time_limit=scenario.duration,
+                violation=scenario.end_at_violation,
+                iterations=scenario.iterations,
+                decided=scenario.end_when_decided,
+            ),
+            time_step=scenario.time_step,
+            time_budget=scenario.time_budget,
+        )
+
+    @property
+    def policy(self) -> str:
+        """The scenario's policy; ``log_only`` for ``recover`` without anybody to recover."""
+        off = "recovery_planner" in self.without
+        return "log_only" if off and self.scenario.policy == "recover" else self.scenario.policy
+
+    def roles_off(self, overrides: Mapping[str, RoleSpec | None]) -> list[str]:
+        """Roles that an override or the scenario switches off for all runs, sorted by name."""
+        given: dict[str, object] = {**self.scenario.roles, **overrides}
+        return sorted(role for role, chosen in given.items() if chosen is None)
+
+    def roles(self, overrides: Mapping[str, RoleSpec | None]) -> dict[str, RoleSpec]:
+        """Overrides before the scenario's roles before the domain's defaults, by name.
+
+        Raises:
+            ConfigurationError: For an unknown name, and if there is no generator.
+        """
+        scenario = self.scenario
+        domain = domain_of(scenario.simulator.path)
+        chosen: dict[str, RoleSpec | None] = {}
+        if domain is not None:
+            chosen |= {role: RoleSpec(path) for role, path in domain.roles.items()}
+        for role, entry in scenario.roles.items():
+            chosen[role] = None if entry is None else RoleSpec(entry.path, entry.params)
+        for role, spec in overrides.items():
+            if role not in chosen:
+                check_role_name(role, switched_off=spec is None)
+            chosen[role] = spec
+        absent = [role for role in self.without if chosen.get(role) is None]
+        if absent:
+            raise ConfigurationError(
+                f"the case {self.id!r} has no role {absent[0]!r} to switch off",
+                key=absent[0],
+                found=", ".join(role for role, spec in chosen.items() if spec is not None),
+                expected="a role that runs in this case",
+                remedy="leave the comparison out, or give the case that role",
+            )
+        roles = {
+            role: role_spec(role, spec, domain)
+            for role, spec in chosen.items()
+            if spec is not None and role not in self.without
+        }
+        if "generator" not in roles:
+            raise ConfigurationError(
+                f"the case {self.id!r} has no component under test",
+                file=scenario.file or None,
+                line=scenario.line_of("roles"),
+                key="roles.generator",
+                expected="a generator from the scenario, a fixture or --dura-generator",
+                remedy="add `roles: {generator: package.module:Name}` to the scenario, "
+                "or define a `generator` fixture",
+            )
+        order = [*STANDARD_ROLES, *sorted(set(roles) - set(STANDARD_ROLES))]
+        return {role: roles[role] for role in order if role in roles}
+
+    def _varied(
+        self, simulator: RoleSpec, seed: int
+    ) -> tuple[dict[str, Any], tuple[dict[str, Any], ...]]:
+        """World and faults of the run with this seed."""
+        world = check_world(self.scenario, simulator, self.scenario.world)
+        faults = {fault["id"]: fault for fault in self.faults}
+        varied: set[str] = set()
+        for path, spread in self.scenario.variation.items():
+            # A path into a fault that this case leaves out has a stream of its own: nothing shifts.
+            fault, inner = variation.split_path(path)
+            value = variation.draw_value(path, spread, seed)
+            if not fault:
+                world = variation.replace_value(world, inner, value, create=True)
+            elif fault in faults:
+                faults[fault] = variation.replace_value(faults[fault], inner, value)
+                # Values that are possible each may contradict each other.
+                varied.add(fault)
+        for fault in sorted(varied):
+            faults[fault] = parse_fault(self.scenario, faults[fault])
+        return copy.deepcopy(world), tuple(copy.deepcopy(list(faults.values())))
+
+
+def expand_cases(
+    scenarios: Mapping[str, Scenario] | Iterable[Scenario],
+    faults: Sequence[FaultCampaign] | None = None,
+    select: Sequence[str] = (),
+    read: Mapping[str, ScenarioFaults] = NOTHING,
+) -> list[Case]:
+    """The cases of scenarios, sorted by scenario, then in the order of the fault campaigns.
+
+    Args:
+        scenarios: The scenarios.
+        faults: Fault campaigns that replace the scenarios' own; ``None`` keeps those. See
+            ``pytest_dura.library.fault_campaigns`` for what an entry may be.
+        select: Globs of case ids or scenario names; a case that matches any of them stays.
+        read: The scenarios' own faults, by the scenario's name, where they have been read before.
+
+    Raises:
+        ConfigurationError: For an unknown fault, and for a glob that matches nothing.
+    """
+    chosen = list(scenarios.values() if isinstance(scenarios, Mapping) else scenarios)
+    if faults is not None and select:
+        # Faults that are given need to fit the scenarios that are chosen, not all of them.
+        chosen = [one for one in chosen if may_match_scenario(one.name, select)] or chosen
+    cases: dict[str, Case] = {}
+    for scenario in sorted(chosen, key=lambda one: one.name):
+        known = read.get(scenario.name)
+        if known is None:
+            own = tuple(parse_scenario_fault(scenario, i) for i in range(len(scenario.faults)))
+        else:
+            own = known.own
+        by_id = {fault["id"]: fault for fault in own}
+        for planned in _planned(scenario, own, faults, known):
+            case = _case(scenario, by_id, planned)
+            before = cases.setdefault(case.id, case)
+            if before.faults != case.faults:
+                raise ConfigurationError(
+                    f"two fault campaigns make the same case {case.id!r} with different faults",
+                    key="faults",
+                    found=case.id,
+                    expected="an id of its own for each fault",
+                    remedy="give one of the faults another `id`",
+                )
+    return select_cases(list(cases.values()), select)
+
+
+def case_with_faults(scenario: Scenario, faults: FaultCampaign) -> Case:
+    """The case of a scenario with these faults.
+
+    Raises:
+        ConfigurationError: For an unknown fault, and for a campaign of several cases.
+    """
+    found = expand_cases([scenario], [faults])
+    if len(found) > 1:
+        raise ConfigurationError(
+            f"these faults make {len(found)} cases, and one is asked for",
+            key="faults",
+            found=faults,
+            expected="the faults of one case, such as ghost-obstacle",
+            remedy=f"for example {found[0].id!r}",
+        )
+    return found[0]
+
+
+def _planned(
+    scenario: Scenario,
+    own: Faults,
+    campaigns: Sequence[FaultCampaign] | None,
+    known: ScenarioFaults | None,
+) -> list[Faults]:
+    """What is given, or the scenario's own campaigns, or its own faults together."""
+    chosen = campaigns if campaigns is not None else scenario.campaigns
+    if campaigns is None and not chosen:
+        return [own]
+    if campaigns is None and known is not None:
+        return [faults for each in known.campaigns for faults in each]
+    found: list[Faults] = []
+    for one in chosen:
+        found += expand_campaign(scenario, own, one)
+        check_case_count(len(found), "faults")
+    return found
+
+
+def _case(scenario: Scenario, own: Mapping[str, dict[str, Any]], planned: Faults) -> Case:
+    by_id = {fault["id"]: fault for fault in planned}
+    if by_id == own:
+        name, planned = scenario.name, tuple(own.values())
+    else:
+        name = "+".join([scenario.name, *(by_id or [NO_FAULTS])])
+    return Case(name, scenario, planned, scenario.requirements)
+
+
+SEARCHED_MARK = "@"
+"""Stands between a scenario's name and the digest of what was chosen."""
+
+
+@dataclass(frozen=True, slots=True)
+class SearchedCase(Case):
+    """A case without variation, with a seed of its own. No campaign takes it for a rate."""
+
+    def __repr__(self) -> str:
+        """What was chosen, and not what every case of the scenario has."""
+        faults = [
+            {key: _without_none(one) for key, one in fault.items() if key != BY_CHANCE}
+            for fault in self.faults
+        ]
+        scenario = self.scenario
+        return (
+            f"SearchedCase({self.id!r}, seed={scenario.seed}, world={scenario.world}, "
+            f"faults={faults})"
+        )
+
+    def _repr_pretty_(self, printer: Any, cycle: bool) -> None:  # noqa: ARG002 - a protocol
+        """Hypothesis shows the fields of a dataclass, unless told otherwise by this."""
+        printer.text(repr(self))
+
+    @property
+    def data(self) -> dict[str, Any]:
+        """Its scenario as plain data, of which a scenario file can be made."""
+        return self.scenario.plain()
+
+
+def make_searched_case(
+    case: Case, world: Mapping[str, Any], faults: Iterable[Mapping[str, Any]], seed: int
+) -> SearchedCase:
+    """The case with this world and these faults instead of what its scenario varies.
+
+    Args:
+        case: Says everything else: simulator, roles, duration, requirements.
+        world: The world, with nothing left to draw but what follows from the seed.
+        faults: The planned faults as plain data.
+        seed: Of the episode.
+
+    Raises:
+        ConfigurationError: If the faults cannot be used, or not together. What is wrong with a
+            world is told when the episode's spec is made.
+    """
+    own = case.scenario.plain()
+    planned = [parse_fault(case.scenario, fault) for fault in faults]
+    check_chains(planned)
+    given = [_writable_fault(one) for one in planned]
+    own |= {"world": dict(world), "faults": given, "seed": seed, "runs": 1}
+    own["requirements"] = list(case.requirements)
+    for key in ("variation", "campaigns"):
+        own.pop(key, None)
+    digest = hashlib.sha256(canonical([own, list(case.without)])).hexdigest()[:10]
+    return SearchedCase(
+        f"{case.scenario.name}{SEARCHED_MARK}{digest}",
+        Scenario.model_validate(own),
+        tuple(planned),
+        case.requirements,
+        case.without,
+    )
+
+
+def _writable_fault(fault: Mapping[str, Any]) -> dict[str, Any]:
+    """What a file may say of a fault: not an id that is its type, which need not be a name."""
+    named = fault["id"] != fault["type"]
+    return {key: fault[key] for key in fault if key != BY_CHANCE and (named or key != "id")}
+
+
+def _without_none(value: Any) -> Any:
+    """A part of a fault without what it does not have."""
+    if isinstance(value, Mapping):
+        return {key: one for key, one in value.items() if one is not None}
+    return value

@@ -1,0 +1,215 @@
+"""Check what a scenario promises beyond its form: simulator, world, roles, faults."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+from itertools import islice, product
+from typing import Any
+
+from pytest_dura.core.error_messages import did_you_mean, error_at
+from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.role_spec import RoleSpec
+from pytest_dura.core.roles import STANDARD_ROLES, Role
+from pytest_dura.domains import Domain, check_role_name, domain_of, role_spec, simulator_spec
+from pytest_dura.library import variation
+from pytest_dura.library.fault_campaigns import MAX_CASES, Faults, ScenarioFaults, expand_campaign
+from pytest_dura.library.planned_faults import check_chains, parse_fault, parse_scenario_fault
+from pytest_dura.library.scenario import Scenario, check_world, world_checker
+
+
+def scenario_problems(scenario: Scenario) -> list[ConfigurationError]:
+    """Everything that would keep the scenario from running, each with its file, line and key."""
+    return check_scenario(scenario)[0]
+
+
+def check_scenario(scenario: Scenario) -> tuple[list[ConfigurationError], ScenarioFaults | None]:
+    """What :func:`problems_of` says, and the scenario's faults, which are read on the way.
+
+    The faults are ``None`` if one of them cannot be used, and if there are too many to keep: then
+    expanding the scenario says so.
+    """
+    found: list[ConfigurationError] = []
+
+    def attempt(key: str, check: Callable[..., Any], *args: Any) -> Any:
+        try:
+            return check(*args)
+        except ConfigurationError as error:
+            found.append(_place(scenario, error, key))
+            return None
+
+    simulator = attempt("simulator", _simulator, scenario)
+    world = None
+    if simulator is not None:
+        world = attempt("world", check_world, scenario, simulator, scenario.world)
+    domain = domain_of(scenario.simulator.path)
+    for role in scenario.roles:
+        attempt(f"roles.{role}", _check_role, scenario, role, domain)
+    faults = _own_faults(scenario, attempt)
+    read = None if faults is None else _campaigns(scenario, tuple(faults.values()), attempt)
+    if world is not None and faults is not None:
+        for path in scenario.variation:
+            key = f"variation.{path}"
+            attempt(key, _check_variation, scenario, simulator, world, faults, path)
+        if not found:
+            for fault in faults.values():
+                attempt("variation", _check_together, scenario, fault)
+    return found, read
+
+
+def _own_faults(
+    scenario: Scenario, attempt: Callable[..., Any]
+) -> dict[str, dict[str, Any]] | None:
+    """The scenario's faults by id; ``None`` if one of them cannot be used."""
+    found = {
+        entry.name: attempt(f"faults.{index}", parse_scenario_fault, scenario, index)
+        for index, entry in enumerate(scenario.faults)
+    }
+    if None in found.values():
+        return None
+    # With campaigns, the faults act in those combinations only.
+    if not scenario.campaigns:
+        attempt("faults", check_chains, list(found.values()))
+    return found
+
+
+def _campaigns(
+    scenario: Scenario, own: Faults, attempt: Callable[..., Any]
+) -> ScenarioFaults | None:
+    """The faults of all cases; each entry is looked at, however many there are."""
+    found: list[list[Faults]] = []
+    cases, complete = 0, True
+    for index, campaign in enumerate(scenario.campaigns):
+        made = attempt(f"campaigns.{index}", expand_campaign, scenario, own, campaign)
+        cases += len(made or ())
+        complete = complete and made is not None and cases <= MAX_CASES
+        if complete:
+            found.append(made)
+    return ScenarioFaults(own, tuple(found)) if complete else None
+
+
+def _place(scenario: Scenario, error: ConfigurationError, key: str) -> ConfigurationError:
+    if error.file:
+        return error
+    if error.key and error.key.startswith(f"{key}."):
+        key = error.key
+    return error_at(error, file=scenario.file, line=scenario.line_of(key), key=key)
+
+
+def _simulator(scenario: Scenario) -> RoleSpec:
+    entry = scenario.simulator
+    spec = simulator_spec(entry.path, entry.params)
+    _check_parameters(spec)
+    return spec
+
+
+def _check_role(scenario: Scenario, role: str, domain: Domain | None) -> None:
+    entry = scenario.roles[role]
+    check_role_name(role, switched_off=entry is None)
+    if entry is None:
+        if role == "generator":
+            raise ConfigurationError(
+                "the generator cannot be switched off",
+                found="null",
+                expected="the component under test",
+                remedy="name a generator, or leave the key out for the default one",
+            )
+        return
+    spec = role_spec(role, RoleSpec(entry.path, entry.params), domain)
+    _check_parameters(spec)
+    factory = spec.factory()
+    base = STANDARD_ROLES.get(role)
+    if base is not None and inspect.isclass(factory) and not issubclass(factory, base):
+        raise ConfigurationError(
+            f"{spec.path} is not a {base.__name__}",
+            found=spec.path,
+            expected=f"a subclass of pytest_dura.{base.__name__}",
+            remedy=f"derive it from pytest_dura.{base.__name__}, or name another class",
+        )
+    if inspect.isclass(factory) and issubclass(factory, Role):
+        factory.check_params(spec.params, scenario.time_step)
+
+
+def _check_parameters(spec: RoleSpec) -> None:
+    """Refuse parameters that the class does not take, without building anything."""
+    factory = spec.factory()
+    try:
+        signature = inspect.signature(factory)
+    except ValueError:  # some classes written in C tell no signature
+        return
+    try:
+        signature.bind(**spec.params)
+    except TypeError as error:
+        raise ConfigurationError(
+            f"{spec.path} does not take these parameters: {error}",
+            found=dict(spec.params),
+            expected=f"{spec.label}{signature}",
+            remedy="correct the parameters under `params`",
+        ) from None
+
+
+def _check_variation(
+    scenario: Scenario,
+    simulator: RoleSpec,
+    world: dict[str, Any],
+    faults: dict[str, dict[str, Any]],
+    path: str,
+) -> None:
+    fault, inner = variation.split_path(path)
+    values = variation.extreme_values(scenario.variation[path])
+    if fault:
+        if fault not in faults:
+            raise ConfigurationError(
+                f"there is no fault {fault!r} in this scenario",
+                found=fault,
+                expected="one of " + ", ".join(faults) if faults else "a fault under `faults`",
+                remedy=did_you_mean(fault, faults),
+            )
+        for value in values:
+            _try_fault(scenario, variation.replace_value(faults[fault], inner, value), path, value)
+        return
+    create = world_checker(simulator) is not None
+    for value in values:
+        varied = variation.replace_value(world, inner, value, create=create)
+        try:
+            check_world(scenario, simulator, varied)
+        except ConfigurationError as error:
+            raise _impossible(path, value, error) from None
+
+
+def _check_together(scenario: Scenario, fault: dict[str, Any]) -> None:
+    """Refuse values of one fault that are possible each and contradict each other."""
+    mark = f"faults.{fault['id']}."
+    paths = [path for path in scenario.variation if path.startswith(mark)]
+    corners = product(*(variation.extreme_values(scenario.variation[path]) for path in paths))
+    for values in islice(corners, 256) if len(paths) > 1 else ():
+        varied = fault
+        for path, value in zip(paths, values, strict=True):
+            varied = variation.replace_value(varied, path.removeprefix(mark), value)
+        try:
+            parse_fault(scenario, varied)
+        except ConfigurationError as error:
+            chosen = ", ".join(f"{p} = {v!r}" for p, v in zip(paths, values, strict=True))
+            raise ConfigurationError(
+                f"values that may be drawn contradict each other: {error.problem.splitlines()[0]}",
+                key=f"variation.{paths[-1]}",
+                found=chosen,
+                expected=error.expected,
+                remedy="choose ranges of which all values fit together",
+            ) from None
+
+
+def _try_fault(scenario: Scenario, fault: dict[str, Any], path: str, value: Any) -> None:
+    try:
+        parse_fault(scenario, fault)
+    except ConfigurationError as error:
+        raise _impossible(path, value, error) from None
+
+
+def _impossible(path: str, value: Any, error: ConfigurationError) -> ConfigurationError:
+    return ConfigurationError(
+        f"{path} cannot take the value {value!r}: {error.problem.splitlines()[0]}",
+        found=value,
+        expected=error.expected,
+        remedy="choose values that the scenario could hold itself",
+    )

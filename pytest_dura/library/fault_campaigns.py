@@ -1,0 +1,407 @@
+"""Fault campaigns: lists, grids and random samples of faults, and the catalogue."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Annotated, Any, TypeAlias
+
+from pydantic import AfterValidator, Field, JsonValue, ValidationError
+
+from pytest_dura.core.error_messages import did_you_mean, error_at
+from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.library import variation
+from pytest_dura.library.documents import MAX_DEPTH, Document, read_yaml, translate
+from pytest_dura.library.planned_faults import FaultReader, check_chains, parse_fault
+from pytest_dura.library.scenario import Entry, Scenario, Variation, not_empty
+
+MAX_CASES = 10_000
+"""Cases that the fault campaigns of one scenario may make, all together."""
+
+Values = Annotated[tuple[JsonValue, ...], Field(strict=False), AfterValidator(not_empty)]
+
+
+class FaultGrid(Entry):
+    """Every combination of values."""
+
+    fault: dict[str, JsonValue]
+    """The fault, without what the grid varies."""
+    grid: dict[str, Values]
+    """Keys of the fault, such as `parameters.offset`, to their values."""
+
+
+class FaultSample(Entry):
+    """Faults with random values."""
+
+    fault: dict[str, JsonValue]
+    """The fault, without what is drawn."""
+    sample: dict[str, Variation]
+    """Keys of the fault, such as `parameters.offset`, to a range or a choice."""
+    count: int = Field(ge=1, le=MAX_CASES)
+    """How many faults."""
+    seed: int = Field(default=0, ge=0)
+    """From which all draws follow."""
+
+
+def expand_grid(scenario: Scenario, data: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+    """The faults of a :class:`FaultGrid` in plain data, the last key varying fastest.
+
+    Raises:
+        ConfigurationError: For too many of them, and for one that cannot be used.
+    """
+    given: FaultGrid = _model(FaultGrid, data)
+    _check_keys("grid", given.grid)
+    check_case_count(math.prod(map(len, given.grid.values())), "grid")
+    yield from _combinations(given, FaultReader(scenario))
+
+
+def expand_sample(scenario: Scenario, data: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+    """The faults of a :class:`FaultSample` in plain data; each value has a stream of its own.
+
+    Raises:
+        ConfigurationError: For one that cannot be used.
+    """
+    given: FaultSample = _model(FaultSample, data)
+    _check_keys("sample", given.sample)
+    reader = FaultReader(scenario)
+    for number in range(given.count):
+        values = {
+            path: variation.draw_value(f"{number}:{path}", spread, given.seed)
+            for path, spread in given.sample.items()
+        }
+        fault: Any = _with_id(given.fault)
+        for path, value in values.items():
+            fault = _with_value(fault, path.split("."), value)
+        name = f"{fault['id']}-sample{given.seed}.{number}"
+        yield reader.read({**fault, "id": name})
+
+
+def check_case_count(cases: int, key: str) -> None:
+    """Refuse more cases than could be looked at.
+
+    Raises:
+        ConfigurationError: With the key.
+    """
+    if cases > MAX_CASES:
+        raise ConfigurationError(
+            "these fault campaigns make too many cases",
+            key=key,
+            found=f"{cases:,} cases" if cases < 10**15 else "more than 10^15 cases",
+            expected=f"at most {MAX_CASES:,} cases of one scenario",
+            remedy="give fewer values, or draw some of the combinations with a `sample`",
+        )
+
+
+def _check_keys(word: str, keys: Iterable[str]) -> None:
+    """Refuse keys of which one would overwrite what another one sets, and none at all."""
+    paths = {key: key.split(".") for key in keys}
+    if not paths:
+        raise ConfigurationError(
+            f"the {word} varies nothing",
+            key=word,
+            expected="keys of the fault with their values",
+            remedy=f"for example {word}: {{parameters.offset: "
+            + ("[1, 2]}" if word == "grid" else "{min: 1, max: 2}}"),
+        )
+    for key, path in paths.items():
+        if len(path) > MAX_DEPTH:
+            raise ConfigurationError(
+                f"a key of the {word} is nested too deeply",
+                key=word,
+                found=f"{len(path)} parts",
+                expected=f"at most {MAX_DEPTH} parts",
+                remedy="name a key of the fault, such as parameters.offset",
+            )
+        within = [
+            one for one, longer in paths.items() if one != key and longer[: len(path)] == path
+        ]
+        if within:
+            raise ConfigurationError(
+                f"the {word} sets {key!r}, and {within[0]!r} within it",
+                key=f"{word}.{key}",
+                found=key,
+                expected="keys of which none is part of another",
+                remedy="leave out one of them",
+            )
+
+
+def _combinations(given: FaultGrid, reader: FaultReader) -> Iterator[dict[str, Any]]:
+    base = _with_id(given.fault)
+    paths = [path.split(".") for path in given.grid]
+    names = _short_names(list(given.grid))
+    for values in itertools.product(*given.grid.values()):
+        fault: Any = base
+        for path, value in zip(paths, values, strict=True):
+            fault = _with_value(fault, path, value)
+        suffix = "".join(
+            f"-{name}={_id_part(value)}" for name, value in zip(names, values, strict=True)
+        )
+        yield reader.read({**fault, "id": f"{base['id']}{suffix}"})
+
+
+def _with_id(fault: Mapping[str, Any]) -> dict[str, Any]:
+    return {"id": fault.get("id", fault.get("type", "")), **fault}
+
+
+def _with_value(data: Any, path: Sequence[str], value: Any) -> Any:
+    """A copy with the value at a path; mappings on the way are made."""
+    if not path:
+        return value
+    inner = data if isinstance(data, Mapping) else {}
+    return {**inner, path[0]: _with_value(inner.get(path[0]), path[1:], value)}
+
+
+def _short_names(paths: Sequence[str]) -> list[str]:
+    """The last part of each path; the whole of it where two end alike."""
+    last = [path.rpartition(".")[2] for path in paths]
+    return [path if last.count(name) > 1 else name for path, name in zip(paths, last, strict=True)]
+
+
+def _id_part(value: Any) -> str:
+    if isinstance(value, float):
+        return f"{value:g}"
+    text = str(value).lower() if isinstance(value, bool) else str(value)
+    return "".join(one if one.isalnum() or one in "_.-" else "_" for one in text)
+
+
+def _model(model: type[Any], data: Mapping[str, Any]) -> Any:
+    try:
+        return model.model_validate(data)
+    except ValidationError as error:
+        raise translate(error, model, Document()) from None
+
+
+SingleFault: TypeAlias = str | Mapping[str, Any]
+FaultCampaign: TypeAlias = SingleFault | Sequence[SingleFault]
+"""What stands in a list of fault campaigns; see the module."""
+Faults: TypeAlias = tuple[dict[str, Any], ...]
+
+
+@dataclass(frozen=True)
+class ScenarioFaults:
+    """The faults of a scenario as plain data with defaults filled in, once they are checked.
+
+    Args:
+        own: Those of its key ``faults``.
+        campaigns: Of each entry of its ``campaigns``, the faults of each case.
+    """
+
+    own: Faults
+    campaigns: tuple[list[Faults], ...]
+
+
+NO_FAULTS = "none"
+CATALOGUE = "catalogue"
+GLOB = "*?["
+"""Characters that make a name a glob."""
+
+
+@dataclass(frozen=True)
+class FileEntry:
+    """An entry of a file of fault campaigns, with its place for messages."""
+
+    campaign: Any
+    document: Document
+    index: int
+
+    def __str__(self) -> str:
+        return str(self.campaign)
+
+    def error(self, error: ConfigurationError) -> ConfigurationError:
+        """The same error at its place in the file."""
+        key = f"campaigns.{self.index}"
+        # `faults` is where entries stand in a marker; here that is the entry itself.
+        place = f"{key}.{error.key}" if error.key not in (None, "faults") else key
+        line = self.document.line_of(place)
+        return error_at(error, file=self.document.file, line=line, key=place)
+
+
+def read_campaigns(path: Path) -> list[FileEntry]:
+    """The fault campaigns of a YAML file: a mapping with the key ``campaigns``.
+
+    Raises:
+        ConfigurationError: If the file cannot be read, or has another form.
+    """
+    document = read_yaml(path)
+    found = document.data.get("campaigns")
+    if set(document.data) != {"campaigns"} or not isinstance(found, list) or not found:
+        raise ConfigurationError(
+            "this is no file of fault campaigns",
+            file=document.file,
+            line=1,
+            key="campaigns",
+            found=", ".join(map(str, document.data)),
+            expected="the key `campaigns` alone, with a list",
+            remedy="for example campaigns: [none, ghost-obstacle]",
+        )
+    return [FileEntry(one, document, index) for index, one in enumerate(found)]
+
+
+def expand_campaign(scenario: Scenario, own: Faults, campaign: object) -> list[Faults]:
+    """The faults of each case that an entry stands for, as plain data with defaults filled in.
+
+    Args:
+        scenario: To whose domain the faults belong.
+        own: The scenario's own faults, which come before the catalogue's of the same name.
+        campaign: The entry.
+
+    Raises:
+        ConfigurationError: For an unknown fault, and for one that cannot be used.
+    """
+    if isinstance(campaign, FileEntry):
+        try:
+            return expand_campaign(scenario, own, campaign.campaign)
+        except ConfigurationError as error:
+            raise campaign.error(error) from None
+    if isinstance(campaign, str):
+        return _by_name(scenario, own, campaign)
+    if isinstance(campaign, Mapping):
+        if "grid" in campaign:
+            return [
+                _single_fault(scenario, own, fault) for fault in expand_grid(scenario, campaign)
+            ]
+        if "sample" in campaign:
+            return [
+                _single_fault(scenario, own, fault) for fault in expand_sample(scenario, campaign)
+            ]
+        campaign = [campaign]
+    if not isinstance(campaign, Sequence) or not _are_faults(campaign):
+        raise ConfigurationError(
+            "this is no fault campaign",
+            key="faults",
+            found=campaign,
+            expected="a fault's name or data, a list of them, a grid or a sample",
+            remedy=f"for example {NO_FAULTS}, or ghost-obstacle",
+        )
+    return [_joint_faults(scenario, own, campaign)]
+
+
+def _are_faults(campaign: Sequence[Any]) -> bool:
+    # An empty list would read as a campaign, and be a run without any fault.
+    return bool(campaign) and all(isinstance(one, (str, Mapping)) for one in campaign)
+
+
+def _single_fault(scenario: Scenario, own: Faults, fault: dict[str, Any]) -> Faults:
+    check_chains([fault])
+    _check_not_varied(scenario, own, fault)
+    return (fault,)
+
+
+def _check_not_varied(scenario: Scenario, own: Faults, fault: dict[str, Any]) -> None:
+    """Refuse a fault whose values the scenario's variation of another one would overwrite."""
+    paths = [path for path in scenario.variation if path.startswith(f"faults.{fault['id']}.")]
+    if paths and fault not in own:
+        raise ConfigurationError(
+            f"the scenario varies a fault of its own with the id {fault['id']!r}",
+            key="id",
+            found=fault["id"],
+            expected=f"an id that the scenario's variation does not name ({paths[0]})",
+            remedy="give it another `id`, or name the scenario's own fault",
+        )
+
+
+def _by_name(scenario: Scenario, own: Faults, text: str) -> list[Faults]:
+    if text == NO_FAULTS:
+        return [()]
+    matched = _matching(scenario, text)
+    if matched is not None:
+        return [
+            _single_fault(scenario, own, _fault_of_name(scenario, own, name)) for name in matched
+        ]
+    return [_joint_faults(scenario, own, text.split("+"))]
+
+
+def catalogue_for(scenario: Scenario) -> list[str]:
+    """The types of the catalogue that can act in the scenario's domain as they are by default."""
+    from pytest_dura.faults.catalogue import FAULT_TYPES
+
+    return [name for name in sorted(FAULT_TYPES) if _usable(scenario, name)]
+
+
+def _usable(scenario: Scenario, name: str) -> bool:
+    from pytest_dura.domains import domain_of
+    from pytest_dura.faults.catalogue import fault_class
+    from pytest_dura.faults.model import possible_targets
+    from pytest_dura.library.scenario import channel_kinds, fault_targets
+
+    domain, kind = domain_of(scenario.simulator.path), fault_class(name)
+    channels = channel_kinds(domain)
+    if channels is None or kind.acts_on not in fault_targets(domain):
+        return False
+    return bool(possible_targets(kind.acts_on, channels))
+
+
+def _matching(scenario: Scenario, text: str) -> list[str] | None:
+    """The types that ``catalogue`` or a glob stands for; ``None`` for anything else."""
+    if text != CATALOGUE and not set(text) & set(GLOB):
+        return None
+    usable = catalogue_for(scenario)
+    if not usable:
+        raise ConfigurationError(
+            f"the catalogue has no faults that fit {scenario.name!r} by themselves",
+            key="faults",
+            found=text,
+            expected="faults with a `target`, since the domain of its simulator is not known",
+            remedy="name each fault as data: {type: ..., target: ..., activation: {at: ...}}",
+        )
+    found = usable if text == CATALOGUE else [one for one in usable if fnmatchcase(one, text)]
+    if not found:
+        raise ConfigurationError(
+            f"no fault of the catalogue matches {text!r}",
+            key="faults",
+            found=text,
+            expected="a glob of: " + ", ".join(usable),
+            remedy=did_you_mean(text, usable),
+        )
+    return found
+
+
+def _joint_faults(scenario: Scenario, own: Faults, names: Sequence[SingleFault]) -> Faults:
+    chosen: dict[str, dict[str, Any]] = {}
+    for one in names:
+        fault = (
+            parse_fault(scenario, one)
+            if isinstance(one, Mapping)
+            else _fault_of_name(scenario, own, one)
+        )
+        if chosen.setdefault(fault["id"], fault) != fault:
+            raise ConfigurationError(
+                f"two faults of one campaign have the id {fault['id']!r}",
+                key="faults",
+                found=fault["id"],
+                expected="an id of its own for each fault",
+                remedy="give one of them another `id`",
+            )
+        _check_not_varied(scenario, own, fault)
+    check_chains(list(chosen.values()))
+    return tuple(chosen.values())
+
+
+def _fault_of_name(scenario: Scenario, own: Faults, name: str) -> dict[str, Any]:
+    from pytest_dura.faults.catalogue import FAULT_TYPES, fault_class
+
+    for fault in own:
+        if fault["id"] == name:
+            return fault
+    if name in FAULT_TYPES:
+        return parse_fault(scenario, {"type": name, **fault_class(name).example()})
+    known = {*FAULT_TYPES, *(fault["id"] for fault in own)}
+    if name in (NO_FAULTS, CATALOGUE) or set(name) & set(GLOB):
+        raise ConfigurationError(
+            f"{name!r} is a campaign by itself, and no fault among others",
+            key="faults",
+            found=name,
+            expected="one of " + ", ".join(sorted(known)),
+            remedy=f"make {name!r} an entry of its own",
+        )
+    raise ConfigurationError(
+        f"unknown fault {name!r}",
+        key="faults",
+        found=name,
+        expected=f"{NO_FAULTS}, {CATALOGUE}, or one of " + ", ".join(sorted(known)),
+        remedy=did_you_mean(name, {*known, NO_FAULTS, CATALOGUE}),
+    )

@@ -1,0 +1,203 @@
+"""Parse the faults of a case for the scenario's domain, and check them together."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from pytest_dura.core.episode import Termination
+from pytest_dura.core.error_messages import did_you_mean, error_at
+from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.domains import domain_of
+from pytest_dura.faults.activation import TOLERANCE, Until, parse_condition
+from pytest_dura.faults.catalogue import FAULT_TYPES, load_fault, plain_fault
+from pytest_dura.faults.model import check_condition_targets, check_target, with_proposal
+from pytest_dura.faults.targets import PROPOSAL
+from pytest_dura.library.scenario import Scenario, channel_kinds, fault_targets
+
+if TYPE_CHECKING:
+    from pytest_dura.faults.model import Channel, Fault
+
+
+RESERVED = ("none", "catalogue")
+"""Names of fault campaigns, which no fault may have."""
+MAX_ID = 200
+"""Characters of an id, which stands in the names of tests and in commands."""
+_MISREAD = re.compile(r"[+~#*?\[]|::")
+
+
+class FaultReader:
+    """Reads the faults of one scenario; what their domain allows is looked up once for all.
+
+    Args:
+        scenario: To whose domain and duration the faults belong.
+    """
+
+    def __init__(self, scenario: Scenario) -> None:
+        domain = domain_of(scenario.simulator.path)
+        self._targets, self._channels = fault_targets(domain), channel_kinds(domain)
+        last = Termination(scenario.lasts).last_index(scenario.time_step) - 1
+        self._duration, self._end = scenario.lasts, last * scenario.time_step
+        self._places: dict[tuple[str, str], Channel] = {}
+        """The channels of targets that suit a type."""
+        self._conditions: set[tuple[str, str, bool]] = set()
+        """Keys and texts of conditions on what is there, and whether they may read a proposal."""
+
+    def read(self, data: Mapping[str, Any]) -> dict[str, Any]:
+        """A fault as plain data, with the defaults of its type and of the scenario's domain.
+
+        Args:
+            data: The fault.
+
+        Raises:
+            ConfigurationError: If the catalogue refuses it, or the domain has no such target.
+        """
+        fault = load_fault(data, self._targets)
+        filled = plain_fault(fault)
+        if fault.type not in FAULT_TYPES:
+            # Whether what a user's own type tells of itself makes a fault again, we cannot know.
+            fault = load_fault(filled)
+        if self._channels is not None:
+            self._check_place(fault, self._channels)
+            if fault.activation.when is not None:
+                known = self._channels
+                if fault.activation.directed:
+                    known = with_proposal(known)
+                self._check_condition(fault.activation.when, known, "activation.when")
+            if isinstance(fault.duration, Until):
+                self._check_condition(fault.duration.until, self._channels, "duration.until")
+        _check_id(fault.id)
+        self._check_times(fault)
+        return filled
+
+    def _check_place(self, fault: Fault, channels: Mapping[str, Channel]) -> None:
+        place = fault.type, fault.target
+        if place in self._places:
+            fault.check_parameters(self._places[place])
+        else:
+            self._places[place] = check_target(fault, channels)
+
+    def _check_condition(self, text: str, channels: Mapping[str, Channel], key: str) -> None:
+        checked = key, text, PROPOSAL in channels
+        if checked not in self._conditions:
+            check_condition_targets(parse_condition(text).targets, channels, key)
+            self._conditions.add(checked)
+
+    def _check_times(self, fault: Fault) -> None:
+        """Refuse what could only happen when the last decision of the episode has been made."""
+        activation, end = fault.activation, self._end
+        times = {"at": activation.at, "not_before": activation.not_before or None}
+        if activation.after is not None:
+            times["after.delay"] = activation.after.delay
+        for name, time in times.items():
+            if time is not None and time > end + TOLERANCE:
+                raise ConfigurationError(
+                    f"the fault {fault.id!r} can only begin at {time:g} s, when the episode is over"
+                    if name != "after.delay"
+                    else f"the fault {fault.id!r} waits {time:g} s, longer than the episode",
+                    key=f"activation.{name}",
+                    found=time,
+                    expected=f"at most {end:g} s, the last decision of the scenario's"
+                    f" {self._duration:g} s",
+                    remedy="let it begin earlier, or make the scenario longer",
+                )
+
+
+def parse_fault(scenario: Scenario, data: Mapping[str, Any]) -> dict[str, Any]:
+    """One fault of a scenario; see :meth:`FaultReader.read`."""
+    return FaultReader(scenario).read(data)
+
+
+def _check_id(name: str) -> None:
+    """Refuse an id that would read as something else in the id of a case, or on a command line."""
+    plain = name.isprintable() and name == name.strip() and len(name) <= MAX_ID
+    misread = _MISREAD.search(name) or name.endswith(".py")
+    if name in RESERVED or misread or not plain:
+        raise ConfigurationError(
+            f"a fault cannot have the id {name[:MAX_ID]!r}",
+            key="id",
+            found=repr(name),
+            expected=f"a name other than {' and '.join(RESERVED)}, without any of + ~ # * ? [ ::,"
+            f" of at most {MAX_ID} printable characters, not ending in .py",
+            remedy="give it another `id`",
+        )
+
+
+def parse_scenario_fault(scenario: Scenario, index: int) -> dict[str, Any]:
+    """One of the scenario's own faults; see :func:`parsed`.
+
+    Raises:
+        ConfigurationError: At its place in the file.
+    """
+    data = scenario.faults[index].model_dump(mode="json", exclude_unset=True)
+    data = {key: value for key, value in data.items() if value is not None or key == "duration"}
+    try:
+        return parse_fault(scenario, data)
+    except ConfigurationError as error:
+        key = f"faults.{index}.{error.key}" if error.key else f"faults.{index}"
+        raise error_at(error, file=scenario.file, line=scenario.line_of(key), key=key) from None
+
+
+def check_chains(faults: Sequence[Mapping[str, Any]]) -> None:
+    """Refuse faults that wait for what does not happen.
+
+    That is: a fault that is not there, the end of one that has none, or each other.
+
+    Raises:
+        ConfigurationError: With the key ``faults.<index>.activation.after.fault``, or ``.event``.
+    """
+    by_id = {fault["id"]: fault for fault in faults}
+    after = {name: fault["activation"].get("after") for name, fault in by_id.items()}
+    waits = {name: one["fault"] for name, one in after.items() if one is not None}
+    for index, name in enumerate(by_id):
+        if name not in waits:
+            continue
+        first, key = waits[name], f"faults.{index}.activation.after"
+        if first not in by_id:
+            others = [one for one in by_id if one != name]
+            near = did_you_mean(first, others) if others else ""
+            raise ConfigurationError(
+                f"the fault {name!r} waits for {first!r}, which is not planned with it",
+                key=f"{key}.fault",
+                found=first,
+                expected="one of " + ", ".join(others) if others else "another fault beside it",
+                remedy=near
+                if near.startswith("did")
+                else f"plan {first!r} as well, or name both"
+                f" where the faults are chosen: {first}+{name}",
+            )
+        _check_circle(waits, name, f"{key}.fault")
+        if after[name]["event"] == "deactivated" and not _can_end(by_id[first]):
+            raise ConfigurationError(
+                f"the fault {name!r} waits for the end of {first!r}, which has none",
+                key=f"{key}.event",
+                found="deactivated",
+                expected=f"`activated` or `manifested`, since {first!r} is permanent",
+                remedy=f"give {first!r} a duration, or wait for another event of it",
+            )
+
+
+def _check_circle(waits: Mapping[str, str], name: str, key: str) -> None:
+    path = [name]
+    while path[-1] in waits and waits[path[-1]] not in path:
+        path.append(waits[path[-1]])
+    if waits.get(path[-1]) == name:
+        circle = " -> ".join([*path, name])
+        raise ConfigurationError(
+            f"these faults wait for each other for ever: {circle}"
+            if len(path) > 1
+            else f"the fault {name!r} waits for itself",
+            key=key,
+            found=waits[name],
+            expected="a fault that something else activates",
+            remedy="give one of them a time, `at`" if len(path) > 1 else "give it a time, `at`",
+        )
+
+
+def _can_end(fault: Mapping[str, Any]) -> bool:
+    """Whether a fault in plain data can end."""
+    duration = fault["duration"]
+    if isinstance(duration, Mapping) and "on" in duration:
+        return duration.get("lasting") is not None
+    return duration is not None

@@ -1,0 +1,323 @@
+"""Read requirement files, and tell which requirements apply to which scenarios."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import AfterValidator, Field, model_validator
+
+from pytest_dura.core.error_messages import combine_errors, did_you_mean, error_at
+from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.loop_signals import LOOP_SIGNALS, PROPOSAL_PREFIX
+from pytest_dura.domains import Domain, check_role_name, domain_of
+from pytest_dura.library.documents import Document, validate
+from pytest_dura.library.scenario import (
+    Entry,
+    Scenario,
+    not_empty,
+    percept_signal_names,
+    proposal_signal_names,
+    signal_names,
+)
+from pytest_dura.requirements.checks import Check, is_function_path, load_function, read_formula
+from pytest_dura.requirements.model import FAULTS, Kind, Method, Paired, Requirement
+from pytest_dura.requirements.pairs import check_comparison
+from pytest_dura.requirements.stl.formula import Formula, check_time_step
+from pytest_dura.requirements.verdicts.judging import CampaignJudge, method_of
+
+
+class PairedEntry(Entry):
+    """A requirement on pairs: the same seeds with something and without it."""
+
+    without: str = Field(min_length=1)
+    """`faults`, or the role that is switched off in the second run of each pair."""
+    measure: str = ""
+    """Import path `package.module:function` of a function of an episode to a number."""
+    change_at_most: float | None = None
+    """Greatest acceptable growth of the measure, in its unit."""
+
+    @model_validator(mode="after")
+    def _complete(self) -> PairedEntry:
+        if bool(self.measure) != (self.change_at_most is not None):
+            raise ValueError("`measure` and `change_at_most` go together")
+        return self
+
+
+class RequirementEntry(Entry):
+    """One requirement."""
+
+    id: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")
+    """Unique name, such as `SAF-1`."""
+    text: str = Field(min_length=1)
+    """What is required, in words."""
+    kind: Kind
+    """The kind of dependability it belongs to."""
+    source: str = ""
+    """Where it comes from: a standard, a hazard analysis, a contract."""
+    check: str = ""
+    """Formula that an episode must satisfy, such as `always (gap > 0)`, or the import path
+    `package.module:function` of a function of the episode; empty for test code."""
+    reason: str = ""
+    """Why the bound is what it is."""
+    at_most: float | None = Field(default=None, gt=0, lt=1)
+    """Greatest acceptable rate of episodes that violate it; without it none may."""
+    confidence: float = Field(default=0.95, gt=0.5, lt=1)
+    """One-sided confidence of the bound on that rate."""
+    method: Method | None = None
+    """How a rate is decided; default: `fixed`, or `e-process` for runs until it is decided."""
+    p0: float | None = Field(default=None, gt=0, lt=1)
+    """For `sprt`: the rate below `at_most` up to which a component is rarely rejected."""
+    applies_to: Annotated[tuple[Annotated[str, Field(min_length=1)], ...], Field(strict=False)] = ()
+    """Globs of the scenarios to which it applies besides those that name it."""
+    paired: PairedEntry | None = None
+    """For a requirement on pairs of runs: what the second run of each pair lacks."""
+
+    def requirement(self) -> Requirement:
+        """The requirement."""
+        data = self.model_dump()
+        paired = data.pop("paired")
+        return Requirement(**data, paired=None if paired is None else Paired(**paired))
+
+
+class RequirementFile(Entry):
+    """A file of requirements."""
+
+    requirements: Annotated[
+        tuple[RequirementEntry, ...], Field(strict=False), AfterValidator(not_empty)
+    ]
+    """The requirements."""
+
+
+@dataclass(frozen=True)
+class LocatedRequirement:
+    """A requirement and the place where it is defined."""
+
+    requirement: Requirement
+    document: Document
+    index: int
+
+    @property
+    def key(self) -> str:
+        """Dotted key of its id."""
+        return f"requirements.{self.index}.id"
+
+    @property
+    def line(self) -> int | None:
+        """Line of its id."""
+        return self.document.line_of(self.key)
+
+    def error(self, error: ConfigurationError, key: str = "check") -> ConfigurationError:
+        """An error of its check, or of another key, told at its place in the file."""
+        key = f"requirements.{self.index}.{key}"
+        return error_at(error, file=self.document.file, line=self.document.line_of(key), key=key)
+
+
+def is_requirement_file(document: Document) -> bool:
+    """Whether a file is named ``requirements*`` or lists mappings with an id as requirements."""
+    if Path(document.file).name.startswith("requirements"):
+        return True
+    entries = document.data.get("requirements")
+    return isinstance(entries, list) and any(
+        isinstance(entry, Mapping) and "id" in entry for entry in entries
+    )
+
+
+def read_requirements(document: Document) -> list[LocatedRequirement]:
+    """The requirements of a file, each with a check that can be read.
+
+    Raises:
+        ConfigurationError: One for all that is wrong with the file.
+    """
+    found, errors = [], []
+    for index, entry in enumerate(validate(RequirementFile, document).requirements):
+        located = LocatedRequirement(entry.requirement(), document, index)
+        found.append(located)
+        errors += _problems(located)
+    if errors:
+        raise combine_errors(errors)
+    return found
+
+
+def _problems(located: LocatedRequirement) -> list[ConfigurationError]:
+    """What would keep the requirement from being judged, each at its place."""
+    requirement = located.requirement
+    paired = requirement.paired
+    functions = {"paired.measure": paired.measure} if paired is not None else {}
+    if is_function_path(requirement.check):
+        functions["check"] = requirement.check
+    errors = []
+    try:
+        CampaignJudge(requirement, "", planned=1)
+        check_comparison(requirement)
+    except ConfigurationError as error:
+        errors.append(located.error(error, error.key or "at_most"))
+    try:
+        if requirement.check and "check" not in functions:
+            read_formula(requirement.check)
+    except ConfigurationError as error:
+        errors.append(located.error(error))
+    for key, path in functions.items():
+        try:
+            if path:
+                load_function(path)
+        except ConfigurationError as error:  # noqa: PERF203 - all errors are told at once
+            errors.append(located.error(error, key))
+    return errors
+
+
+def apply_requirements(
+    scenarios: Mapping[str, Scenario], requirements: Mapping[str, LocatedRequirement]
+) -> dict[str, Scenario]:
+    """The scenarios, each with the requirements that name it in ``applies_to`` after its own."""
+    found = dict(scenarios)
+    for name, located in requirements.items():
+        for glob in located.requirement.applies_to:
+            for scenario in found.values():
+                if fnmatchcase(scenario.name, glob) and name not in scenario.requirements:
+                    added = (*scenario.requirements, name)
+                    found[scenario.name] = scenario.model_copy(update={"requirements": added})
+    return found
+
+
+def unmatched_globs(
+    scenarios: Mapping[str, Scenario],
+    requirements: Mapping[str, LocatedRequirement],
+    theirs: set[str],
+) -> list[str]:
+    """Globs under ``applies_to`` in ``theirs`` files that match no scenario: a misspelt one."""
+    return [
+        f"{one.document.file}:{one.document.line_of(f'requirements.{one.index}.applies_to.{i}')}: "
+        f"the requirement {name!r} applies to {glob!r}, which matches no scenario"
+        for name, one in requirements.items()
+        if one.document.file in theirs
+        for i, glob in enumerate(one.requirement.applies_to)
+        if not any(fnmatchcase(scenario, glob) for scenario in scenarios)
+    ]
+
+
+def check_reference(
+    scenario: Scenario, index: int, requirements: Mapping[str, LocatedRequirement]
+) -> None:
+    """Refuse a requirement that does not exist, or cannot be judged in this scenario.
+
+    Raises:
+        ConfigurationError: At the place that has to be mended, in either file.
+    """
+    name = scenario.requirements[index]
+    key = f"requirements.{index}"
+    file, line = scenario.file, scenario.line_of(key)
+    if name not in requirements:
+        raise ConfigurationError(
+            f"unknown requirement {name!r}",
+            file=file,
+            line=line,
+            key=key,
+            found=name,
+            expected="one of " + ", ".join(requirements) if requirements else "a requirement",
+            remedy=did_you_mean(name, requirements)
+            if requirements
+            else "define it in a requirement file, requirements.yaml",
+        )
+    located = requirements[name]
+    requirement = located.requirement
+    if not requirement.check and not (requirement.paired and requirement.paired.measure):
+        raise ConfigurationError(
+            f"requirement {name!r} has no check, so no scenario can be judged by it",
+            file=file,
+            line=line,
+            key=key,
+            found=name,
+            expected="a requirement with a `check`",
+            remedy=f"add a `check` in {located.document.file}:{located.line}",
+        )
+    try:
+        _check_paired(scenario, located)
+        method_of(requirement, until_decided=scenario.until_decided)
+    except ConfigurationError as error:
+        raise error_at(error, file=file, line=line, key=key) from None
+    try:
+        check_formula(scenario, requirement.check)
+    except ConfigurationError as error:
+        raise located.error(error) from None
+
+
+def _check_paired(scenario: Scenario, located: LocatedRequirement) -> None:
+    paired = located.requirement.paired
+    if paired is None:
+        return
+    if paired.without != FAULTS:
+        check_role_name(paired.without, switched_off=True)
+    elif not scenario.faults:
+        raise ConfigurationError(
+            f"the requirement {located.requirement.id!r} compares runs with faults to runs "
+            "without, and this scenario has no faults",
+            found=located.requirement.id,
+            expected="a scenario with faults",
+            remedy="leave the requirement out here",
+        )
+
+
+def check_formula(scenario: Scenario, check: Check) -> None:
+    """Refuse a formula that could not be judged on this scenario's episodes; pass over functions.
+
+    Raises:
+        ConfigurationError: For a formula that cannot be read, a signal that the scenario's domain
+            does not have, a window that is no multiple of the time step, and windows that reach
+        beyond the scenario's duration: its episodes could not decide them.
+    """
+    if not isinstance(check, str) or not check or is_function_path(check):
+        return
+    formula = read_formula(check)
+    known = _known_signals(domain_of(scenario.simulator.path), formula)
+    if known is not None:
+        read_formula(check, known)
+    check_time_step(formula, scenario.time_step)
+    ahead = formula.horizon
+    if ahead is not None and ahead > scenario.lasts * (1 + 1e-9):
+        raise ConfigurationError(
+            f"the windows of the formula reach beyond the episodes of {scenario.name!r}",
+            key="check",
+            found=f"{formula}, which looks {ahead:g} s ahead",
+            expected=f"windows that end within the scenario's duration of {scenario.lasts:g} s",
+            remedy="shorten the windows, or lengthen the scenario's `duration`"
+            + (" and its `iterations`" if scenario.lasts < scenario.duration else ""),
+        )
+
+
+def _known_signals(domain: Domain | None, formula: Formula) -> tuple[str, ...] | None:
+    """Every signal that a formula may read; ``None`` where only the simulator will tell."""
+    truth = None if domain is None else signal_names(domain)
+    if domain is None or truth is None:
+        return None
+    later = {
+        "percept.": percept_signal_names(domain),
+        PROPOSAL_PREFIX: proposal_signal_names(domain),
+    }
+    named = [
+        name
+        for prefix, names in later.items()
+        for name in (
+            [one for one in formula.signals if one.startswith(prefix)]
+            if names is None
+            else [prefix + one for one in names]
+        )
+    ]
+    return (*truth, *named, *LOOP_SIGNALS)
+
+
+def unused_requirements(
+    scenarios: Mapping[str, Scenario],
+    requirements: Mapping[str, LocatedRequirement],
+    theirs: set[str],
+) -> dict[str, str]:
+    """The ids of the requirements in ``theirs`` files that no scenario uses, with their places."""
+    used = {name for scenario in scenarios.values() for name in scenario.requirements}
+    return {
+        name: f"{one.document.file}:{one.line}"
+        for name, one in requirements.items()
+        if name not in used and one.document.file in theirs
+    }

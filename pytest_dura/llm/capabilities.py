@@ -1,0 +1,421 @@
+"""What a server and its model can do, found by a few requests, whatever it says it can do."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+import time
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any, Protocol, get_args
+
+import numpy as np
+
+from pytest_dura.core.episode import canonical
+from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.llm.answers import read_answer
+from pytest_dura.llm.client import import_extra
+from pytest_dura.llm.endpoint import KEY, MODEL, URL, Endpoint
+from pytest_dura.llm.port import Answer, ChatPort, Image, Message, Request, Structured
+
+LEVELS: tuple[Structured, ...] = get_args(Structured)
+"""From the strongest to the weakest."""
+
+
+@dataclass(frozen=True)
+class Capabilities:
+    """What a server and its model can do. Nothing here depends on when or where it was asked.
+
+    Args:
+        model: Name of the model.
+        fingerprint: SHA-256 of what the server tells of itself and the model, without times.
+        structured: The level at which it is asked for structured answers.
+        enforced: Whether it kept to that level when it was tempted not to: to the schema, or at
+            ``json_object`` to any JSON object.
+        vision: Whether it read a code in a picture, and did not tell it without the picture.
+        seed: Whether two answers with the same seed at temperature 1 were equal.
+        context: Tokens of prompt and answer together, where the server tells.
+        attempts: Tries until the first answer.
+        requests: How often it was asked in all.
+        words: For each of these what happened, in a few words.
+    """
+
+    model: str
+    fingerprint: str
+    structured: Structured
+    enforced: bool
+    vision: bool
+    seed: bool
+    context: int | None = None
+    attempts: int = 1
+    requests: int = 0
+    words: Mapping[str, str] = field(default_factory=dict)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data."""
+        return asdict(self) | {"words": dict(self.words)}
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> Capabilities:
+        """The inverse of :meth:`to_json`.
+
+        Raises:
+            ConfigurationError: For what is no capabilities.
+        """
+        for key, kinds in _KINDS.items():
+            if key not in data or type(data[key]) not in kinds:
+                raise _refused(key, data.get(key), " or ".join(kind.__name__ for kind in kinds))
+        if unknown := sorted(set(data) - set(_KINDS)):
+            raise _refused(unknown[0], data[unknown[0]], "one of " + ", ".join(_KINDS))
+        if data["structured"] not in LEVELS:
+            raise _refused("structured", data["structured"], "one of " + ", ".join(LEVELS))
+        if not all(isinstance(one, str) for pair in data["words"].items() for one in pair):
+            raise _refused("words", data["words"], "texts by name")
+        return cls(**{**data, "words": dict(data["words"])})
+
+
+_KINDS: Mapping[str, tuple[type, ...]] = {
+    "model": (str,),
+    "fingerprint": (str,),
+    "structured": (str,),
+    "enforced": (bool,),
+    "vision": (bool,),
+    "seed": (bool,),
+    "context": (int, type(None)),
+    "attempts": (int,),
+    "requests": (int,),
+    "words": (dict,),
+}
+
+
+def _refused(key: str, found: object, expected: str) -> ConfigurationError:
+    return ConfigurationError(
+        f"the capabilities of a language model cannot be read at {key!r}",
+        key=key,
+        found=found,
+        expected=expected,
+        remedy="record them anew",
+    )
+
+
+_STABLE = (
+    "id",
+    "owned_by",
+    "root",
+    "parent",
+    "meta",
+    "details",
+    "architecture",
+    "quantization",
+    "digest",
+    "version",
+    "max_model_len",
+    "context_length",
+    "context_window",
+)
+"""What of a model's entry stays across restarts; not ``created``, ``permission``, ``status``."""
+_CONTEXTS = ("max_model_len", "context_length", "context_window")
+_MOST_MODELS = 20
+
+
+@dataclass(frozen=True)
+class ServerListing:
+    """What the server told of itself.
+
+    Args:
+        entry: Of the model in the list of models; empty where there is none.
+        models: The names in that list.
+        said: The fingerprint that it gives with each answer; empty if it varies, or gives none.
+        words: What happened.
+    """
+
+    entry: Mapping[str, Any]
+    models: tuple[str, ...]
+    said: str
+    words: str
+
+    @classmethod
+    def of(cls, listing: str, why_not: str, model: str, said: Iterable[str]) -> ServerListing:
+        """From the body of ``GET /models``, or why there is none, and the answers' fingerprints."""
+        entries = _entries(listing)
+        models = tuple(str(one["id"]) for one in entries)
+        entry = next((one for one in entries if one["id"] == model), {})
+        told = set(said)
+        names = [name for name in _STABLE if name in entry]
+        words = f"the list of models tells {', '.join(names)}" if entry else (
+            why_not or f"the list of models does not name it, but {len(models)} others"
+        )  # fmt: skip
+        if len(told) > 1:
+            words += "; the fingerprint of its answers varies, and is left out"
+        return cls(entry, models[:_MOST_MODELS], told.pop() if len(told) == 1 else "", words)
+
+    def fingerprint(self, model: str) -> str:
+        """SHA-256, in hexadecimal."""
+        stable = {name: self.entry[name] for name in _STABLE if name in self.entry}
+        return hashlib.sha256(canonical([model, stable, self.said])).hexdigest()
+
+    @property
+    def context(self) -> int | None:
+        """Tokens that it takes at once, where it tells."""
+        meta = self.entry.get("meta")
+        places = [self.entry.get(name) for name in _CONTEXTS]
+        places.append(meta.get("n_ctx") if isinstance(meta, dict) else None)
+        return next((one for one in places if type(one) is int and one > 0), None)
+
+
+def _entries(listing: str) -> list[dict[str, Any]]:
+    try:
+        found = json.loads(listing)
+    except (ValueError, RecursionError):  # such a server has no list; `words` tells it
+        return []
+    data = found.get("data") if isinstance(found, dict) else None
+    return [
+        one
+        for one in (data if isinstance(data, list) else [])
+        if isinstance(one, dict) and isinstance(one.get("id"), str)
+    ]
+
+
+CODE = "K7XM4R"
+"""Six letters and digits of which none looks like another."""
+QUESTION = (
+    "A code of six letters and digits is written in the picture. Answer with the code alone. If"
+    " there is no picture or you cannot see it, answer with the word NONE."
+)
+_SCALE, _MARGIN, _GAP = 8, 40, 3
+
+
+def canary() -> Image:
+    """The code in black on white, in the built-in bitmap font, the same pixels everywhere.
+
+    Shape about ``(170, 500, 3)``. The enlarged bitmap does not depend on a font library's version.
+    """
+    pictures, draw = import_extra("PIL.Image"), import_extra("PIL.ImageDraw")
+    font = import_extra("PIL.ImageFont").load_default_imagefont()
+    letters = []
+    for char in CODE:
+        left, _, right, bottom = font.getbbox(char)
+        letter = pictures.new("L", (right - left + _GAP, bottom), 255)
+        draw.Draw(letter).text((-left, 0), char, fill=0, font=font)
+        letters.append(np.asarray(letter))
+    small = np.hstack(letters)
+    ink = np.kron(small, np.ones((_SCALE, _SCALE), dtype=np.uint8))
+    page = np.pad(ink, _MARGIN, constant_values=255)
+    return Image("canary", np.repeat(page[:, :, None], 3, axis=2).astype(np.uint8))
+
+
+def holds_code(text: str) -> bool:
+    """Whether an answer holds the code, however its characters are set apart."""
+    return CODE in "".join(char for char in text.upper() if char.isalnum())
+
+
+ATTEMPTS = 3
+_DEAD = ("unavailable", "timeout", "malformed")
+_FOR_GOOD = (401, 403, 404)
+
+
+class ProbePort(ChatPort, Protocol):
+    """A port whose server tells of its models."""
+
+    def listing(self, budget: float) -> Answer:
+        """The body of ``GET /models`` as the text; see :class:`ChatPort` for failures."""
+
+
+class ProbeCalls:
+    """The calls of one probe.
+
+    Args:
+        port: Who is asked.
+        endpoint: Whose model, for the messages.
+        budget: Seconds for each call.
+        pause: Seconds before a second try, and twice that before the third.
+    """
+
+    def __init__(self, port: ProbePort, endpoint: Endpoint, budget: float, pause: float) -> None:
+        self._port, self._endpoint, self._budget, self._pause = port, endpoint, budget, pause
+        self.requests = 0
+        self.attempts = 0
+        self.fingerprints: set[str] = set()
+
+    def ask(self, request: Request) -> Answer:
+        """One call."""
+        self.requests += 1
+        answer = self._port.ask(request, self._budget)
+        if answer.fingerprint:
+            self.fingerprints.add(answer.fingerprint)
+        return answer
+
+    def first(self, request: Request) -> tuple[Answer, Request]:
+        """The first answer, and the request that got it: without a seed if it was refused so.
+
+        Raises:
+            ConfigurationError: If there is no answer after :data:`ATTEMPTS` tries, or the server
+                refuses for good.
+        """
+        while True:
+            self.attempts += 1
+            answer = self.ask(request)
+            if answer.failure not in _DEAD:
+                return answer, request
+            status = status_of(answer)
+            if status in _FOR_GOOD or self.attempts == ATTEMPTS:
+                raise self._given_up(answer, status)
+            if status in (400, 422):
+                request = replace(request, seed=None)
+            else:
+                time.sleep(self._pause * self.attempts)
+
+    def server(self) -> ServerListing:
+        """What the server tells of itself; best asked last."""
+        self.requests += 1
+        listing = self._port.listing(self._budget)
+        why_not = f"there is no list of models: {listing.detail}" if listing.failure else ""
+        return ServerListing.of(listing.text, why_not, self._endpoint.model, self.fingerprints)
+
+    def _given_up(self, answer: Answer, status: int | None) -> ConfigurationError:
+        tries = "1 try" if self.attempts == 1 else f"{self.attempts} tries"
+        return ConfigurationError(
+            f"the language model {self._endpoint.model!r} at {self._endpoint.public} gave no"
+            f" answer in {tries} ({answer.failure}): {answer.detail}",
+            key=KEY if status in (401, 403) else URL,
+            expected="an OpenAI-compatible server that answers within"
+            f" {self._budget:g} s at {self._endpoint.public}/chat/completions",
+            remedy=self._remedy(answer, status),
+        )
+
+    def _remedy(self, answer: Answer, status: int | None) -> str:
+        if status in (401, 403):
+            return f"check {KEY}"
+        if status == 404:
+            models = ", ".join(self.server().models)
+            known = f"; the server lists {models}" if models else ""
+            return f"check {URL}, which often ends with /v1, and {MODEL}{known}"
+        if status is not None and 400 <= status < 500:
+            return f"check {MODEL}, and what the server says"
+        if answer.failure == "timeout":
+            return "wait until the model is loaded, or give it more time"
+        return f"start the server, or check {URL}"
+
+
+def status_of(answer: Answer) -> int | None:
+    """The HTTP status with which a server refused, where it was that."""
+    found = re.match(r"HTTP (\d{3}): ", answer.detail) if answer.failure else None
+    return int(found[1]) if found else None
+
+
+SEED = 7
+SCHEMA: Mapping[str, Any] = {
+    "type": "object",
+    "properties": {
+        "words": {"type": "array", "items": {"type": "string", "maxLength": 16}, "maxItems": 3},
+        "sentence": {"type": "string", "maxLength": 120},
+        "mood": {"type": "string", "enum": ["calm", "rough"]},
+    },
+    "required": ["words", "sentence", "mood"],
+    "additionalProperties": False,
+}
+"""What each server that enforces schemas can enforce; llama.cpp leaves out bounds of numbers."""
+_VARIED = "Write twelve random words on one line, and nothing else."
+_TEMPTING = (
+    "Describe the sea in one sentence of plain prose. Do not write JSON, and no braces. Begin with"
+    " the words: The sea"
+)
+
+
+def probe(
+    port: ProbePort, endpoint: Endpoint, budget: float, *, pause: float = 0.5,
+    schema: Mapping[str, Any] = SCHEMA,
+) -> Capabilities:  # fmt: skip
+    """Find out what a server and its model can do, in 5 to 8 requests.
+
+    Args:
+        port: Who is asked.
+        endpoint: Names the model; its public URL stands in the message of an error.
+        budget: Seconds for each request.
+        pause: Seconds before the first request is tried again; it is tried three times.
+        schema: Of the structured answers that are asked for, as
+            :func:`~pytest_dura.llm.answers.read_answer` reads it.
+
+    Raises:
+        ConfigurationError: If the server gives no answer at all.
+    """
+    asking = ProbeCalls(port, endpoint, budget, pause)
+    plain = Request(endpoint.model, (), max_tokens=700)
+    seed, seed_words = _seed(asking, plain)
+    plain = replace(plain, seed=SEED if seed else None)
+    structured, enforced, structured_words = _structured(asking, plain, schema)
+    vision, vision_words = _vision(asking, plain)
+    server = asking.server()
+    context = server.context
+    return Capabilities(
+        model=endpoint.model,
+        fingerprint=server.fingerprint(endpoint.model),
+        structured=structured,
+        enforced=enforced,
+        vision=vision,
+        seed=seed,
+        context=context,
+        attempts=asking.attempts,
+        requests=asking.requests,
+        words={
+            "structured": structured_words,
+            "vision": vision_words,
+            "seed": seed_words,
+            "server": server.words,
+            "context": "the server tells none" if context is None else f"{context} tokens",
+        },
+    )
+
+
+def _seed(asking: ProbeCalls, plain: Request) -> tuple[bool, str]:
+    """Whether equal seeds give equal answers where the sampling is free."""
+    wanted = replace(plain, messages=(Message("user", _VARIED),), temperature=1.0, seed=SEED,
+                     max_tokens=200)  # fmt: skip
+    first, used = asking.first(wanted)
+    if used.seed is None:
+        return False, "a request with a seed was refused"
+    second = asking.ask(wanted)
+    if not first.text.strip() or not second.text.strip():
+        failure = (first if not first.text.strip() else second).failure
+        return False, f"there was nothing to compare ({failure})"
+    equal = "equal" if first.text == second.text else "different"
+    return first.text == second.text, (
+        f"two answers with seed {SEED} at temperature 1, of {len(first.text)} and"
+        f" {len(second.text)} characters, were {equal}"
+    )
+
+
+def _structured(
+    asking: ProbeCalls, plain: Request, schema: Mapping[str, Any]
+) -> tuple[Structured, bool, str]:
+    """The strongest level that is enforced; else the strongest that is taken at all."""
+    taken: list[Structured] = []
+    words = []
+    tempting = replace(plain, messages=(Message("user", _TEMPTING),))
+    for level in LEVELS[:-1]:
+        kept = {"type": "object"} if level == "json_object" else schema
+        answer = asking.ask(replace(tempting, structured=level, schema=schema))
+        reading = read_answer(answer, kept)
+        if reading.answered:
+            words.append(f"{level}: kept to it when asked for prose")
+            return level, True, "; ".join(words)
+        if answer.failure in ("", "truncated", "empty"):
+            taken.append(level)
+        words.append(f"{level}: {reading.outcome}, {reading.detail}")
+    return (taken[0] if taken else "none"), False, "; ".join(words)
+
+
+def _vision(asking: ProbeCalls, plain: Request) -> tuple[bool, str]:
+    """Whether a code in a picture comes back, and does not without the picture."""
+    seen = asking.ask(replace(plain, messages=(Message("user", QUESTION, (canary(),)),)))
+    if not holds_code(seen.text):
+        return False, f"the code in the picture did not come back: {_answer_text(seen)}"
+    blind = asking.ask(replace(plain, messages=(Message("user", QUESTION),)))
+    if holds_code(blind.text):
+        return False, f"the code {CODE} came back without the picture, too"
+    return True, f"the code {CODE} in the picture came back, and not without the picture"
+
+
+def _answer_text(answer: Answer) -> str:
+    return f"{answer.failure}, {answer.detail}" if answer.failure else "another answer"

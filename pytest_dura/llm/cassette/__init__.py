@@ -1,1 +1,0 @@
-"""The cassette: one SQLite file with what a language model was asked and what it answered."""

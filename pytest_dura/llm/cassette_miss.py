@@ -1,0 +1,140 @@
+"""Why a cassette has no answer to a request: what differs from the nearest one that it has."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from itertools import zip_longest
+from typing import Any
+
+from pytest_dura.core.errors import ComponentEnvironmentError, shorten
+from pytest_dura.llm.cassette import Cassette, Exchange
+
+LOOKED_AT = 5000
+"""Exchanges of a model that are compared with a request; a miss must not take minutes."""
+LONGEST = 900
+_SHOWN = 90
+_PARAMETERS = ("structured", "temperature", "max_tokens", "seed", "sample")
+_HEADING = re.compile(r"[\W_]*([A-Z][A-Z_]{2,29})(?:\W|$)")
+
+Data = Mapping[str, Any]
+
+
+class CassetteMissError(ComponentEnvironmentError):
+    """The cassette has no answer to a request, and in replay nobody else is asked."""
+
+    def __init__(self, problem: str) -> None:
+        super().__init__("cassette", problem)
+
+
+def explain_miss(cassette: Cassette, asked: Data, fingerprint: str) -> str:
+    """What differs from the nearest request that is recorded, on one line of bounded length.
+
+    The nearest one has the most messages in common, then the sample, then the most lines of the
+    message that differs first. The words depend on the file and the request alone.
+
+    Args:
+        cassette: Where the request was looked for.
+        asked: ``Request.to_json()``, without secrets as what is recorded.
+        fingerprint: Of the server that was to answer.
+
+    Raises:
+        ConfigurationError: If the cassette cannot be read.
+    """
+    best: Exchange | None = None
+    best_score: tuple[int, ...] = ()
+    compared = 0
+    for one in cassette.exchanges(asked["model"]):
+        score = _likeness(one, asked, fingerprint)
+        if best is None or score > best_score:
+            best, best_score = one, score
+        compared += 1
+        if compared == LOOKED_AT:
+            break
+    told = f"the cassette {cassette.file.name} has no answer to a request to {asked['model']!r}"
+    if best is None:
+        models = sorted({str(one["model"]) for one in cassette.descriptions()})
+        known = f"it knows {shorten(models)}" if len(cassette) else "it is empty"
+        return _bounded(f"{told}: of this model it has none; {known}")
+    found = list(_differences(best, asked, fingerprint))
+    differs = "; ".join(found) or "what was taken out of it as a secret"
+    return _bounded(f"{told}; from the nearest of {compared} recorded ones it differs in {differs}")
+
+
+def _bounded(text: str) -> str:
+    return text if len(text) <= LONGEST else text[: LONGEST - 1] + "…"
+
+
+def _likeness(one: Exchange, asked: Data, fingerprint: str) -> tuple[int, ...]:
+    pairs = list(zip(one.request["messages"], asked["messages"], strict=False))
+    equal = sum(recorded == new for recorded, new in pairs)
+    lines = next((_common(old, new) for old, new in pairs if old != new), 0)
+    same = sum(one.request[name] == asked[name] for name in (*_PARAMETERS, "schema"))
+    sample = one.request["sample"] == asked["sample"]
+    return equal, sample, lines, same, one.fingerprint == fingerprint
+
+
+def _common(one: Data, other: Data) -> int:
+    """Lines that two messages have in common."""
+    first, second = (set(message["text"].splitlines()) for message in (one, other))
+    return len(first & second)
+
+
+def _differences(one: Exchange, asked: Data, fingerprint: str) -> Iterator[str]:
+    recorded = one.request
+    if one.fingerprint != fingerprint:
+        yield f"the server's fingerprint ({_was(one.fingerprint, fingerprint)})"
+    for name in _PARAMETERS:
+        if recorded[name] != asked[name]:
+            yield f"{name} ({_was(recorded[name], asked[name])})"
+    if recorded["schema"] != asked["schema"]:
+        yield "the schema of the answer"
+    before, now = recorded["messages"], asked["messages"]
+    if len(before) != len(now):
+        yield f"the number of messages ({_was(len(before), len(now))})"
+    for number, (old, new) in enumerate(zip(before, now, strict=False), start=1):
+        if old != new:
+            yield f"message {number} ({new['role']}), {_in_message(old, new)}"
+            return
+
+
+def _in_message(old: Data, new: Data) -> str:
+    """What differs first in a message."""
+    if old["role"] != new["role"]:
+        return f"its role ({_was(old['role'], new['role'])})"
+    if old["images"] != new["images"]:
+        names = [
+            str((image or other)["name"])
+            for image, other in zip_longest(new["images"], old["images"])
+            if image != other
+        ]
+        where = f"image {shorten(names[0])}"
+        return where if old["text"] == new["text"] else f"{where}, and {_in_text(old, new)}"
+    return _in_text(old, new)
+
+
+def _in_text(old: Data, new: Data) -> str:
+    before, now = old["text"].splitlines(), new["text"].splitlines()
+    for number, (was, is_now) in enumerate(zip_longest(before, now)):
+        if was != is_now:
+            headings = (_HEADING.match(line) for line in reversed(now[: number + 1]))
+            block = next((f", block {found[1]}" for found in headings if found), "")
+            return f"line {number + 1}{block} ({_was(*_from_difference(was, is_now))})"
+    return "the ends of its lines"
+
+
+def _from_difference(was: str | None, now: str | None) -> tuple[str | None, str | None]:
+    """Two lines from shortly before their first difference, if that is far from the beginning."""
+    if was is None or now is None:
+        return was, now
+    ends = (i for i, (old, new) in enumerate(zip(was, now, strict=False)) if old != new)
+    begin = next(ends, min(len(was), len(now))) - _SHOWN // 3
+    return (was, now) if begin <= 0 else (f"…{was[begin:]}", f"…{now[begin:]}")
+
+
+def _was(recorded: Any, asked: Any) -> str:
+    return f"recorded {_shown(recorded)}, asked {_shown(asked)}"
+
+
+def _shown(value: Any) -> str:
+    return "nothing" if value is None else shorten(value, _SHOWN)

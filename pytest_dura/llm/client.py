@@ -1,0 +1,399 @@
+"""The client of OpenAI-compatible servers: one call of the openai SDK, turned into an answer.
+
+It never retries. Packages of the extra ``llm`` are imported at first use.
+"""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from http import HTTPStatus
+from importlib import import_module
+from importlib.util import find_spec
+from typing import Any
+from urllib.parse import urlsplit
+
+from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.llm.endpoint import Endpoint
+from pytest_dura.llm.port import Answer, Image, Message, Request, ServerFault, WireFailure
+
+
+def import_extra(name: str) -> Any:
+    """A module of a package that the extra ``llm`` installs.
+
+    Raises:
+        ConfigurationError: If it is not installed.
+    """
+    try:
+        return import_module(name)
+    except ImportError as error:
+        raise ConfigurationError(
+            f"a language model needs the package {name.partition('.')[0]!r}: {error}",
+            remedy="pip install 'pytest-dura[llm]'",
+        ) from None
+
+
+LONGEST_DETAIL = 300
+_LONGEST_WORD = 100
+_FILTERED = ("content_filter", "content_policy_violation", "ResponsibleAIPolicyViolation")
+"""Codes with which a server says that a content filter declined."""
+
+
+def refusal_of(status: int, body: bytes) -> Answer:
+    """The answer where a server tells of an error, with whatever status."""
+    told, code = _error(body)
+    told = told.strip() or _phrase(status)
+    shown = f" ({code})" if code and code not in told else ""
+    detail = short_text(f"HTTP {status}: {told}{shown}")
+    return Answer(failure="refused" if code in _FILTERED else "unavailable", detail=detail)
+
+
+def short_text(text: str) -> str:
+    """What others said, on one line that acts on no terminal; :data:`LONGEST_DETAIL` at most."""
+    line = " ".join("".join(char if char.isprintable() else " " for char in text).split())
+    return line if len(line) <= LONGEST_DETAIL else line[: LONGEST_DETAIL - 1] + "…"
+
+
+def short_word(found: Any) -> str:
+    """A short text of a server's on one line; empty for anything else."""
+    return short_text(found)[:_LONGEST_WORD] if isinstance(found, str) else ""
+
+
+def _phrase(status: int) -> str:
+    try:
+        return HTTPStatus(status).phrase
+    except ValueError:
+        return "an error without words"
+
+
+def _error(body: bytes) -> tuple[str, str]:
+    """Message and code of an error's body, in any of the forms that servers use."""
+    text = body.decode(errors="replace")
+    try:
+        found = json.loads(text)
+    except (ValueError, RecursionError):
+        return text, ""
+    error = found.get("error") or found if isinstance(found, dict) else found
+    if not isinstance(error, dict):
+        return (error if isinstance(error, str) else text), ""
+    told = next((error[key] for key in ("message", "detail", "title") if error.get(key)), text)
+    codes = (short_word(error.get(key)) for key in ("code", "type"))
+    return told if isinstance(told, str) else json.dumps(told), next(filter(None, codes), "")
+
+
+class BadBodyError(Exception):
+    """A body that is no chat completion.
+
+    Args:
+        failure: Its class.
+        detail: What is wrong with it.
+    """
+
+    def __init__(self, failure: WireFailure, detail: str) -> None:
+        super().__init__(detail)
+        self.failure, self.detail = failure, short_text(detail)
+
+
+def object_of(body: bytes) -> dict[str, Any]:
+    """The JSON object that a body is: UTF-8, and numbers that JSON knows.
+
+    Raises:
+        BadBodyError: ``truncated`` for the beginning of an object, ``empty`` for nothing at all,
+            else ``malformed``.
+    """
+    if not body.strip():
+        raise BadBodyError("empty", "the body of the response is empty")
+    text = _decoded(body)
+    try:
+        found = json.loads(text, parse_constant=_no_number)
+    except json.JSONDecodeError as error:
+        if _ends_early(text, error):
+            raise _cut(body) from None
+        raise BadBodyError("malformed", f"the body is no JSON: {text[:80]}") from None
+    except (ValueError, RecursionError) as error:  # NaN, endless digits, endless nesting
+        raise BadBodyError("malformed", f"the body is no JSON: {error}") from None
+    if not isinstance(found, dict):
+        raise BadBodyError("malformed", f"JSON, but no object: {type(found).__name__}")
+    return found
+
+
+def _decoded(body: bytes) -> str:
+    try:
+        return body.decode()
+    except UnicodeDecodeError as error:
+        if error.end == len(body) and "unexpected end" in error.reason:
+            raise _cut(body) from None
+        raise BadBodyError("malformed", "the body is no text in UTF-8") from None
+
+
+def _cut(body: bytes) -> BadBodyError:
+    return BadBodyError("truncated", f"the body ends in the middle, at byte {len(body)}")
+
+
+def _ends_early(text: str, error: json.JSONDecodeError) -> bool:
+    """Whether a text is the beginning of a JSON object, for all that can be seen."""
+    whole = text.strip()
+    if not whole.startswith("{"):
+        return False
+    at_end = error.pos >= len(text.rstrip())
+    return at_end or error.msg.startswith("Unterminated string") or not whole.endswith("}")
+
+
+def _no_number(name: str) -> float:
+    raise ValueError(f"{name} is no number of JSON")
+
+
+LONGEST_TEXT = 64_000
+"""Characters of an answer that are kept."""
+_MOST_TOKENS = 2**53
+_COUNTED = ("prompt_tokens", "completion_tokens", "total_tokens")
+
+
+def read_completion(body: bytes) -> Answer:
+    """The answer in a body; a body that holds none is a failure of its class."""
+    try:
+        found = object_of(body)
+        if found.get("error") or found.get("object") == "error":
+            return refusal_of(200, body)
+        return _answer(found)
+    except BadBodyError as error:
+        return Answer(failure=error.failure, detail=error.detail)
+
+
+def _answer(found: dict[str, Any]) -> Answer:
+    choice, message = _first_choice(found)
+    content, refusal = message.get("content"), message.get("refusal")
+    if content is not None and not isinstance(content, str):
+        raise BadBodyError("malformed", "no chat completion: the content is no text")
+    finish = short_word(choice.get("finish_reason"))
+    text = _encodable(content or "")
+    failure, detail = _failure(text, refusal, finish)
+    return Answer(
+        text[:LONGEST_TEXT],
+        failure,
+        short_text(_encodable(detail)),
+        finish=finish,
+        usage=_usage(found.get("usage")),
+        fingerprint=short_word(found.get("system_fingerprint")),
+    )
+
+
+def _failure(text: str, refusal: Any, finish: str) -> tuple[WireFailure, str]:
+    """The class of an answer that is none, and why."""
+    if refusal:
+        return "refused", f"refusal: {refusal}"
+    if finish == "content_filter":
+        return "refused", "finish_reason: content_filter"
+    if len(text) > LONGEST_TEXT:
+        return "truncated", f"of {len(text)} characters {LONGEST_TEXT} are kept"
+    if finish == "length":
+        return "truncated", "finish_reason: length"
+    if not text.strip():
+        return "empty", f"no text; finish_reason: {finish or 'none'}"
+    return "", ""
+
+
+def _first_choice(found: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The first choice, and its message."""
+    if "choices" not in found:
+        raise BadBodyError("malformed", "no chat completion: it has no choices")
+    choices = found["choices"] or []
+    if not isinstance(choices, list):
+        raise BadBodyError("malformed", "no chat completion: choices is no list")
+    if not choices:
+        raise BadBodyError("empty", "no choices")
+    choice = choices[0]
+    message = choice.get("message") if isinstance(choice, dict) else None
+    if not isinstance(message, dict):
+        raise BadBodyError("malformed", "no chat completion: the choice has no message")
+    return choice, message
+
+
+def _usage(found: Any) -> dict[str, int]:
+    given = found if isinstance(found, dict) else {}
+    counts = {name: given.get(name) for name in _COUNTED}
+    return {
+        name: count
+        for name, count in counts.items()
+        if type(count) is int and 0 <= count < _MOST_TOKENS
+    }
+
+
+def _encodable(text: str) -> str:
+    """The text without half characters, which JSON's escapes can hold and no file can."""
+    return text.encode("utf-16", "surrogatepass").decode("utf-16", "replace")
+
+
+def body_of(request: Request, base_url: str) -> dict[str, Any]:
+    """What is sent, as plain data.
+
+    OpenAI's own servers refuse ``max_tokens`` for their newer models; other servers know it alone.
+    """
+    host = urlsplit(base_url).hostname or ""
+    bound = "max_completion_tokens" if host.endswith(".openai.com") else "max_tokens"
+    body: dict[str, Any] = {
+        "model": request.model,
+        "messages": [_message_body(one) for one in request.messages],
+        "temperature": request.temperature,
+        bound: request.max_tokens,
+    }
+    if request.seed is not None:
+        body["seed"] = request.seed
+    return body | _response_format(request)
+
+
+def _response_format(request: Request) -> dict[str, Any]:
+    schema = dict(request.schema)
+    if request.structured == "json_schema":
+        named = {"name": "answer", "strict": True, "schema": schema}
+        return {"response_format": {"type": "json_schema", "json_schema": named}}
+    if request.structured == "json_object_schema":
+        return {"response_format": {"type": "json_object", "schema": schema}}
+    if request.structured == "json_object":
+        return {"response_format": {"type": "json_object"}}
+    return {}
+
+
+def _message_body(message: Message) -> dict[str, Any]:
+    """Text alone stays plain text: many servers read nothing else."""
+    if not message.images:
+        return {"role": message.role, "content": message.text}
+    parts: list[dict[str, Any]] = [
+        {"type": "image_url", "image_url": {"url": data_url(image)}} for image in message.images
+    ]
+    return {"role": message.role, "content": [*parts, {"type": "text", "text": message.text}]}
+
+
+def data_url(image: Image) -> str:
+    """The picture as a PNG in a ``data:`` URL; every pixel stays as it is."""
+    pictures = import_extra("PIL.Image")
+    file = io.BytesIO()
+    pictures.fromarray(image.pixels).convert("RGB").save(file, "PNG")
+    return "data:image/png;base64," + base64.b64encode(file.getvalue()).decode()
+
+
+class OpenAiClient:
+    """An OpenAI-compatible server behind the port; it may be asked from many threads.
+
+    Every call makes a connection of its own, goes to the base URL alone, ends within its budget and
+    is never repeated. Nothing but the endpoint is taken from the environment: no proxy, no other
+    key, no header. The key is taken out of all that comes back.
+
+    Args:
+        endpoint: The server and the key.
+
+    Raises:
+        ConfigurationError: If the extra ``llm`` is not installed.
+    """
+
+    def __init__(self, endpoint: Endpoint) -> None:
+        self._openai, self._http = import_extra("openai"), import_extra("httpx2")
+        if find_spec("PIL") is None:
+            import_extra("PIL")
+        self._wires = import_extra("pytest_dura.llm.transport")
+        self._failing = import_extra("pytest_dura.llm.transport").failing
+        self.endpoint = endpoint
+        self._live = self._sdk(import_extra("pytest_dura.llm.transport").Network)
+
+    def ask(self, request: Request, budget: float, fault: ServerFault = "") -> Answer:
+        """One call; see :class:`~pytest_dura.llm.port.ChatPort`. An injected failure takes 0 s."""
+
+        def call(sdk: Any) -> Any:
+            body = body_of(request, self.endpoint.base_url)
+            return sdk.chat.completions.with_streaming_response.create(
+                model=body.pop("model"),
+                messages=body.pop("messages"),
+                extra_body=body,
+                timeout=budget,
+            )
+
+        if not fault:
+            return self._timed(call, self._live, budget, read_completion)
+        sdk = self._sdk(partial(self._failing, fault))
+        return replace(self._timed(call, sdk, budget, read_completion), seconds=0.0)
+
+    def listing(self, budget: float) -> Answer:
+        """What the server tells of its models: the text is the body of ``GET /models``."""
+
+        def call(sdk: Any) -> Any:
+            return sdk.models.with_streaming_response.list(timeout=budget)
+
+        def read(body: bytes) -> Answer:
+            return Answer(body.decode(errors="replace"))
+
+        return self._timed(call, self._live, budget, read)
+
+    def _sdk(self, network: Any) -> Any:
+        """The SDK on a network. What it would read from the environment is given to it."""
+        return self._openai.OpenAI(
+            api_key=self.endpoint.key,
+            admin_api_key="",
+            organization="",
+            project="",
+            webhook_secret="",
+            base_url=self.endpoint.base_url,
+            max_retries=0,
+            http_client=self._http.Client(
+                transport=self._wires.Wire(self.endpoint.key, network),
+                trust_env=False,
+                follow_redirects=False,
+            ),
+        )
+
+    def _timed(
+        self, call: Callable[[Any], Any], sdk: Any, budget: float, read: Callable[[bytes], Answer]
+    ) -> Answer:
+        if not budget > 0.0:
+            return Answer(failure="timeout", detail="there is no time left for a call")
+        start = time.perf_counter()
+        answer = self._called(call, sdk, read)
+        seconds = time.perf_counter() - start
+        scrub = self.endpoint.scrub
+        return replace(
+            answer,
+            text=scrub(answer.text),
+            detail=scrub(answer.detail),
+            finish=scrub(answer.finish),
+            fingerprint=scrub(answer.fingerprint),
+            seconds=seconds,
+        )
+
+    def _called(
+        self, call: Callable[[Any], Any], sdk: Any, read: Callable[[bytes], Answer]
+    ) -> Answer:
+        """The answer of one call, whatever happens in it."""
+        limit = self._wires.LONGEST_BODY
+        try:
+            with call(sdk) as response:
+                body = b"".join(response.iter_bytes())
+            if len(body) > limit:
+                return Answer(failure="malformed", detail=f"a body of more than {limit} bytes")
+            return read(self._without_key(body))
+        except self._openai.APIStatusError as error:
+            return refusal_of(error.status_code, self._without_key(error.response.content))
+        except Exception as error:
+            # A call never raises: what is wrong with a request is told where answers are read.
+            failure, detail = self._failed(error)
+            return Answer(failure=failure, detail=short_text(self.endpoint.scrub(detail)))
+
+    def _without_key(self, body: bytes) -> bytes:
+        """A body before any of it is cut: half a key is one, too."""
+        text = body.decode(errors="surrogateescape")
+        return self.endpoint.scrub(text).encode(errors="surrogateescape")
+
+    def _failed(self, error: Exception) -> tuple[WireFailure, str]:
+        """Class and words of an error that came instead of a response, or within it."""
+        openai, http = self._openai, self._http
+        if isinstance(error, openai.APITimeoutError | http.TimeoutException):
+            return "timeout", "no whole answer within the budget"
+        if isinstance(error, openai.APIConnectionError):
+            told = error.__cause__ or error
+            return "unavailable", f"{type(told).__name__}: {told}"
+        if isinstance(error, http.TransportError):
+            return "truncated", f"the body ends in the middle: {error}"
+        return "unavailable", f"the request could not be made: {type(error).__name__}: {error}"

@@ -1,1 +1,0 @@
-"""From what is perceived to the messages that a model gets: blocks, templates, pictures."""

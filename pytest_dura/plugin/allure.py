@@ -1,0 +1,364 @@
+"""What Allure shows of our items: labels, verdicts, the loop at the violation, attachments.
+
+allure-pytest writes the report. Labels are the markers that it reads; without its
+``--alluredir`` no result is described. It maps our failures to ``failed`` by itself, since they
+are those of ``pytest.fail``.
+"""
+
+from __future__ import annotations
+
+import inspect
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
+from uuid import uuid4
+
+import pytest
+
+from pytest_dura.evidence.text import markdown, name, one_line, visible
+from pytest_dura.plugin.junit import ending_events
+from pytest_dura.plugin.messages import replay_command
+from pytest_dura.plugin.outcomes import ItemResult, episode_of, target_of
+
+if TYPE_CHECKING:
+    from pytest_dura.core.episode import Episode
+    from pytest_dura.evidence.traces import Trace
+    from pytest_dura.library.cases import Case
+    from pytest_dura.plugin.session import DuraSession
+    from pytest_dura.requirements.model import Requirement
+    from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict
+
+
+EPIC = "dependability"
+LINK_TYPE = "requirement"
+"""``--allure-link-pattern=requirement:https://example.org/{}`` makes links of ids."""
+SEVERITIES = {
+    "safety": "blocker",
+    "security": "critical",
+    "recovery": "critical",
+    "performance": "normal",
+}
+_WORST_FIRST = ("blocker", "critical", "normal")
+_SELECTIONS = ("epics", "features", "stories", "ids", "severities", "labels")
+_OWN_CHOICE = ("epic", "feature", "story", "severity")
+
+
+def wanted(config: pytest.Config) -> bool:
+    """Whether Allure reports this session, or selects tests by their labels."""
+    options = ("allure_report_dir", *(f"allure_{name}" for name in _SELECTIONS))
+    return any(config.getoption(one, None) for one in options)
+
+
+def mark_item(session: DuraSession, item: pytest.Item) -> None:
+    """Give an item that uses the bench its labels and links; the test's own ones come first."""
+    from pytest_dura.plugin.markers import marked_requirements
+
+    own = {one.kwargs.get("label_type") for one in item.iter_markers("allure_label")}
+    requirements = list({one.id: one for one in marked_requirements(session, item)}.values())
+    target = target_of(item)
+    for kind, value in _labels(requirements, None if target is None else target.case):
+        if not (kind in _OWN_CHOICE and kind in own):
+            item.add_marker(pytest.mark.allure_label(value, label_type=kind))
+    for one in requirements:
+        url = _url(session.config, one.id)
+        item.add_marker(pytest.mark.allure_link(url, link_type=LINK_TYPE, name=name(one.id)))
+
+
+def _labels(requirements: Sequence[Requirement], case: Case | None) -> Iterator[tuple[str, str]]:
+    yield "epic", EPIC
+    if case is not None:
+        yield "feature", name(case.scenario.name)
+        yield "story", name(story_of(case))
+    kinds = list(dict.fromkeys(one.kind for one in requirements))
+    if kinds:
+        yield "severity", min(map(SEVERITIES.__getitem__, kinds), key=_WORST_FIRST.index)
+    for kind in kinds:
+        yield "tag", kind
+    for one in requirements:
+        yield "requirement", name(one.id)
+
+
+def story_of(case: Case) -> str:
+    """The fault campaign, and the roles that are switched off."""
+    faults = " + ".join(str(fault["id"]) for fault in case.faults) or "no faults"
+    return ", ".join([faults, *(f"without {role}" for role in case.without)])
+
+
+def _url(config: pytest.Config, requirement: str) -> str:
+    """The address by the user's pattern; an id is never an address or a scheme by itself."""
+    quoted = quote(requirement, safe="", errors="replace")
+    patterns: dict[str, Any] = dict(config.getoption("allure_link_pattern", None) or [])
+    return str(patterns.get(LINK_TYPE, "{}")).replace("{}", quoted)
+
+
+LARGEST = 2_000_000
+"""Bytes of an attachment."""
+COUNTEREXAMPLES = 100
+"""As many stand in the attached verdict."""
+
+
+def report_item(session: DuraSession, item: pytest.Item, results: Sequence[ItemResult]) -> None:
+    """Tell the open Allure result what an item came to.
+
+    Args:
+        session: The session.
+        item: An item that uses the bench, whose result is not written yet.
+        results: What it came to.
+    """
+    from allure_commons import plugin_manager
+
+    allure = plugin_manager.hook
+    components = dict.fromkeys(one_line(one.component, 200) for one in results if one.component)
+    allure.add_label(label_type="component", labels=tuple(components))
+    for one in results:
+        prefix = f"{one_line(one.requirement.id, 100)}: " if len(results) > 1 else ""
+        for parameter, value in _parameters(session, one).items():
+            # A result must not make another test of this one in Allure's history.
+            allure.add_parameter(name=prefix + parameter, value=value, excluded=True, mode=None)
+    described = _description(session, item, results)
+    if described:
+        allure.add_description(test_description=described)
+    if hasattr(item, "planned") and results:
+        told = results[0]
+        title = f"{item.planned.case.id}: {told.requirement.id} {told.requirement.text}"
+        allure.add_title(test_title=one_line(title, 200))
+    for one in results:
+        found = one.verdict or one.outcome
+        if found is not None:
+            _attach(_json(found), f"verdict {one.requirement.id}", "JSON")
+    if session.options.evidence_level != "summary":
+        _show_worst(session, item, results)
+
+
+def _parameters(session: DuraSession, result: ItemResult) -> dict[str, Any]:
+    verdict, outcome = result.verdict or {}, result.outcome or {}
+    bound = verdict.get("bound") or {}
+    found = {
+        "case": result.case.id if result.case else verdict.get("case"),
+        "component": result.component,
+        "verdict": result.word,
+        "planned": verdict.get("planned", outcome.get("planned")),
+        "valid": verdict.get("episodes"),
+        "violations": verdict.get("violations"),
+        "bound": bound.get("upper"),
+        "confidence": bound.get("confidence") if bound.get("upper") is not None else None,
+        "at most": bound.get("at_most", outcome.get("at_most")),
+        "base seed": session.options.seed,
+    }
+    return {
+        name: one_line(value, 200) if isinstance(value, str) else value
+        for name, value in found.items()
+        if value is not None
+    }
+
+
+def _description(session: DuraSession, item: pytest.Item, results: Sequence[ItemResult]) -> str:
+    """Markdown: the test's own words, then each requirement with its source and the verdict."""
+    given = item.get_closest_marker("allure_description")
+    own = given.args[0] if given else getattr(getattr(item, "function", None), "__doc__", None)
+    parts = [inspect.cleandoc(own)] if own else []
+    for one in results:
+        asked, found = one.requirement, one.verdict or one.outcome or {}
+        parts.append(f"**{markdown(asked.id)}** {markdown(asked.text, 2000)}")
+        for heading, text in (
+            ("Source", asked.source),
+            ("Why this bound", asked.reason),
+            ("Verdict", f"{one.word or 'none'}. {found.get('reason', found.get('detail', ''))}"),
+            ("Event", "; ".join(ending_events(session, one))),
+            ("By assertion", _looked_at(found)),
+        ):
+            if text:
+                parts.append(f"{heading}: {markdown(text, 2000)}")
+    return "\n\n".join(parts)
+
+
+def _looked_at(found: Mapping[str, Any]) -> str:
+    """What a test that decided by its own assertions looked at, and what was false for it."""
+    told = found.get("assertion")
+    if not told or not (told["alone"] or told["observed"]):
+        return ""
+    false = "".join(f"; false, though the test passed: {one}" for one in told["false"])
+    return f"the test looked at {', '.join(told['observed']) or 'nothing'}{false}"
+
+
+def _show_worst(session: DuraSession, item: pytest.Item, results: Sequence[ItemResult]) -> None:
+    """One episode: the worst violation, one that says nothing, or else the first as a sample."""
+    from pytest_dura.evidence.traces import Trace
+
+    result = next((one for one in results if one.word == "violated"), None)
+    result = result or next(iter(results), None)
+    episode = episode_of(item) or (None if result is None else _episode(session, result))
+    if episode is None:
+        return
+    judged = None if result is None else _judged(result, episode)
+    kind, problem = "Sample", None
+    if result is not None and judged is not None and _is_counterexample(result, episode):
+        when = "" if judged.time is None else f" at t = {judged.time:.2f} s"
+        effect = " without effect of the fault" if judged.without_effect else ""
+        problem = f"{judged.requirement} violated{effect}{when}: {judged.detail}"
+        kind = "Counterexample"
+    elif episode.validity != "valid":
+        kind = episode.validity.capitalize()
+        problem = episode.failure or episode.invalid_reason
+    # Attachments leave the machine as the bundle does.
+    redact = session.redact
+    title = one_line(redact(f"{kind} {episode.id}, seed {episode.spec.seed}"), 200)
+    replay = one_line(redact(replay_command(session, episode.id)))
+    told = {"replay": replay, "digest": episode.digest}
+    trace = Trace.of(episode).without_secrets(redact)
+    with _step(title, told, None if problem is None else one_line(redact(problem))):
+        _loop(episode, trace, judged, _check(result))
+        _attachments(episode, trace, judged, _check(result))
+
+
+def _is_counterexample(result: ItemResult, episode: Episode) -> bool:
+    if result.outcome is not None:
+        return result.word == "violated"
+    examples = (result.verdict or {}).get("counterexamples", ())
+    return any(one["episode"] == episode.id for one in examples)
+
+
+def _check(result: ItemResult | None) -> str:
+    if result is None:
+        return ""
+    own = (result.outcome or {}).get("assertion")
+    if own and own["failed"] and not own["by_check"]:
+        return ""  # it held: what failed is an assertion of the test
+    return str((result.verdict or {}).get("check") or result.requirement.check)
+
+
+def _episode(session: DuraSession, result: ItemResult) -> Episode | None:
+    verdict = result.verdict
+    if verdict is None or result.case is None or not verdict["run"]:
+        return None
+    spoilt = verdict.get("spoilt")
+    shown = [*verdict["counterexamples"][:1], *([] if spoilt is None else [spoilt])]
+    run = int(shown[0]["episode"].rpartition("#")[2]) if shown else 0
+    return session.bench.again(result.case, run)
+
+
+def _judged(result: ItemResult, episode: Episode) -> EpisodeVerdict | None:
+    """What the requirement says of this episode: its outcome, or by the check."""
+    from pytest_dura.core.errors import ConfigurationError
+    from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict, judge_episode
+
+    if result.outcome is not None:
+        names = EpisodeVerdict.__dataclass_fields__
+        return EpisodeVerdict.from_json({name: result.outcome[name] for name in names})
+    try:
+        return judge_episode(result.requirement, episode, _check(result))
+    except ConfigurationError:  # a measure of pairs, or a function inside a test
+        return None
+
+
+def _loop(episode: Episode, trace: Trace, judged: EpisodeVerdict | None, check: str) -> None:
+    """The loop's six steps at the tick of the violation."""
+    from pytest_dura.reports.episode_view import decision_at, loop_steps
+
+    tick = decision_at(trace, None if judged is None else judged.time)
+    if tick is None:
+        return
+    steps = loop_steps(trace, tick, _signals(episode, check))
+    for step in steps:
+        found = {}
+        if step is steps[-1] and judged is not None:
+            word = one_line(f"{judged.verdict}: {judged.detail}")
+            found = {one_line(judged.requirement, 100): word}
+        with _step(step.name, {**step.told, **found}):
+            pass
+
+
+def _signals(episode: Episode, check: str) -> list[str]:
+    """The signals that the check reads, or else the first ones of the truth."""
+    from pytest_dura.reports.episode_view import formula_of
+
+    formula = formula_of(check)
+    names = [] if formula is None else [one.removeprefix("percept.") for one in formula.signals]
+    found = [one for one in dict.fromkeys(names) if one in episode.signals]
+    return found or [one for one in sorted(episode.signals) if not one.startswith("percept.")][:4]
+
+
+def _attachments(episode: Episode, trace: Trace, judged: EpisodeVerdict | None, check: str) -> None:
+    from pytest_dura.evidence.mcap import trace_bytes
+    from pytest_dura.reports.episode_view import signals_csv
+    from pytest_dura.reports.html.player import player_page
+
+    verdicts = [] if judged is None else [{**judged.to_json(), "check": check}]
+    _attach(_plot(episode, judged, check), "plot", "SVG")
+    _attach(player_page(trace, verdicts), "animation", "HTML")
+    _attach(signals_csv(trace), "signals", "CSV")
+    _attach(trace_bytes(trace, verdicts), "trace", "application/octet-stream", "mcap")
+
+
+def _plot(episode: Episode, judged: EpisodeVerdict | None, check: str) -> str:
+    from pytest_dura.reports.episode_view import Panel, margin_over_time, signal_plot
+
+    panels = []
+    margin = margin_over_time(check, episode)
+    if margin is not None:
+        panels.append(Panel(f"margin of {margin[0]}", {"margin": margin[1]}, bound=0.0))
+    for signal in _signals(episode, check)[:5]:
+        columns = {signal: episode.signals[signal]}
+        if f"percept.{signal}" in episode.signals:
+            columns["percept"] = episode.signals[f"percept.{signal}"]
+        panels.append(Panel(signal, columns))
+    mark = None
+    told = ""
+    if judged is not None:
+        told = f"{judged.requirement}: {judged.verdict}"
+        if judged.time is not None:
+            mark = judged.time, f"{told} at {judged.time:.2f} s"
+    names = ", ".join(panel.name for panel in panels)
+    return signal_plot(
+        f"{episode.id} {told}", f"Over time: {names}. {mark[1] if mark else ''}",
+        episode.time, panels, mark,
+    )  # fmt: skip
+
+
+def _json(found: Mapping[str, Any]) -> str:
+    examples = found.get("counterexamples", ())
+    shown = dict(found)
+    if len(examples) > COUNTEREXAMPLES:
+        shown["counterexamples"] = examples[:COUNTEREXAMPLES]
+        shown["counterexamples_left_out"] = len(examples) - COUNTEREXAMPLES
+    return json.dumps(_bounded(shown), indent=1, allow_nan=False) + "\n"
+
+
+def _bounded(value: Any) -> Any:
+    if isinstance(value, str):
+        return visible(value)
+    if isinstance(value, Mapping):
+        return {visible(str(name)): _bounded(one) for name, one in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_bounded(one) for one in value]
+    return value
+
+
+def _attach(body: str | bytes, name: str, kind: str, extension: str | None = None) -> None:
+    """Attach what is small enough, and say so of what is not."""
+    import allure
+
+    size = len(body.encode()) if isinstance(body, str) else len(body)
+    name = one_line(name, 200)
+    if size > LARGEST:
+        note = f"{size} bytes are left out: an attachment has at most {LARGEST}.\n"
+        allure.attach(note, f"{name} (left out)", allure.attachment_type.TEXT)
+        return
+    known = getattr(allure.attachment_type, kind, kind)
+    allure.attach(body, name, known, extension)
+
+
+@contextmanager
+def _step(title: str, told: Mapping[str, str], problem: str | None = None) -> Iterator[None]:
+    """A step with its parameters; with a problem it failed."""
+    from allure_commons import plugin_manager
+
+    step, failure = str(uuid4()), None if problem is None else AssertionError(problem)
+    plugin_manager.hook.start_step(uuid=step, title=title, params=dict(told))
+    try:
+        yield
+    finally:
+        kind = None if failure is None else type(failure)
+        plugin_manager.hook.stop_step(uuid=step, exc_type=kind, exc_val=failure, exc_tb=None)

@@ -1,0 +1,335 @@
+"""Episodes that the processes of a session share, and the repetition of one episode per case.
+
+Sharing covers what ``--dura-resume`` and ``--dura-reuse`` take over from earlier sessions.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+import tempfile
+import uuid
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pytest_dura.core.errors import ConfigurationError, describe_error
+from pytest_dura.plugin.messages import safe_lines, typed_path
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, MutableMapping
+
+    import pytest
+
+    from pytest_dura.evidence.model import SessionRecord
+    from pytest_dura.execution.cache import EpisodeCache
+    from pytest_dura.execution.store import EpisodeStore
+    from pytest_dura.execution.task import EpisodeTask
+    from pytest_dura.library.cases import Case
+    from pytest_dura.plugin.session import DuraSession
+    from pytest_dura.requirements.verdicts.episodes import JudgedEpisode
+
+
+EPISODES_FOLDER = ".episodes"  # as `KEPT` of pytest_dura.evidence.bundle
+"""In the evidence directory, as long as a session runs, and after one that was not whole."""
+_SESSION_KEY = "dura_session"
+_LOST_KEY = "dura_lost"
+"""Key of what a worker of pytest-xdist tells the controller at its end."""
+
+
+class SharedEpisodes:
+    """The episodes that all processes of a session share, and what is taken over from earlier ones.
+
+    Args:
+        session: The session of this process.
+    """
+
+    def __init__(self, session: DuraSession) -> None:
+        self.session = session
+        self.lines: list[str] = []
+        """What the terminal says before anything runs."""
+        self._store: EpisodeStore | None = None
+        self._told = self._told_searched = 0
+        self._lost = False
+        self.is_whole = False
+        """Whether the session came to its end, lost nothing, and left all of its evidence."""
+
+    @cached_property
+    def id(self) -> str:
+        """Of the session, the same in all of its processes."""
+        given = getattr(self.session.config, "workerinput", {}).get(_SESSION_KEY)
+        return str(given or uuid.uuid4().hex)
+
+    @cached_property
+    def shelf(self) -> EpisodeCache:
+        """Where the episodes are."""
+        from pytest_dura.execution.cache import EpisodeCache
+
+        options = self.session.options
+        directory = options.reuse or self.session.evidence_directory / EPISODES_FOLDER
+        return EpisodeCache(directory, self.id, earlier=options.resume or options.reuse is not None)
+
+    @property
+    def mode(self) -> str:
+        """What is taken over: ``none``, ``resume`` or ``reuse``, as the record has it."""
+        options = self.session.options
+        return "resume" if options.resume else "none" if options.reuse is None else "reuse"
+
+    def to_json(self) -> dict[str, Any]:
+        """What the record begins with; the rest follows from its episodes."""
+        return {"mode": self.mode, "session": self.id}
+
+    def store(self) -> EpisodeStore:
+        """What the bench of this process asks for episodes."""
+        from pytest_dura.execution.store import EpisodeStore
+
+        self._store = EpisodeStore(self.shelf, self.session.simulating.execution())
+        return self._store
+
+    @property
+    def is_broken(self) -> bool:
+        """Whether an episode closed the file descriptors of this process, which cannot go on."""
+        return self._store is not None and self._store.is_broken
+
+    def take_problems(self) -> list[str]:
+        """Why episodes could not be shared, as far as it was not told yet."""
+        known = [] if self._store is None else self._store.problems
+        found, self._told = known[self._told :], len(known)
+        return found
+
+    def take_searched(self) -> list[dict[str, Any]]:
+        """The origins of what searches used since the last call."""
+        if self._store is None:
+            return []
+        earlier = self._store.earlier
+        found = list(islice(earlier.searched, self._told_searched, None))
+        self._told_searched += len(found)
+        return [{"run": f"{key[0]} {key[1]}", "origin": earlier.origin(key)} for key in found]
+
+    def first_to_repeat(self, case: str, component: str) -> bool:
+        """Whether this process is the first of the session that repeats an episode of a case."""
+        if not self.session.is_worker:
+            return True
+        name = hashlib.sha256(f"{case}\n{component}".encode()).hexdigest()
+        with suppress(OSError):
+            self._marks.mkdir(mode=0o700, exist_ok=True)
+            try:
+                (self._marks / name).touch(exist_ok=False)
+            except FileExistsError:
+                return False
+        return True
+
+    @property
+    def _marks(self) -> Path:
+        """Where workers note what they repeat, as long as the session runs."""
+        return Path(tempfile.gettempdir()) / f"pytest-dura-{self.id}"
+
+    def tell_worker(self, workerinput: MutableMapping[str, Any]) -> None:
+        """Tell a worker which session it is of."""
+        workerinput[_SESSION_KEY] = self.id
+
+    def begin(self) -> None:
+        """Keep the episodes of the session that is resumed; or remove what an earlier one left.
+
+        To be called by the controller, before the record of the earlier session is replaced.
+
+        Raises:
+            ConfigurationError: If there is nothing to resume, or something cannot be removed.
+        """
+        options = self.session.options
+        left = self.shelf.count()
+        kept = f"{left} episode{'' if left == 1 else 's'}"
+        # Removed once a session is whole, so that a session which was not has left it.
+        begun = self.shelf.directory.is_dir()
+        if options.reuse is not None:
+            place = typed_path(options.reuse, self.session.config.invocation_params.dir)
+            self.lines = [f"reusing: {kept} of earlier sessions in {place}"]
+            return
+        # Reading a great record takes its time, and after most sessions there is nothing left.
+        earlier = self._unfinished(begun=begun) if options.resume or left else None
+        if options.resume:
+            self.lines = [f"resuming: {kept} of {earlier}"]
+            return
+        if earlier is not None:
+            what = f"dropped: {kept} of {earlier}"
+            self.lines = [f"{what}; --dura-resume would have taken them over"]
+        self._clear()
+
+    @property
+    def _lost_here(self) -> bool:
+        return self._store is not None and self._store.lost
+
+    def tell_controller(self, workeroutput: MutableMapping[str, Any]) -> None:
+        """Tell the controller whether this worker lost an episode with whoever simulated it."""
+        workeroutput[_LOST_KEY] = self._lost_here
+
+    def hear_worker(self, workeroutput: Mapping[str, Any], error: object) -> None:
+        """Take in what a worker tells at its end, and whether it came to its end at all."""
+        self._lost |= bool(error) or bool(workeroutput.get(_LOST_KEY))
+
+    def end(self, record: SessionRecord, *, written: bool) -> None:
+        """Remove the episodes of a session that is whole; another one can be resumed.
+
+        Args:
+            record: Of the session.
+            written: Whether all of its evidence could be written.
+        """
+        shutil.rmtree(self._marks, ignore_errors=True)
+        lost = self._lost or self._lost_here or record["totals"]["missing"]
+        self.is_whole = written and record["status"] == "complete" and not lost
+        if self.session.options.reuse is not None:
+            return
+        # What cannot be removed is in nobody's way: the next session does it, or tells why not.
+        with suppress(OSError):
+            if self.is_whole:
+                self.shelf.clear()
+            else:  # so that it can be resumed, also if nothing was simulated
+                self.shelf.directory.mkdir(exist_ok=True)
+
+    def _clear(self) -> None:
+        try:
+            self.shelf.clear()
+        except OSError as error:
+            raise ConfigurationError(
+                f"the episodes of an earlier session cannot be removed: {error.strerror or error}",
+                key="--dura-evidence",
+                found=str(error.filename or self.shelf.directory),
+                expected="a directory whose files can be removed",
+                remedy="remove it, or choose another directory",
+            ) from None
+
+    def _unfinished(self, *, begun: bool) -> str | None:
+        """The session that the evidence is of, in words, unless it was whole.
+
+        Args:
+            begun: Whether it left the directory of its episodes.
+
+        Raises:
+            ConfigurationError: If it is to be resumed, and there is none that can be.
+        """
+        from pytest_dura.evidence.bundle import RECORD_FILE, read_session_record
+
+        options = self.session.options
+        file = options.evidence / RECORD_FILE
+        if begun and not file.exists():
+            return "a session that was interrupted before it wrote a record"
+        try:
+            record = read_session_record(options.evidence)
+        except ConfigurationError:
+            if options.resume:
+                raise
+            return None
+        if record["status"] != "complete":
+            return f"the interrupted session of {record['created']}"
+        if begun:
+            return f"the session of {record['created']}, which was not whole"
+        if options.resume:
+            raise ConfigurationError(
+                "there is nothing to resume: the session of this evidence was not interrupted, and "
+                "lost nothing",
+                file=str(file),
+                key="--dura-resume",
+                found="complete",
+                expected="the evidence of a session that was interrupted, or lost a process",
+                remedy="drop --dura-resume; to keep episodes from session to session, use "
+                "--dura-reuse=DIR",
+            )
+        return None
+
+
+@dataclass(frozen=True)
+class _DueRepetition:
+    """An episode that is to be repeated."""
+
+    task: EpisodeTask
+    digest: str
+    why_not: str | None
+    """Why it cannot be, if so."""
+
+
+class Repeats:
+    """Repeats the first episode of each case once this process has run the last item on it.
+
+    By then the process has run other episodes, so that what they left in classes or modules shows.
+    Of the processes of a session one simulates the repetition.
+
+    Args:
+        session: The session of this process.
+    """
+
+    def __init__(self, session: DuraSession) -> None:
+        self.session = session
+        self._due: dict[tuple[str, str], _DueRepetition] = {}
+        self._done: set[tuple[str, str]] = set()
+
+    def episode_used(self, case: Case, episode: JudgedEpisode) -> None:
+        """An item looked at a planned episode of a case."""
+        key = case.id, episode.spec.component
+        if key in self._due or key in self._done or episode.failure is not None:
+            return
+        from pytest_dura.execution.address import model_answers
+
+        task = self.session.bench.task(case, episode.spec.run)
+        answers = model_answers(task)
+        live = answers is not None and not answers.startswith("replay ")
+        why_not = "a live language model answers" if live else None
+        self._due[key] = _DueRepetition(task, episode.digest, why_not)
+
+    def item_ends(self, item: pytest.Item, nextitem: pytest.Item | None) -> None:
+        """Repeat what is due, unless the next item is on the same case."""
+        stopped = bool(item.session.shouldstop or item.session.shouldfail)
+        if stopped or self.session.simulating.is_lost:
+            self._due.clear()
+        if not self._due or (
+            nextitem is not None and _case_id_of(nextitem) == _case_id_of(item) != ""
+        ):
+            return
+        for (case, component), due in list(self._due.items()):
+            found = self._repeated(due)
+            self._done.add((case, component))
+            if found is not None:
+                told = {"case": case, "component": component, "episode": due.task.spec.id}
+                self.session.reporter.case_repeated({**told, "digest": due.digest, **found})
+        self._due.clear()
+
+    def _repeated(self, due: _DueRepetition) -> Mapping[str, Any] | None:
+        """What came of it; ``None`` if another process finds that out."""
+        if due.why_not is not None:
+            return {"result": "skipped", "repeated_digest": None, "detail": due.why_not}
+        if not self.session.shared.first_to_repeat(due.task.spec.case, due.task.spec.component):
+            return None
+        try:
+            with self.session.models.uncounted():
+                again = self.session.bench.store.repeat(due.task)
+        except Exception as error:  # whatever user code raises: the first time it did not
+            return {
+                "result": "failed",
+                "repeated_digest": None,
+                "detail": f"infrastructure: {describe_error(error)}",
+            }
+        result = "equal" if again.digest == due.digest else "different"
+        if again.failure is not None:
+            result = "failed"
+        return {"result": result, "repeated_digest": again.digest, "detail": again.failure or ""}
+
+
+def _case_id_of(item: pytest.Item) -> str:
+    """Id of the case that an item looks at; empty for one that chooses its episodes itself."""
+    planned = getattr(item, "planned", None)
+    for value in getattr(getattr(item, "callspec", None), "params", {}).values():
+        if hasattr(value, "planned") and hasattr(value, "case"):
+            planned = value
+    return "" if planned is None else str(planned.case.id)
+
+
+def show_repeats(session: DuraSession, terminal: Any, record: SessionRecord) -> None:
+    """The cases that are not repeatable, unless the gate says so anyway."""
+    from pytest_dura.evidence.gate import not_repeatable_lines
+
+    for line in not_repeatable_lines(record["cases"]):
+        if line not in session.evidence.objections:
+            for part in safe_lines(line):
+                terminal.line(part, yellow=True)

@@ -1,0 +1,433 @@
+"""The markers ``dura``, ``requirement`` and ``falsify``: what they mean, and refusals."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from difflib import get_close_matches
+from typing import TYPE_CHECKING, Any, get_args
+
+import pytest
+
+from pytest_dura.core.errors import ConfigurationError, DuraError
+from pytest_dura.plugin.messages import error_text
+
+if TYPE_CHECKING:
+    from pytest_dura.library.cases import Case
+    from pytest_dura.plugin.session import DuraSession
+    from pytest_dura.requirements.model import Requirement
+
+
+def marked_requirements(session: DuraSession, node: pytest.Item) -> list[Requirement]:
+    """The requirements that a test's markers name, the closest first.
+
+    Raises:
+        ConfigurationError: For a marker that cannot be used, and a requirement without a text.
+    """
+    return [_requirement(session, marker) for marker in node.iter_markers("requirement")]
+
+
+def _requirement(session: DuraSession, marker: pytest.Mark) -> Requirement:
+    from pytest_dura.core.error_messages import did_you_mean
+    from pytest_dura.requirements.model import Kind, Requirement
+
+    given = marker_arguments(marker, _requirement_marker)
+    name = given["id"]
+    if not isinstance(name, str) or not name:
+        raise ConfigurationError(
+            "the id of a requirement is a text",
+            key="pytest.mark.requirement",
+            found=name,
+            expected='an id such as "SAF-1"',
+            remedy="correct the id; several requirements take one marker each",
+        )
+    known = session.library().requirements
+    if name in known:
+        _check_same(known[name], given)
+        return known[name]
+    if given["text"] is None:
+        raise ConfigurationError(
+            f"the requirement {name!r} has no text",
+            key="pytest.mark.requirement",
+            found=name,
+            expected="a requirement of the files, or a text in the marker",
+            remedy=did_you_mean(name, known)
+            + f' Or say what it asks for: requirement("{name}", text="...")',
+        )
+    kind: Any = "safety" if given["kind"] is None else given["kind"]
+    if kind not in get_args(Kind):
+        raise ConfigurationError(
+            f"there is no kind of requirement {kind!r}",
+            key="pytest.mark.requirement",
+            found=kind,
+            expected="one of " + ", ".join(get_args(Kind)),
+            remedy="correct the kind",
+        )
+    source = "" if given["source"] is None else str(given["source"])
+    requirement = Requirement(name, str(given["text"]), kind, source)
+    before = session.marked.setdefault(name, requirement)
+    if before != requirement:
+        raise _conflicting_meaning(name, "another marker", before.text, requirement.text)
+    return requirement
+
+
+def _check_same(known: Requirement, given: Mapping[str, Any]) -> None:
+    """Refuse a marker that gives a requirement of the files another meaning."""
+    for key in ("text", "kind", "source"):
+        own, value = getattr(known, key), given[key]
+        if value is not None and str(value).split() != own.split():
+            raise _conflicting_meaning(known.id, "a requirement file", own, value)
+
+
+def _conflicting_meaning(name: str, where: str, before: str, found: Any) -> ConfigurationError:
+    return ConfigurationError(
+        f"the marker gives the requirement {name!r} another meaning than {where}",
+        key="pytest.mark.requirement",
+        found=found,
+        expected=before,
+        remedy=f'name it alone, requirement("{name}"), or give the test an id of its own',
+    )
+
+
+def _requirement_marker(
+    id: Any,  # noqa: A002 - the marker is written so
+    text: Any = None,
+    kind: Any = None,
+    source: Any = None,
+) -> None:
+    """The signature of the marker ``requirement``."""
+
+
+def marker_arguments(marker: pytest.Mark, signature: Any) -> dict[str, Any]:
+    """The marker's arguments by name, defaults filled in."""
+    known = inspect.signature(signature)
+    try:
+        bound = known.bind(*marker.args, **marker.kwargs)
+    except TypeError as error:
+        from pytest_dura.core.error_messages import did_you_mean
+
+        wrong = sorted(set(marker.kwargs) - set(known.parameters))
+        remedy = did_you_mean(wrong[0], known.parameters) if wrong else "add what is missing"
+        raise ConfigurationError(
+            f"the marker {marker.name} cannot be used: {error}",
+            key=f"pytest.mark.{marker.name}",
+            found=", ".join([*map(repr, marker.args), *sorted(marker.kwargs)]) or "nothing",
+            expected=f"{marker.name}({', '.join(known.parameters)})",
+            remedy=remedy,
+        ) from None
+    bound.apply_defaults()
+    return dict(bound.arguments)
+
+
+FALSIFY = "falsify"
+
+
+def check_falsify(session: DuraSession, definition: pytest.Item) -> None:
+    """Refuse a marker that would search nothing, or cannot be read.
+
+    Raises:
+        ConfigurationError: For a test that has no campaign, several markers, and a formula that
+            cannot be used.
+    """
+    markers = list(definition.iter_markers(FALSIFY))
+    if not markers:
+        return
+    fixtures = getattr(definition, "fixturenames", ())
+    if definition.get_closest_marker("dura") is None or "campaign" not in fixtures:
+        raise ConfigurationError(
+            f"the marker {FALSIFY} searches nothing, since the test looks at no campaign",
+            key=f"pytest.mark.{FALSIFY}",
+            found="no marker `dura` with the fixture `campaign`",
+            expected="both of them, which say what is searched",
+            remedy='add @pytest.mark.dura(scenario="...") and the argument `campaign`',
+        )
+    if len(markers) > 1:
+        raise ConfigurationError(
+            f"the test has several markers {FALSIFY}, of which one alone would count",
+            key=f"pytest.mark.{FALSIFY}",
+            found=f"{len(markers)} markers",
+            expected="one marker",
+            remedy=f'name all requirements in one: {FALSIFY}(["SAF-1", "SAF-2"])',
+        )
+    wanted = marker_arguments(markers[0], _falsify_marker)["requirement"]
+    for text in wanted if isinstance(wanted, (list, tuple)) else [wanted]:
+        if isinstance(text, str) and text not in session.library().requirements:
+            _check_formula(text)
+
+
+def _check_formula(text: str) -> None:
+    from pytest_dura.requirements.checks import read_formula
+    from pytest_dura.search.falsify import is_formula
+
+    if is_formula(text):
+        read_formula(text)
+
+
+def run_marked_search(item: pytest.Function) -> None:
+    """Search as the test's marker says, if it has one, and fail the test by what is found."""
+    __tracebackhide__ = True
+    marker = item.get_closest_marker(FALSIFY)
+    if marker is None:
+        return
+    given = marker_arguments(marker, _falsify_marker)
+    campaign: Any = item.funcargs["campaign"]
+    wanted = given.pop("requirement")
+    try:
+        campaign.falsify(wanted, **{key: one for key, one in given.items() if one is not None})
+    except DuraError as error:
+        # No line of the test has run, so that there is none to show.
+        pytest.fail(str(error), pytrace=False)
+
+
+def _falsify_marker(
+    requirement: Any = None,
+    *,
+    budget: Any = None,
+    faults: Any = None,
+    at_most: Any = None,
+    shrink: Any = None,
+    seed: Any = None,
+) -> None:
+    """The signature of the marker ``falsify``."""
+
+
+OUR_MARKERS = ("dura", "falsify", "requirement")
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """What a parametrized test looks at: a case, and a run where it looks at one episode."""
+
+    case: Case
+    run: int
+    planned: int
+    requirement: Requirement | None
+    until_decided: bool = False
+    declared: int = 0
+    """Runs of the marker or the scenario, whatever ``--dura-runs`` says."""
+
+    def __repr__(self) -> str:
+        """The episode's id. Reports show it, and Allure tells tests apart by it."""
+        return f"{self.case.id}#{self.run}"
+
+
+def parametrize(session: DuraSession, metafunc: pytest.Metafunc, marker: pytest.Mark) -> None:
+    """Parametrize a test with the marker ``dura``.
+
+    Raises:
+        pytest.Collector.CollectError: For a marker that cannot be used, at the test's place.
+    """
+    looked_at = [name for name in ("episode", "campaign") if name in metafunc.fixturenames]
+    definition = metafunc.definition
+    with _errors_at(definition):
+        _check_use(definition, looked_at)
+        check_falsify(session, definition)
+        requirements = marked_requirements(session, definition)
+        _check_decidable(requirements, each_run="episode" in looked_at)
+        if not looked_at and names_no_scenario(marker):
+            return
+        targets = _targets(session, marker, requirements, each_run="episode" in looked_at)
+    if looked_at:
+        metafunc.parametrize(
+            ",".join(looked_at),
+            [(target,) * len(looked_at) if len(looked_at) > 1 else target for target, _ in targets],
+            ids=[name for _, name in targets],
+            indirect=True,
+        )
+
+
+def check_markers(session: DuraSession, definition: pytest.Item) -> None:
+    """Check the requirements that a test names which chooses its episodes itself.
+
+    Raises:
+        pytest.Collector.CollectError: For one that does not exist, at the test's place.
+    """
+    with _errors_at(definition):
+        check_falsify(session, definition)
+        marked_requirements(session, definition)
+
+
+def check_spelling(definition: pytest.Item) -> None:
+    """Refuse a marker that is nearly one of ours: without ``--strict-markers`` it does nothing.
+
+    Raises:
+        pytest.Collector.CollectError: For one that no ini file registers, at the test's place.
+    """
+    registered = {
+        re.split(r"[(:]", line)[0].strip() for line in definition.config.getini("markers")
+    }
+    for marker in definition.iter_markers():
+        near = get_close_matches(marker.name, OUR_MARKERS, n=1, cutoff=0.75)
+        if not near or marker.name in registered:
+            continue
+        with _errors_at(definition):
+            raise ConfigurationError(
+                f"there is no marker {marker.name!r}, so that it would do nothing",
+                key=f"pytest.mark.{marker.name}",
+                found=marker.name,
+                expected="one of " + ", ".join(OUR_MARKERS),
+                remedy=f"did you mean {near[0]!r}? A marker of your own is registered in the ini "
+                "setting `markers`",
+            )
+
+
+@contextmanager
+def _errors_at(definition: pytest.Item) -> Iterator[None]:
+    """Errors are told at the place of a test, unless it is another file that has to be mended."""
+    try:
+        yield
+    except ConfigurationError as error:
+        from pytest_dura.core.error_messages import error_at
+
+        file, line, _ = definition.location
+        found = error
+        if error.file is None:
+            found = error_at(error, file=file, line=None if line is None else line + 1)
+        raise pytest.Collector.CollectError(error_text(found)) from None
+
+
+def _check_use(definition: pytest.Item, looked_at: Sequence[str]) -> None:
+    """A marker that would run nothing must not read as a pass."""
+    own = [marker for marker in definition.own_markers if marker.name == "dura"]
+    quiet = [one.kwargs["verdict"] for one in own if one.kwargs.get("verdict", True) is not True]
+    if quiet and quiet[0] is not False:
+        raise _unusable("verdict", quiet[0], "False, for a test that decides nothing")
+    if quiet and looked_at and definition.get_closest_marker("requirement") is not None:
+        raise ConfigurationError(
+            "the test names a requirement, and says that it decides nothing",
+            key="pytest.mark.dura(verdict=)",
+            found="verdict=False beside the marker requirement",
+            expected="one of them",
+            remedy="remove the one that is not meant",
+        )
+    if len(own) > 1:
+        raise ConfigurationError(
+            "the test has several markers dura, of which one alone would count",
+            key="pytest.mark.dura",
+            found=f"{len(own)} markers",
+            expected="one marker",
+            remedy='name all scenarios in one: dura(scenario=["...", "..."])',
+        )
+    if own and not looked_at and not names_no_scenario(own[0]):
+        raise ConfigurationError(
+            "the marker dura runs nothing, since the test looks at no episode",
+            key="pytest.mark.dura",
+            found="neither `episode` nor `campaign` among the test's arguments",
+            expected="one of these fixtures",
+            remedy="add `episode` or `campaign` to the arguments, or remove the marker",
+        )
+
+
+def _check_decidable(requirements: Sequence[Requirement], *, each_run: bool) -> None:
+    """What the test does not decide must not read as decided."""
+    names = list(dict.fromkeys(one.id for one in requirements))
+    if each_run:
+        paired = [one.id for one in requirements if one.paired is not None]
+        if paired:
+            raise ConfigurationError(
+                f"the requirement {paired[0]!r} is about pairs of runs, and the test looks at one",
+                key="pytest.mark.requirement",
+                found="episode",
+                expected="campaign",
+                remedy="take the fixture `campaign`, and call campaign.require()",
+            )
+    elif len(names) > 1:
+        raise ConfigurationError(
+            "a test on a campaign decides one requirement, and its markers name several",
+            key="pytest.mark.requirement",
+            found=", ".join(names),
+            expected="one requirement",
+            remedy="write a test for each",
+        )
+
+
+def _targets(
+    session: DuraSession, marker: pytest.Mark, requirements: list[Requirement], *, each_run: bool
+) -> list[tuple[Target, str]]:
+    given = marker_arguments(marker, _dura_marker)
+    cases = _cases(session, given["scenario"], given["faults"])
+    requirement = requirements[0] if requirements else None
+    targets = []
+    for case in cases:
+        session.take_case(case)
+        declared, until_decided = _runs(given["runs"], case)
+        planned = session.options.runs or declared
+        if each_run and until_decided:
+            raise _unusable(
+                "runs", given["runs"] or case.scenario.runs, "a number of runs, for one test a run"
+            )
+        for run in range(planned) if each_run else [0]:
+            name = f"{case.id}#{run}" if each_run else case.id
+            target = Target(case, run, planned, requirement, until_decided, declared)
+            targets.append((target, name))
+    return targets
+
+
+def _cases(session: DuraSession, scenario: Any, faults: Any) -> list[Case]:
+    from pytest_dura.library.cases import expand_cases
+    from pytest_dura.library.loading import select_names
+
+    names = [scenario] if isinstance(scenario, str) else scenario
+    if not isinstance(names, Sequence) or not names or not all(isinstance(n, str) for n in names):
+        raise _unusable("scenario", scenario, "a scenario's name or glob, or a list of them")
+    if isinstance(faults, str):
+        faults = [faults]
+    if faults is not None and not _are_campaigns(faults):
+        raise _unusable("faults", faults, 'a list such as ["none", "ghost-obstacle"]')
+    library = session.library()
+    chosen = {name: library.scenarios[name] for name in select_names(library.scenarios, names)}
+    return expand_cases(chosen, faults, read=library.faults)
+
+
+def _are_campaigns(faults: Any) -> bool:
+    """Whether each entry is a fault, or a list of them, and there is one at all."""
+    if not isinstance(faults, Sequence) or not faults:
+        return False
+    return all(
+        isinstance(one, (str, Mapping))
+        or (isinstance(one, Sequence) and all(isinstance(fault, (str, Mapping)) for fault in one))
+        for one in faults
+    )
+
+
+def _runs(value: Any, case: Case) -> tuple[int, bool]:
+    """How many runs there are at most, and whether they end once the requirement is decided."""
+    if value is None:
+        return case.scenario.planned, case.scenario.until_decided
+    budget = isinstance(value, Mapping)
+    number = value.get("at_most") if budget else value
+    fits = isinstance(number, int) and not isinstance(number, bool) and number >= 1
+    if not fits or (budget and dict(value) != {"until": "decided", "at_most": number}):
+        expected = 'a whole number of at least 1, or {"until": "decided", "at_most": 400}'
+        raise _unusable("runs", value, expected)
+    return number, budget
+
+
+def _unusable(key: str, found: Any, expected: str) -> ConfigurationError:
+    return ConfigurationError(
+        f"the marker dura cannot be used: wrong `{key}`",
+        key=f"pytest.mark.dura({key}=)",
+        found=found,
+        expected=expected,
+        remedy=f"correct `{key}`",
+    )
+
+
+def _dura_marker(
+    scenario: Any = None, faults: Any = None, runs: Any = None, verdict: Any = True
+) -> None:
+    """The signature of the marker ``dura``."""
+
+
+def names_no_scenario(marker: pytest.Mark) -> bool:
+    """Whether a marker ``dura`` says no more than that the test decides nothing."""
+    return not marker.args and set(marker.kwargs) == {"verdict"}
+
+
+def decides_nothing(node: pytest.Item) -> bool:
+    """Whether a test says that no verdict is to come of it: ``dura(verdict=False)``."""
+    marker = node.get_closest_marker("dura")
+    return marker is not None and marker.kwargs.get("verdict") is False

@@ -1,0 +1,516 @@
+"""What an item came to, requirement by requirement, and whether a test that passed may pass.
+
+A pass rests on the episodes that the test looked at, on the verdicts that it asked for, and on
+the requirement's own check.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NoReturn
+
+import pytest
+
+from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.plugin.markers import decides_nothing, marked_requirements
+
+if TYPE_CHECKING:
+    from pytest_dura.campaign.campaign import Campaign
+    from pytest_dura.evidence.episodes import ItemReport
+    from pytest_dura.library.cases import Case
+    from pytest_dura.plugin.session import DuraSession
+    from pytest_dura.requirements.model import Requirement
+    from pytest_dura.requirements.verdicts.episodes import (
+        EpisodeStatus,
+        EpisodeVerdict,
+        JudgedEpisode,
+    )
+    from pytest_dura.runner import Runner
+
+
+class UsedEpisodes:
+    """The episodes of one case that an item looked at. They may be many, and none is kept.
+
+    Args:
+        case: The case.
+    """
+
+    def __init__(self, case: Case) -> None:
+        self.case = case
+        self.failure = ""
+        """The first infrastructure error among them."""
+        self.cut = ""
+        """The first that ended once all was decided, in words, if one did."""
+        self._seeds: dict[str, int] = {}
+        self._invalid: dict[str, str] = {}
+
+    def add(self, episode: JudgedEpisode) -> None:
+        """The item looked at an episode."""
+        name = episode.id
+        self._seeds[name] = episode.spec.seed
+        self._invalid.pop(name, None)
+        if episode.validity == "invalid":
+            self._invalid[name] = str(episode.invalid_reason)
+        if episode.termination == "decided" and not self.cut:
+            self.cut = f"{name} ended at {episode.time[-1]:g} s, once its requirements were decided"
+        if episode.failure is not None:
+            self.failure = self.failure or f"{episode.failure} (in {name})"
+
+    def again(self, bench: Runner, name: str) -> JudgedEpisode | None:
+        """The episode of this id that the item looked at last, if it looked at one."""
+        if name not in self._seeds:
+            return None
+        return bench.again(self.case, int(name.rpartition("#")[2]), self._seeds[name])
+
+    @property
+    def doubt(self) -> str | None:
+        """Why they leave a campaign undecided that no verdict was asked of, if they do."""
+        from pytest_dura.requirements.verdicts.judging import MAX_INVALID_SHARE
+
+        if len(self._invalid) <= MAX_INVALID_SHARE * len(self._seeds):
+            return None
+        # In the order in which the item looked at them.
+        first = next(name for name in self._seeds if name in self._invalid)
+        counts = f"{len(self._invalid)} of {len(self._seeds)}"
+        return f"undecided: {counts} episodes are invalid ({first}: {self._invalid[first]})"
+
+
+@dataclass(frozen=True)
+class ItemResult:
+    """What an item came to for one requirement.
+
+    Args:
+        requirement: The requirement.
+        case: The case it was judged on, if the item has one.
+        verdict: ``CampaignVerdict.to_json()`` with its ``check``, of an item on a campaign.
+        outcome: ``EpisodeVerdict.to_json()``, of an item on one episode.
+        episode: The episode that the item looked at, if it looked at one.
+    """
+
+    requirement: Requirement
+    case: Case | None = None
+    verdict: Mapping[str, Any] | None = None
+    outcome: Mapping[str, Any] | None = None
+    episode: JudgedEpisode | None = None
+
+    @property
+    def word(self) -> str | None:
+        """The verdict in one word, if there is one."""
+        found = self.verdict or self.outcome
+        return None if found is None else str(found["verdict"])
+
+    @property
+    def component(self) -> str | None:
+        """Name of the component under test, if it is known."""
+        found = self.verdict or self.outcome
+        return None if found is None else str(found["component"])
+
+    @property
+    def question(self) -> tuple[Any, ...]:
+        """What was asked: equal for several attempts of a test, and for them alone."""
+        found = self.verdict or self.outcome or {}
+        bound = found.get("bound") or {}
+        names = (found.get(name) for name in ("case", "component", "check"))
+        return self.requirement.id, *names, bound.get("at_most"), bound.get("confidence")
+
+
+_EARLIER_RESULTS = pytest.StashKey[list[ItemResult]]()
+
+
+def item_results(
+    session: DuraSession, item: pytest.Item, told: ItemReport | None
+) -> list[ItemResult]:
+    """What an item came to, once it has run or could not be set up.
+
+    Args:
+        session: The session.
+        item: An item that uses the bench.
+        told: What it told when it ran.
+
+    Returns:
+        The results in the order of their requirements in the item's markers. What was to be
+        decided on a campaign and was not is undecided. Of several attempts a violation counts
+        before anything else, as in the record.
+    """
+    from pytest_dura.plugin.markers import marked_requirements
+
+    claimed = {one.id: one for one in marked_requirements(session, item)}
+    found = _decided_results(session, item, told, claimed)
+    heard = {one.requirement.id for one in found}
+    if told is not None:
+        # Of what a test searches it asks for no verdict.
+        heard |= {one["requirement"] for search in told.searches for one in search["outcomes"]}
+    target = target_of(item)
+    for name, requirement in claimed.items():
+        if name not in heard:
+            found.append(_undecided_result(session, item, requirement, target))
+    violated = {
+        one.question: one for one in item.stash.get(_EARLIER_RESULTS, []) if one.word == "violated"
+    }
+    found = [violated.get(one.question, one) for one in found]
+    item.stash[_EARLIER_RESULTS] = found
+    return found
+
+
+def target_of(item: pytest.Item) -> Any:
+    """What the item looks at, with its ``case``: a planned case, or a parametrized target."""
+    planned = getattr(item, "planned", None)
+    if planned is not None:
+        return planned
+    parameters = getattr(getattr(item, "callspec", None), "params", {})
+    targets = (parameters.get(name) for name in ("episode", "campaign"))
+    return next((one for one in targets if hasattr(one, "case")), None)
+
+
+def episode_of(item: pytest.Item) -> JudgedEpisode | None:
+    """The episode that the item looks at, if it looks at one and there is one."""
+    from pytest_dura.requirements.verdicts.episodes import JudgedEpisode
+
+    episode = getattr(item, "funcargs", {}).get("episode")
+    return episode if isinstance(episode, JudgedEpisode) else None
+
+
+def _decided_results(
+    session: DuraSession,
+    item: pytest.Item,
+    told: ItemReport | None,
+    claimed: Mapping[str, Requirement],
+) -> list[ItemResult]:
+    if told is None:
+        return []
+    from pytest_dura.requirements.model import Requirement
+
+    known = {one["id"]: Requirement.from_json(one) for one in told.requirements}
+    known.update(claimed)
+    results = [
+        ItemResult(
+            known[one["requirement"]], _case_of_result(session, item, one["case"]), verdict=one
+        )
+        for one in told.verdicts
+    ]
+    episode = episode_of(item)
+    results += [
+        ItemResult(
+            known[one["requirement"]],
+            _case_of_result(session, item, one["case"]),
+            outcome=one,
+            episode=episode,
+        )
+        for one in told.outcomes
+    ]
+    order = list(claimed)
+    last = len(order)
+    return sorted(
+        results,
+        key=lambda one: order.index(one.requirement.id) if one.requirement.id in claimed else last,
+    )
+
+
+def _undecided_result(
+    session: DuraSession, item: pytest.Item, requirement: Requirement, target: Any
+) -> ItemResult:
+    """A requirement that the item was to decide, and did not."""
+    case = None if target is None else target.case
+    parameters = getattr(getattr(item, "callspec", None), "params", {})
+    if case is None or "episode" in parameters:
+        return ItemResult(requirement, case, episode=episode_of(item))
+    from pytest_dura.requirements.verdicts.judging import judge_campaign
+
+    campaign = getattr(item, "funcargs", {}).get("campaign")
+    verdict = judge_campaign(
+        requirement,
+        case.id,
+        [],
+        planned=session.options.runs or getattr(target, "planned", case.scenario.planned),
+        component=getattr(campaign, "component", None),
+    ).to_json()
+    told = {"reason": "the test ended without a verdict on it", "check": "", "paired": None}
+    return ItemResult(requirement, case, verdict=verdict | told)
+
+
+def _case_of_result(session: DuraSession, item: pytest.Item, name: str) -> Case | None:
+    """The case of this id; ``None`` for one that a test made by itself."""
+    target = target_of(item)
+    if target is not None and target.case.id == name:
+        case: Case = target.case
+        return case
+    try:
+        return session.bench.case(name)
+    except ConfigurationError:  # faults of the test's own making: no name leads to them
+        return None
+
+
+def outcome_of_test(
+    requirement: Requirement,
+    requirements: Sequence[Requirement],
+    episode: JudgedEpisode,
+    error: BaseException | None,
+    failed: str = "",
+) -> dict[str, Any]:
+    """The verdict of a test on an episode: by its outcome, and by the requirement's own check.
+
+    Args:
+        requirement: What the test decides.
+        requirements: Those of the episode's case.
+        episode: The episode.
+        error: What the test raised, if anything.
+        failed: Which of its own assertions failed, of :func:`failed_assertion`; empty if none did.
+    """
+    from pytest_dura.plugin.observed_episode import observations_of
+    from pytest_dura.requirements.verdicts.episodes import EARLY_ENDS, is_unseen_crash
+
+    word, detail = status_of_test(episode, error)
+    failed = failed if word == "violated" else ""
+    detail = failed or detail
+    margin = time = None
+    judged = judged_by_own_check(requirement, episode)
+    if judged is not None and judged.verdict == "violated":
+        word, margin, time = "violated", judged.margin, judged.time
+        detail = detail or judged.detail
+    elif judged is not None and word == "satisfied" and judged.verdict != "satisfied":
+        word, detail = judged.verdict, judged.detail
+    vacuous = word == "satisfied" and judged is not None and judged.vacuous
+    return {
+        "requirement": requirement.id,
+        "episode": episode.id,
+        "component": episode.spec.component,
+        "verdict": word,
+        "margin": margin,
+        "time": time,
+        "detail": detail,
+        "proposals": episode.metrics.proposals,
+        "valid_proposals": episode.metrics.valid_proposals,
+        "vacuous": vacuous,
+        "idle": list(episode.idle_faults),
+        "without_effect": word == "violated" and episode.validity == "invalid",
+        "ended": episode.termination if episode.termination in EARLY_ENDS else "",
+        "unseen_crash": word != "violated" and is_unseen_crash(episode, requirements),
+        "assertion": {
+            "alone": judged is None,
+            "by_check": judged is not None and judged.verdict == "violated",
+            "observed": observations_of(episode).names,
+            "false": [] if failed else list(observations_of(episode).false),
+            "failed": failed,
+        },
+    }
+
+
+def failed_assertion(item: pytest.Item, found: pytest.ExceptionInfo[BaseException]) -> str:
+    """What of a test failed: its message with what was compared, and the line in its file."""
+    from pytest_dura.evidence.text import one_line
+
+    error = found.value
+    lines = [line for line in str(error).split("\n") if line.strip()]
+    # Behind a message of the test's own stands what pytest makes of the comparison.
+    compared = [line for line in lines[1:] if line.startswith("assert ")]
+    told = "; ".join([*lines[:1], *compared[:1]]) or type(error).__name__
+    own = [entry for entry in found.traceback if entry.path == item.path]
+    if not own:
+        return one_line(told, 500)
+    place = item.nodeid.partition("::")[0]
+    return f"{one_line(told, 500)} ({place}:{own[-1].lineno + 1})"
+
+
+def judged_by_own_check(requirement: Requirement, episode: JudgedEpisode) -> EpisodeVerdict | None:
+    """What the requirement's own check says; ``None`` without one, and where none can be asked."""
+    if not requirement.check or requirement.paired is not None:
+        return None
+    from pytest_dura.requirements.verdicts.episodes import judge_episode
+
+    try:
+        return judge_episode(requirement, episode)
+    except ConfigurationError:  # the check is about signals of another domain
+        return None
+
+
+def status_of_test(
+    episode: JudgedEpisode, error: BaseException | None
+) -> tuple[EpisodeStatus, str]:
+    """What the outcome of a test says of the episode that it looked at, and why."""
+    first = str(error).partition("\n")[0] if error is not None else ""
+    if episode.failure is not None:
+        return "missing", episode.failure
+    if error is None:
+        return "satisfied", ""
+    spoilt = isinstance(error, pytest.fail.Exception) and first.startswith("invalid: ")
+    if spoilt or isinstance(error, pytest.skip.Exception):
+        return "invalid", first
+    if isinstance(error.__context__, ConfigurationError):
+        return "missing", f"infrastructure: the test cannot be judged: {first}"
+    if isinstance(error, (AssertionError, pytest.fail.Exception)):
+        return "violated", first
+    return "missing", f"infrastructure: the test raised {type(error).__name__}: {first}"
+
+
+OUR_FIXTURES = "pytest_dura.plugin.fixtures"
+
+
+def check_passed(
+    session: DuraSession,
+    item: pytest.Function,
+    used: Mapping[str, UsedEpisodes],
+    decided: Collection[tuple[str, str]],
+) -> None:
+    """Fail a test that passed if the episodes that it looked at do not carry that.
+
+    Args:
+        session: The session of this process.
+        item: The test.
+        used: The episodes that it looked at, by case.
+        decided: Requirement and case of the verdicts that it asked for.
+    """
+    from pytest_dura.campaign.campaign import Campaign
+    from pytest_dura.requirements.verdicts.episodes import JudgedEpisode
+
+    for one in used.values():
+        if one.failure:
+            pytest.fail(one.failure, pytrace=False)
+    looked_at = item.funcargs.get("episode")
+    if isinstance(looked_at, JudgedEpisode):
+        _check_violations(session, item, looked_at)
+    for one in used.values():
+        if one.cut:
+            # What else the test looked at might have come out otherwise.
+            told = f"invalid: {one.cut}: it shows a test nothing of what would have followed"
+            _fail_undecided(session, f"{told}; run such tests with --dura-end=complete")
+    if isinstance(looked_at, JudgedEpisode):
+        if looked_at.validity == "invalid":
+            _fail_undecided(session, f"invalid: {looked_at.id}: {looked_at.invalid_reason}")
+        _check_decided_by_own(session, item, looked_at)
+        _check_looked(session, item, looked_at)
+    _check_searched(session, used.values())
+    campaign = item.funcargs.get("campaign")
+    if isinstance(campaign, Campaign):
+        _check_decided(session, item, campaign, used, decided)
+    if without_verdict(session, item, decided):
+        _fail_undecided(session, f"undecided: the test ended without a verdict; {_remedy(item)}")
+
+
+def without_verdict(
+    session: DuraSession, item: pytest.Item, decided: Collection[tuple[str, str]]
+) -> bool:
+    """Whether a test that asked for episodes came to no verdict, and does not say that it would.
+
+    Args:
+        session: The session of this process.
+        item: The test, which has run.
+        decided: Requirement and case of the verdicts that it asked for.
+    """
+    asked_for = _episode_fixtures_of(item)
+    if not asked_for or decided or decides_nothing(item):
+        return False
+    return "episode" not in asked_for or not marked_requirements(session, item)
+
+
+def _episode_fixtures_of(item: pytest.Item) -> list[str]:
+    """Those of our fixtures that give a test its episodes; others may have some of these names."""
+    info = getattr(item, "_fixtureinfo", None)
+    known = {} if info is None else info.name2fixturedefs
+    return [
+        name
+        for name in ("episode", "campaign", "run_episode")
+        if name in known and _is_ours(name, known[name])
+    ]
+
+
+def _is_ours(name: str, definitions: Sequence[Any]) -> bool:
+    """Whether a fixture is ours, or overrides ours and asks for it."""
+    for one in reversed(definitions):
+        if one.func.__module__ == OUR_FIXTURES:
+            return True
+        if name not in one.argnames:
+            return False
+    return False
+
+
+def _remedy(item: pytest.Item) -> str:
+    nothing = "say that it decides nothing: @pytest.mark.dura(..., verdict=False)"
+    ways = {
+        "episode": 'name what it decides, @pytest.mark.requirement("ID", text="..."), or ',
+        "campaign": "call campaign.require(check), or ",
+    }
+    return ways.get(_episode_fixtures_of(item)[0], "") + nothing
+
+
+def _check_violations(session: DuraSession, item: pytest.Function, episode: JudgedEpisode) -> None:
+    """A violation by what its requirements say in their files counts, whatever else is amiss.
+
+    One that accepts a rate of violations is decided on all episodes, once they have run.
+    """
+    for requirement in marked_requirements(session, item):
+        judged = judged_by_own_check(requirement, episode)
+        if judged is not None and judged.verdict == "violated" and requirement.at_most is None:
+            pytest.fail(f"violated: {_violation_text(requirement, judged)}", pytrace=False)
+
+
+def _check_decided_by_own(
+    session: DuraSession, item: pytest.Function, episode: JudgedEpisode
+) -> None:
+    """A test on an episode passes by what its requirements say in their files, or not at all."""
+    for requirement in marked_requirements(session, item):
+        judged = judged_by_own_check(requirement, episode)
+        if judged is not None and judged.verdict not in ("satisfied", "violated"):
+            _fail_undecided(session, f"{judged.verdict}: {_violation_text(requirement, judged)}")
+
+
+def _check_looked(session: DuraSession, item: pytest.Function, episode: JudgedEpisode) -> None:
+    """A test supports by its assertions what it has looked at; of nothing it knows nothing."""
+    from pytest_dura.plugin.observed_episode import observations_of
+
+    alone = [
+        one.id
+        for one in marked_requirements(session, item)
+        if judged_by_own_check(one, episode) is None
+    ]
+    if alone and not observations_of(episode).names:
+        _fail_undecided(
+            session,
+            f"invalid: the test looked at nothing of {episode.id}, so that it decides nothing "
+            f"about {', '.join(alone)}; assert something of the episode, such as "
+            '`episode.satisfies("always (gap > 0)")`',
+        )
+
+
+def _check_searched(session: DuraSession, used: Iterable[UsedEpisodes]) -> None:
+    """A property test passes by at least one case that a strategy chose and that is valid."""
+    from pytest_dura.library.cases import SearchedCase
+
+    doubts = [one.doubt for one in used if isinstance(one.case, SearchedCase)]
+    if doubts and all(doubts):
+        why = str(doubts[0]).partition("(")[2]
+        _fail_undecided(session, f"undecided: none of {len(doubts)} cases is valid ({why}")
+
+
+def _violation_text(requirement: Requirement, judged: EpisodeVerdict) -> str:
+    detail = "" if judged.detail == requirement.check else f": {judged.detail}"
+    return f"{requirement.id} on {judged.episode}: {requirement.check}{detail}"
+
+
+def _check_decided(
+    session: DuraSession,
+    item: pytest.Function,
+    campaign: Campaign,
+    used: Mapping[str, UsedEpisodes],
+    decided: Collection[tuple[str, str]],
+) -> None:
+    """A test on a campaign that claims to decide a requirement must ask for its verdict."""
+    used_here = used.get(campaign.case.id)
+    if used_here is not None and used_here.doubt is not None:
+        _fail_undecided(session, used_here.doubt)
+    if "episode" in item.funcargs:
+        return  # it decides them
+    claimed = [one.id for one in marked_requirements(session, item)]
+    left = [name for name in claimed if (name, campaign.case.id) not in decided]
+    if left:
+        _fail_undecided(
+            session,
+            f"undecided: the test never asked for a verdict on {', '.join(left)}; "
+            "call campaign.require(check)",
+        )
+
+
+def _fail_undecided(session: DuraSession, message: str) -> NoReturn:
+    if session.options.warn_undecided:
+        pytest.skip(message)
+    pytest.fail(message, pytrace=False)

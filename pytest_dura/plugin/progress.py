@@ -1,0 +1,362 @@
+"""Progress of campaigns while they run: snapshots, the files of workers, and the hooks.
+
+Workers of pytest-xdist have no terminal, and its channel carries its own events alone: they
+write small files beside the evidence, which the controller reads.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections.abc import Callable, Generator, Mapping
+from contextlib import suppress
+from dataclasses import asdict, fields, replace
+from functools import partial
+from pathlib import Path
+from time import perf_counter
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from pytest_dura.campaign.progress import CampaignProgress
+from pytest_dura.plugin import progress_display
+from pytest_dura.plugin.progress_display import (
+    DisplayMode,
+    LiveScreen,
+    ProgressLog,
+    ProgressView,
+    TerminalGuard,
+    Ticker,
+    capture_disabled,
+    open_terminal,
+)
+
+if TYPE_CHECKING:
+    from xdist.workermanage import WorkerController
+
+    from pytest_dura.campaign.progress import RunningCampaign
+    from pytest_dura.plugin.session import DuraSession
+
+
+BOUND_SHARE = 1 / 500
+"""Of the time, at most that much goes into bounds."""
+LONGEST_BOUND_AGE = 10.0
+"""Seconds after which a bound is made anew, whatever the last one took."""
+
+
+class Snapshots:
+    """Makes a new bound as seldom as its cost asks for.
+
+    Args:
+        clock: Seconds.
+    """
+
+    def __init__(self, clock: Callable[[], float] = perf_counter) -> None:
+        self._clock = clock
+        self.forget()
+
+    def forget(self) -> None:
+        """The campaign has ended."""
+        self._campaign: RunningCampaign | None = None
+        self._bounded: CampaignProgress | None = None
+        self._due = -1.0
+
+    def of(self, running: RunningCampaign) -> CampaignProgress:
+        """How far a campaign is."""
+        if running is not self._campaign:
+            self.forget()
+            self._campaign = running
+        progress, begun = running.progress(), self._clock()
+        if begun >= self._due:
+            self._bounded = running.bounded(progress)
+            ended = self._clock()
+            self._due = ended + min((ended - begun) / BOUND_SHARE, LONGEST_BOUND_AGE)
+            return self._bounded
+        known = self._bounded
+        # From fewer runs with as many violations the bound is too great, and so it still holds.
+        if known is None or known.violations != progress.violations:
+            return progress
+        return replace(progress, upper=known.upper, confidence=known.confidence)
+
+
+PROGRESS_FOLDER = ".progress"
+WRITE_INTERVAL = 0.25
+"""Seconds after which a worker tells again."""
+_FILE_NAME = re.compile(r"([0-9a-f]{16})\.([A-Za-z0-9_-]{1,32})\.(json|tmp)")
+_FIELDS = {one.name for one in fields(CampaignProgress)}
+_MOST_BYTES, _MOST_FILES, _LONGEST, _GREATEST = 4096, 256, 500, 10**9
+
+
+class WorkerFile:
+    """Where a worker tells how far its campaign is.
+
+    Args:
+        folder: Where all workers do.
+        token: Of the session, as its controller chose it.
+        worker: Id of the worker.
+        clock: Seconds.
+    """
+
+    def __init__(
+        self, folder: Path, token: str, worker: str, clock: Callable[[], float] = perf_counter
+    ) -> None:
+        self._folder, self._clock = folder, clock
+        self._file, self._begun = (folder / f"{token}.{worker}.{end}" for end in ("json", "tmp"))
+        self._snapshots = Snapshots(clock)
+        self._due: float | None = None
+        self._written = False
+        self._usable = True
+
+    def expect(self) -> None:
+        """Campaigns are to come: the folder is there from now on, by which the controller knows."""
+        with suppress(OSError):  # without it there is no progress, which nothing depends on
+            self._folder.mkdir(parents=True, exist_ok=True)
+
+    def tell(self, running: RunningCampaign) -> None:
+        """Tell of a campaign that has run for a while; of one that has ended, no more."""
+        if running.ended:
+            self._end()
+            return
+        now = self._clock()
+        if self._due is None:
+            self._due = now + WRITE_INTERVAL
+        elif now >= self._due and self._usable:
+            self._due = now + WRITE_INTERVAL
+            self._write(self._snapshots.of(running))
+
+    def _write(self, progress: CampaignProgress) -> None:
+        data = json.dumps(asdict(progress)).encode()
+        flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | getattr(os, "O_NOFOLLOW", 0)
+        try:
+            handle = os.open(self._begun, flags, 0o644)
+            try:
+                os.write(handle, data)
+            finally:
+                os.close(handle)
+            self._begun.replace(self._file)
+        except OSError:  # there is no progress then, which nothing depends on
+            self._usable = False
+        else:
+            self._written = True
+
+    def _end(self) -> None:
+        self._due = None
+        self._snapshots.forget()
+        if self._written:
+            self._written = False
+            with suppress(OSError):  # the controller removes what is left
+                self._file.unlink()
+
+
+def read_files(folder: Path, token: str) -> dict[str, CampaignProgress]:
+    """How far the campaign of each worker of a session is; what cannot be read is passed over."""
+    found = {}
+    for file, of_session, worker, end in _progress_files(folder):
+        if of_session == token and end == "json":
+            progress = _read_progress(file)
+            if progress is not None:
+                found[worker] = progress
+    return found
+
+
+def remove_files(folder: Path, worker: str | None = None) -> None:
+    """Remove the files of all sessions, and the folder if nothing else is in it.
+
+    Args:
+        folder: The folder.
+        worker: Remove the files of this worker alone.
+    """
+    # Whatever cannot be removed does no harm: it is of no session that is to come.
+    with suppress(OSError):
+        if folder.is_symlink():
+            folder.unlink()
+    for file, _, of_worker, _ in _progress_files(folder):
+        if worker is None or worker == of_worker:
+            with suppress(OSError):
+                file.unlink()
+    if worker is None:
+        with suppress(OSError):
+            folder.rmdir()
+
+
+def _progress_files(folder: Path) -> list[tuple[Path, str, str, str]]:
+    """Files by our names: path, token, worker, ending."""
+    try:
+        with os.scandir(folder) as entries:
+            named = [(entry, _FILE_NAME.fullmatch(entry.name)) for entry in entries]
+    except OSError:  # it is not there yet, or any more
+        return []
+    ours = [(Path(entry.path), match[1], match[2], match[3]) for entry, match in named if match]
+    return ours[:_MOST_FILES]
+
+
+def _read_progress(file: Path) -> CampaignProgress | None:
+    flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
+    try:
+        handle = os.open(file, flags)
+        try:
+            text = os.read(handle, _MOST_BYTES + 1)
+        finally:
+            os.close(handle)
+        return _checked_progress(json.loads(text)) if len(text) <= _MOST_BYTES else None
+    except (OSError, ValueError, RecursionError):  # removed meanwhile, or no text of ours
+        return None
+
+
+def _checked_progress(data: Any) -> CampaignProgress | None:
+    """Plain data of which nothing is out of its range."""
+    if not (isinstance(data, dict) and set(data) == _FIELDS):
+        return None
+    counts = [data[name] for name in ("taken_over", "done", "budget")]
+    counted = counts if data["violations"] is None else [*counts, data["violations"]]
+    shares = [data[name] for name in ("upper", "confidence") if data[name] is not None]
+    sound = (
+        all(_is_text(data[name]) for name in ("case", "subject"))
+        and all(type(number) is int and 0 <= number <= _GREATEST for number in counted)
+        and counts == sorted(counts)
+        and type(data["may_end_early"]) is bool
+        and all(isinstance(share, float) and 0.0 <= share <= 1.0 for share in shares)
+    )
+    return CampaignProgress(**data) if sound else None
+
+
+def _is_text(value: Any) -> bool:
+    return isinstance(value, str) and len(value) <= _LONGEST and value.isprintable()
+
+
+class ProgressHooks:
+    """Shows the progress of this process, or as a controller that of its workers.
+
+    Args:
+        session: The session.
+        way: How it is shown.
+    """
+
+    def __init__(self, session: DuraSession, way: DisplayMode) -> None:
+        self._session, self._config, self._way = session, session.config, way
+        self._reporter: Any = self._config.pluginmanager.getplugin("terminalreporter")
+        self._distributed = self._config.pluginmanager.hasplugin("dsession")
+        self._folder = session.evidence_directory / PROGRESS_FOLDER
+        self._token = os.urandom(8).hex()
+        self._guard: TerminalGuard | None = None
+        self._screen: LiveScreen | None = None
+        self._ticker: Ticker | None = None
+        self._showing: ProgressView | None = None
+        self._snapshots = Snapshots()
+        self._own: dict[str, CampaignProgress] = {}
+        self._looked_at, self._due = True, 0.0
+        if self._distributed:
+            remove_files(self._folder)  # of a session that was killed
+
+    def tell(self, running: RunningCampaign) -> None:
+        """Take in how far a campaign of this process is."""
+        if running.ended:
+            self._own = {}
+            self._snapshots.forget()
+            if self._screen is not None:
+                self._screen.wipe()
+        elif self._way == "live":
+            if self._looked_at:
+                self._looked_at = False
+                self._own = {"": self._snapshots.of(running)}
+                self._begin()
+        elif perf_counter() >= self._due:
+            self._due = perf_counter() + progress_display.LINES_INTERVAL
+            self._own = {"": self._snapshots.of(running)}
+            # A log is written between two runs: another thread could not suspend the capture.
+            self._begin().look()
+
+    def _begin(self) -> ProgressView:
+        if self._showing is None:
+            surface = self._live() if self._way == "live" else self._log()
+            self._showing = ProgressView(surface, self._found)
+            if self._distributed or self._way == "live":
+                live, lines = progress_display.LIVE_INTERVAL, progress_display.LINES_INTERVAL
+                self._ticker = Ticker(self._showing.look, live if self._way == "live" else lines)
+        return self._showing
+
+    def _found(self) -> Mapping[str, CampaignProgress]:
+        if self._distributed:
+            return read_files(self._folder, self._token)
+        self._looked_at = True
+        return self._own
+
+    def _live(self) -> LiveScreen:
+        self._guard = TerminalGuard(self._config.get_terminal_writer())
+        self._screen = LiveScreen(open_terminal(self._config), self._guard)
+        return self._screen
+
+    def _log(self) -> ProgressLog:
+        interval, alone = (
+            self._session.options.progress_interval,
+            partial(capture_disabled, self._config),
+        )
+        if self._distributed:
+            self._guard = TerminalGuard(self._config.get_terminal_writer())
+            lock = self._guard.lock
+            return ProgressLog(self._reporter, interval, perf_counter(), lambda: lock)
+        return ProgressLog(self._reporter, interval, perf_counter(), alone)
+
+    @pytest.hookimpl(optionalhook=True)
+    def pytest_configure_node(self, node: WorkerController) -> None:
+        """Let a worker tell."""
+        node.workerinput["dura_progress"] = self._token
+
+    @pytest.hookimpl(optionalhook=True)
+    def pytest_xdist_node_collection_finished(self) -> None:
+        """Look at the workers if campaigns are among what they are to run."""
+        if self._folder.is_dir():
+            self._begin()
+
+    @pytest.hookimpl(optionalhook=True)
+    def pytest_testnodedown(self, node: WorkerController) -> None:
+        """Forget a worker, also one that was killed."""
+        remove_files(self._folder, node.gateway.id)
+
+    @pytest.hookimpl(wrapper=True, tryfirst=True)
+    def pytest_runtest_logstart(self) -> Generator[None, Any, Any]:
+        """Let pytest write as a whole what it writes in pieces."""
+        return (yield from self._undisturbed())
+
+    @pytest.hookimpl(wrapper=True, tryfirst=True)
+    def pytest_runtest_logreport(self) -> Generator[None, Any, Any]:
+        """As above."""
+        return (yield from self._undisturbed())
+
+    @pytest.hookimpl(wrapper=True, tryfirst=True)
+    def pytest_runtest_logfinish(self) -> Generator[None, Any, Any]:
+        """As above."""
+        return (yield from self._undisturbed())
+
+    def _undisturbed(self) -> Generator[None, Any, Any]:
+        if self._guard is None:
+            return (yield)
+        with self._guard.lock:
+            return (yield)
+
+    def pytest_enter_pdb(self) -> None:
+        """Leave the terminal to a debugger."""
+        if self._screen is not None:
+            self._screen.pause()
+
+    def pytest_leave_pdb(self) -> None:
+        """Take it back."""
+        if self._screen is not None:
+            self._screen.resume()
+
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_sessionfinish(self) -> None:
+        """Show nothing any more."""
+        if self._ticker is not None:
+            self._ticker.close()
+        if self._screen is not None:
+            self._screen.close()
+        elif self._guard is not None:
+            self._guard.remove()
+
+    @pytest.hookimpl(trylast=True)
+    def pytest_unconfigure(self) -> None:
+        """Remove what workers left, which are gone by now."""
+        if self._distributed:
+            remove_files(self._folder)

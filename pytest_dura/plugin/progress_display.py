@@ -1,0 +1,498 @@
+"""How progress is shown: live below pytest's output in a terminal, or as lines in a log."""
+
+from __future__ import annotations
+
+import os
+import sys
+import unicodedata
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from threading import Event, RLock, Thread
+from time import perf_counter
+from typing import TYPE_CHECKING, Any, Literal, Protocol, TextIO
+
+if TYPE_CHECKING:
+    import pytest
+
+    from pytest_dura.campaign.progress import CampaignProgress
+
+
+PACE_WINDOW = 10.0
+"""Seconds that are looked back."""
+LEAST_LOOKS = 6
+"""Looks at which there was something new that are kept however long ago they were."""
+
+
+class Pace:
+    """How fast one campaign gets on.
+
+    Runs that were at hand when the campaign began say nothing of those that are simulated, and do
+    not count.
+
+    Args:
+        progress: How far the campaign is at the first look.
+        now: Seconds of any clock that runs evenly, as in all methods.
+    """
+
+    def __init__(self, progress: CampaignProgress, now: float) -> None:
+        self._campaign = progress.case, progress.subject
+        self._looks = deque([(now, progress.done)])
+
+    def is_of(self, progress: CampaignProgress) -> bool:
+        """Whether this is the same campaign, further on."""
+        same = self._campaign == (progress.case, progress.subject)
+        return same and progress.done >= self._looks[-1][1]
+
+    def look(self, progress: CampaignProgress, now: float) -> None:
+        """Take in how far the campaign is now."""
+        looks = self._looks
+        if 0 < progress.done <= progress.taken_over:
+            looks.clear()
+        if not looks or progress.done > looks[-1][1]:
+            looks.append((now, progress.done))
+        while len(looks) > LEAST_LOOKS and now - looks[1][0] > PACE_WINDOW:
+            looks.popleft()
+
+    def rate(self, now: float) -> float | None:
+        """Runs per second; ``None`` before a run has ended that was begun under these eyes.
+
+        The run that is under way may take as long as one took lately before it slows the rate.
+        """
+        (begun, first), (latest, last) = self._looks[0], self._looks[-1]
+        if last == first or latest <= begun:
+            return None
+        usual = (latest - begun) / (last - first)
+        return (last - first) / (max(latest, now - usual) - begun)
+
+    def left(self, remaining: int, now: float) -> float | None:
+        """Seconds for so many runs, the one that is under way among them; ``None`` as above."""
+        rate = self.rate(now)
+        if rate is None:
+            return None
+        under_way = min(1.0, rate * (now - self._looks[-1][0]))
+        return max(0.0, remaining - under_way) / rate
+
+
+WIDE = 119
+"""Columns from which on there is room for a sentence."""
+MINUTE, HOUR = 60, 3600
+SLOW, FAST = 0.1, 10.0
+"""Runs per second below which there are more in a minute, and above which no decimal matters."""
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """A campaign that runs.
+
+    Args:
+        place: The worker that runs it; empty for this process.
+        progress: How far it is.
+        rate: Runs per second, where that is known.
+        left: Seconds for the rest of its budget, where that is known.
+    """
+
+    place: str
+    progress: CampaignProgress
+    rate: float | None
+    left: float | None
+
+
+def log_line(row: Row) -> str:
+    """Everything, as in a log."""
+    progress, found = row.progress, [_runs(row.progress)]
+    if progress.violations is not None:
+        found.append(_violations(progress.violations))
+    if progress.upper is not None and progress.confidence is not None:
+        found.append(f"rate <= {_percent(progress.upper)} ({100 * progress.confidence:g} %)")
+    if row.rate is not None:
+        found.append(_speed(row.rate, " runs"))
+    if row.left is not None:
+        most = "at most " if progress.may_end_early else ""
+        found.append(f"{most}{duration(row.left)} left")
+    return f"{_campaign_name(progress)}: {', '.join(found)}"
+
+
+def short_line(row: Row) -> str:
+    """The same figures in fewer characters."""
+    progress = row.progress
+    found = [f"{progress.done}/{progress.budget}"]
+    if progress.violations is not None:
+        found.append(_violations(progress.violations))
+    if progress.upper is not None:
+        found.append(f"<= {_percent(progress.upper)}")
+    if row.rate is not None:
+        found.append(_speed(row.rate, ""))
+    if row.left is not None:
+        found.append(f"{'<= ' if progress.may_end_early else ''}{duration(row.left)} left")
+    return f"{_campaign_name(progress)} {', '.join(found)}"
+
+
+def terminal_line(row: Row, width: int) -> str:
+    """As much as goes into so many columns of a terminal."""
+    place = f"{row.place} " if row.place else ""
+    text = place + log_line(row)
+    # In between, a figure more or less would make the line jump from one form to the other.
+    if width < WIDE or columns(text) > width:
+        text = place + short_line(row)
+    return text if columns(text) <= width else _cut(text, width)
+
+
+def duration(seconds: float) -> str:
+    """In the two largest units."""
+    whole = max(1, round(seconds))
+    if whole < MINUTE:
+        return f"{whole} s"
+    if whole < HOUR:
+        return f"{whole // MINUTE} min {whole % MINUTE:02} s"
+    return f"{whole // HOUR} h {whole % HOUR // MINUTE:02} min"
+
+
+def columns(text: str) -> int:
+    """The columns that a terminal needs for a text."""
+    return sum(map(_columns, text))
+
+
+def _columns(character: str) -> int:
+    if unicodedata.combining(character):
+        return 0
+    return 2 if unicodedata.east_asian_width(character) in "WF" else 1
+
+
+def _cut(text: str, width: int) -> str:
+    kept, room = "", width - 2
+    for character in text:
+        room -= _columns(character)
+        if room < 0:
+            break
+        kept += character
+    return (kept + "..")[: max(width, 0)]
+
+
+def _campaign_name(progress: CampaignProgress) -> str:
+    # A name with an escape sequence in it would write to the terminal what it likes.
+    name = f"{progress.case} {progress.subject}".rstrip()
+    return "".join(one if one.isprintable() else "?" for one in name)
+
+
+def _runs(progress: CampaignProgress) -> str:
+    most = "at most " if progress.may_end_early else ""
+    runs = "run" if progress.budget == 1 else "runs"
+    taken = f" ({progress.taken_over} taken over)" if progress.taken_over else ""
+    return f"{progress.done} of {most}{progress.budget} {runs}{taken}"
+
+
+def _violations(number: int) -> str:
+    return f"{number} violation{'s' * (number != 1)}"
+
+
+def _speed(rate: float, noun: str) -> str:
+    if rate < SLOW:
+        return f"{MINUTE * rate:.2g}{noun}/min"
+    decimals = 2 if rate < 1.0 else 1 if rate < FAST else 0
+    return f"{rate:.{decimals}f}{noun}/s"
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.3g} %"
+
+
+class Board:
+    """Rows of what is found to run, look after look."""
+
+    def __init__(self) -> None:
+        self._paces: dict[str, Pace] = {}
+
+    def rows(self, found: Mapping[str, CampaignProgress], now: float) -> list[Row]:
+        """One row per place, in the order of their names.
+
+        Args:
+            found: The campaign that runs at each place.
+            now: Seconds of a clock that runs evenly.
+        """
+        self._paces = {place: self._pace(place, progress, now) for place, progress in found.items()}
+        rows = []
+        for place in sorted(found, key=lambda place: (len(place), place)):  # gw2 before gw10
+            progress, pace = found[place], self._paces[place]
+            remaining = progress.budget - progress.done
+            rows.append(Row(place, progress, pace.rate(now), pace.left(remaining, now)))
+        return rows
+
+    def _pace(self, place: str, progress: CampaignProgress, now: float) -> Pace:
+        pace = self._paces.get(place)
+        if pace is None or not pace.is_of(progress):
+            return Pace(progress, now)
+        pace.look(progress, now)
+        return pace
+
+
+def _wipe_nothing() -> None:
+    """What is to be done before pytest writes, as long as nobody draws."""
+
+
+class TerminalGuard:
+    """Lets pytest write once what must come before is done, and at once to the end.
+
+    Args:
+        writer: Pytest's terminal writer, of which two methods are replaced.
+    """
+
+    def __init__(self, writer: Any) -> None:
+        self.lock = RLock()
+        self.before: Callable[[], None] = _wipe_nothing
+        self._writer = writer
+        for name in ("write", "write_raw"):
+            if hasattr(writer, name):
+                setattr(writer, name, self._guarded(getattr(writer, name)))
+
+    def _guarded(self, write: Callable[..., None]) -> Callable[..., None]:
+        def guarded(*arguments: Any, **options: Any) -> None:
+            with self.lock:
+                self.before()
+                write(*arguments, **options)
+                # What waited in a buffer would come out below what is drawn meanwhile.
+                self._writer.flush()
+
+        return guarded
+
+    def remove(self) -> None:
+        """Let pytest write by itself again."""
+        for name in ("write", "write_raw"):
+            vars(self._writer).pop(name, None)
+
+
+SAVE, RESTORE = "\x1b7", "\x1b8"
+WIPE = "\x1b[J"
+"""From the cursor to the end of the screen."""
+DOWN = "\x1bD"
+"""One line down in the same column; the screen scrolls where there is none."""
+UP = "\x1b[{}A"
+_USUAL_SIZE = os.terminal_size((80, 24))
+
+
+class LiveScreen:
+    """Draws rows below the line that pytest is writing, and wipes them before pytest goes on.
+
+    The cursor is always left where pytest has it. Whoever draws does so in one write.
+
+    Args:
+        stream: The terminal, past any capture.
+        guard: Between pytest and the terminal.
+    """
+
+    def __init__(self, stream: TextIO, guard: TerminalGuard) -> None:
+        self._stream, self._guard = stream, guard
+        self._drawn: list[str] = []
+        self._paused = False
+        guard.before = self._wipe
+
+    def show(self, rows: Sequence[Row], now: float) -> None:  # noqa: ARG002 - a log waits
+        """Draw these rows in place of those that are there."""
+        size = self._size()
+        # A line that is full moves the cursor on in some terminals.
+        lines = [terminal_line(row, size.columns - 1) for row in rows[: max(0, size.lines - 2)]]
+        with self._guard.lock:
+            if self._paused or lines == self._drawn:
+                return
+            if lines:
+                self._draw(lines)
+            else:
+                self._wipe()
+
+    def wipe(self) -> None:
+        """Leave nothing behind."""
+        with self._guard.lock:
+            self._wipe()
+
+    def pause(self) -> None:
+        """Draw nothing, since somebody else writes: a debugger."""
+        with self._guard.lock:
+            self._wipe()
+            self._paused = True
+
+    def resume(self) -> None:
+        """Draw again."""
+        self._paused = False
+
+    def close(self) -> None:
+        """Leave nothing behind, and draw nothing any more."""
+        self.pause()
+        self._guard.remove()
+        self._stream.close()
+
+    def _draw(self, lines: list[str]) -> None:
+        below = "".join(f"\r\n{line}" for line in lines)
+        room = DOWN * len(lines) + UP.format(len(lines))
+        self._write(f"{WIPE}{room}{SAVE}{below}{RESTORE}")
+        self._drawn = lines
+
+    def _wipe(self) -> None:
+        if self._drawn:
+            self._drawn = []
+            self._write(WIPE)
+
+    def _write(self, text: str) -> None:
+        self._stream.write(text)
+        self._stream.flush()
+
+    def _size(self) -> os.terminal_size:
+        try:
+            size = os.get_terminal_size(self._stream.fileno())
+        except OSError:
+            return _USUAL_SIZE
+        # A terminal that does not know says 0.
+        return os.terminal_size(
+            (size.columns or _USUAL_SIZE.columns, size.lines or _USUAL_SIZE.lines)
+        )
+
+
+SILENCE_SHARE = 0.1
+"""The longer a session lasts, the longer until the next line: so much of what has passed."""
+LONGEST_SILENCE = 300.0
+"""But no longer than that, or twice the interval: CI services end what is silent."""
+
+
+class ProgressLog:
+    """Writes a line per campaign, the first after one interval.
+
+    Args:
+        reporter: Pytest's terminal reporter.
+        interval: Seconds between lines, at least.
+        begun: When the first campaign began.
+        alone: Context in which pytest's reporter reaches the log, and nobody else writes.
+    """
+
+    def __init__(
+        self,
+        reporter: Any,
+        interval: float,
+        begun: float,
+        alone: Callable[[], AbstractContextManager[Any]],
+    ) -> None:
+        self._reporter, self._interval, self._begun = reporter, interval, begun
+        self._alone = alone
+        self._due = begun + interval
+
+    def show(self, rows: Sequence[Row], now: float) -> None:
+        """Write the rows, if it is time to."""
+        if now < self._due or not rows:
+            return
+        longest = max(LONGEST_SILENCE, 2 * self._interval)
+        self._due = now + max(self._interval, min(SILENCE_SHARE * (now - self._begun), longest))
+        with self._alone():
+            self._write([f"dura: {log_line(row)}" for row in rows])
+
+    def _write(self, lines: Sequence[str]) -> None:
+        """Whole lines on a line of their own."""
+        reporter = self._reporter
+        writer, at = reporter.config.get_terminal_writer(), reporter.currentfspath
+        if writer.width_of_current_line:
+            writer.line()
+        for line in lines:
+            writer.line(line)
+        writer.flush()
+        # Dots of the same file go on below; what stands before a single result is written again.
+        reporter.currentfspath = at if isinstance(at, Path) else None
+
+
+DisplayMode = Literal["live", "lines"]
+
+LIVE_INTERVAL = 0.2
+"""Seconds between two looks where each is shown."""
+LINES_INTERVAL = 0.5
+"""Seconds between two looks of which few are shown."""
+
+
+def display_mode(config: pytest.Config) -> DisplayMode | None:
+    """How this process shows progress; ``None`` if it does not, as under ``-q``."""
+    reporter = config.pluginmanager.getplugin("terminalreporter")
+    if reporter is None or hasattr(config, "workerinput") or config.getoption("verbose") < 0:
+        return None
+    # What is not captured, the tests themselves write into the terminal at any time.
+    live = (
+        bool(reporter.isatty)
+        and os.name == "posix"
+        and os.environ.get("TERM", "dumb") != "dumb"
+        and not os.environ.get("CI")
+        and config.getoption("capture", "no") not in ("no", "tee-sys")
+    )
+    return "live" if live else "lines"
+
+
+class Surface(Protocol):
+    """Whatever shows rows."""
+
+    def show(self, rows: Sequence[Row], now: float) -> None:
+        """Show these rows, or wait."""
+
+
+class ProgressView:
+    """Looks at what runs, and shows it.
+
+    Args:
+        surface: Shows it.
+        found: The campaigns that run, by the place where they do.
+        clock: Seconds.
+    """
+
+    def __init__(
+        self,
+        surface: Surface,
+        found: Callable[[], Mapping[str, CampaignProgress]],
+        clock: Callable[[], float] = perf_counter,
+    ) -> None:
+        self._surface, self._found, self._clock = surface, found, clock
+        self._board = Board()
+
+    def look(self) -> None:
+        """Look once."""
+        now = self._clock()
+        self._surface.show(self._board.rows(self._found(), now), now)
+
+
+class Ticker:
+    """Looks again and again, in a thread that ends with the session.
+
+    Args:
+        look: Called each time; an error of the operating system ends it.
+        interval: Seconds in between.
+    """
+
+    def __init__(self, look: Callable[[], None], interval: float) -> None:
+        self._look, self._interval = look, interval
+        self._over = Event()
+        self._thread = Thread(target=self._run, name="dura-progress", daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        # If the terminal is gone, pytest itself tells whoever still listens.
+        with suppress(OSError):
+            while not self._over.wait(self._interval):
+                self._look()
+
+    def close(self) -> None:
+        """Look no more."""
+        self._over.set()
+        self._thread.join()
+
+
+def capture_disabled(config: pytest.Config) -> AbstractContextManager[Any]:
+    """Context in which standard output is that of the session."""
+    capture = config.pluginmanager.getplugin("capturemanager")
+    found: AbstractContextManager[Any] = (
+        nullcontext() if capture is None else capture.global_and_fixture_disabled()
+    )
+    return found
+
+
+def open_terminal(config: pytest.Config) -> TextIO:
+    """The terminal by a way of its own, which no capture closes.
+
+    Raises:
+        OSError: If standard output has no file beneath it.
+    """
+    with capture_disabled(config):
+        handle = os.dup(sys.stdout.fileno())
+        return os.fdopen(handle, "w", encoding=sys.stdout.encoding, errors="replace", newline="")

@@ -1,0 +1,258 @@
+"""Property tests: the counterexamples that tests of Hypothesis leave behind when they fail.
+
+A test with ``@given(case=strategies.cases(...))`` runs many cases. Where it fails, Hypothesis
+runs the simplest failing case last, and reports the error of that run. The case of that run is
+kept as a scenario file in the project's folder of scenarios, if it violates a requirement and
+does so again when it is replayed. Counterexamples of searches go into the same folder.
+"""
+
+from __future__ import annotations
+
+import functools
+import os
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, MutableMapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from pytest_dura.core.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from pytest_dura.library.cases import SearchedCase
+    from pytest_dura.plugin.session import DuraSession
+    from pytest_dura.search.counterexamples import CounterexampleStore, StoredCounterexample
+    from pytest_dura.search.trials import Objective
+
+
+DEFAULT_FOLDER = "scenarios"
+
+
+def scenario_folder(session: DuraSession) -> Path:
+    """The first folder of ini ``dura_scenario_paths``; by default one that need not exist yet.
+
+    Raises:
+        ConfigurationError: If the setting names files alone: what is kept elsewhere is run by none.
+    """
+    config = session.config
+    given = [Path(path) for path in config.getini("dura_scenario_paths")]
+    folders = [path for path in given if path.is_dir()]
+    if given and not folders:
+        raise ConfigurationError(
+            "there is no folder of scenarios that a counterexample could be kept in",
+            key="ini dura_scenario_paths",
+            found=", ".join(map(str, given)),
+            expected="a folder among them",
+            remedy="add a folder, such as scenarios",
+        )
+    return folders[0] if folders else config.rootpath / DEFAULT_FOLDER
+
+
+def counterexample_store(session: DuraSession) -> CounterexampleStore:
+    """What keeps a counterexample, and says where, as seen from the project's root."""
+
+    def keep(
+        case: SearchedCase, asked: Objective, told: Sequence[str]
+    ) -> tuple[StoredCounterexample, str]:
+        from pytest_dura.search.counterexamples import write_counterexample
+
+        known = session.library().requirements
+        requirement = asked.requirement
+        kept = write_counterexample(
+            scenario_folder(session),
+            case,
+            requirement,
+            asked.check,
+            defined=known.get(requirement.id) == requirement,
+            told=[str(session.redact(line)) for line in told],
+        )
+        return kept, os.path.relpath(kept.file, session.config.rootpath)
+
+    return keep
+
+
+PROFILE = "dura"
+_PROFILE_KEY = "dura_hypothesis"
+"""Key of what a worker of pytest-xdist tells the controller at its end."""
+_FAILURES = (Exception, pytest.fail.Exception)
+_MOST_FAILURES = 8
+"""Failing runs that are remembered: the last ones are those that are reported."""
+
+
+def register_profile(config: pytest.Config) -> None:
+    """Have the profile ``dura`` where the command line asks Hypothesis for it."""
+    if config.getoption("--hypothesis-profile", None) == PROFILE:
+        import pytest_dura.strategies  # noqa: F401 - importing it registers the profile
+
+
+class PropertyTests:
+    """The property tests of this process.
+
+    Args:
+        session: The session of this process.
+    """
+
+    def __init__(self, session: DuraSession) -> None:
+        self.session = session
+        self._cases: list[SearchedCase] = []
+        """Those that the present run of a test function has looked at."""
+        self._failed: deque[tuple[BaseException, list[SearchedCase]]] = deque(maxlen=_MOST_FAILURES)
+        self._lines: list[str] = []
+        self._settings: dict[str, Any] | None = None
+
+    def begin(self) -> Callable[[], None]:
+        """Let strategies know the session's scenarios; returns what undoes it."""
+        from contextlib import ExitStack
+
+        from pytest_dura.library.loading import use_library
+
+        stack = ExitStack()
+        stack.enter_context(use_library(self.session.library))
+        return stack.close
+
+    def looked_at(self, case: SearchedCase) -> None:
+        """The current test looked at an episode of a case that a strategy chose."""
+        self._cases.append(case)
+
+    @contextmanager
+    def watching(self, item: pytest.Function) -> Iterator[None]:
+        """Within it, a property test runs; if it fails, its simplest failing case is kept."""
+        handle: Any = getattr(item.obj, "hypothesis", None)
+        if not hasattr(handle, "inner_test"):
+            yield
+            return
+        inner, handle.inner_test = handle.inner_test, self._watched(handle.inner_test)
+        try:
+            yield
+        except _FAILURES as error:
+            for case in self._of(error):
+                self._lines += self._kept(item, case)
+            raise
+        finally:
+            handle.inner_test = inner
+            self._cases.clear()
+            self._failed.clear()
+
+    def tell(self, report: pytest.TestReport) -> None:
+        """Say in the report of a test what was kept."""
+        if report.when == "call" and self._lines:
+            report.sections.append(("dura", "\n".join(self._lines)))
+            self._lines = []
+
+    def described(self, header: Mapping[str, Any]) -> dict[str, Any]:
+        """The head of the record with the profile of Hypothesis, where it was imported."""
+        from pytest_dura.provenance import describe_hypothesis
+
+        found = self._settings or describe_hypothesis()
+        environment = dict(header["environment"])
+        return {**header, "environment": environment | ({"hypothesis": found} if found else {})}
+
+    def tell_controller(self, workeroutput: MutableMapping[str, Any]) -> None:
+        """Tell the controller, which reads no tests, under which profile this worker ran them."""
+        from pytest_dura.provenance import describe_hypothesis
+
+        workeroutput[_PROFILE_KEY] = describe_hypothesis()
+
+    def hear_worker(self, workeroutput: Mapping[str, Any]) -> None:
+        """Take in what a worker tells at its end."""
+        self._settings = workeroutput.get(_PROFILE_KEY) or self._settings
+
+    def _watched(self, test: Callable[..., Any]) -> Callable[..., Any]:
+        """The test function, which notes on what cases it fails."""
+
+        @functools.wraps(test)
+        def watched(*arguments: Any, **named: Any) -> Any:
+            __tracebackhide__ = True
+            self._cases.clear()
+            try:
+                return test(*arguments, **named)
+            except _FAILURES as error:
+                self._failed.append((error, list(self._cases)))
+                raise
+
+        return watched
+
+    def _of(self, error: BaseException) -> list[SearchedCase]:
+        """The cases of the runs whose errors are reported, each once."""
+        reported = set(map(id, _leaves(error)))
+        found = [case for one, cases in self._failed if id(one) in reported for case in cases]
+        return list({case.id: case for case in found}.values())
+
+    def _kept(self, item: pytest.Item, case: SearchedCase) -> Iterator[str]:
+        """Lines on a case that is kept, or why it is not."""
+        try:
+            asked = self._violated(item, case)
+            if asked is None:
+                yield (
+                    f"{case.id} violates no requirement of the test or its scenario: no file is "
+                    "kept. Name what it violates with the marker `requirement`."
+                )
+            else:
+                yield from self._keep(item, case, asked)
+        except ConfigurationError as error:
+            yield f"{case.id} is not kept: {error}"
+
+    def _violated(self, item: pytest.Item, case: SearchedCase) -> Objective | None:
+        """What a case violates: of what the test's markers name, else of the scenario's own."""
+        from pytest_dura.plugin.markers import marked_requirements
+        from pytest_dura.search.trials import Objective
+
+        bench = self.session.bench
+        named = {one.id: one for one in marked_requirements(self.session, item)}
+        named |= {one.id: one for one in bench.requirements_of(case) if one.id not in named}
+        episode = bench.searched(case)
+        for one in named.values():
+            asked = Objective(one)
+            if one.check and not one.paired and asked.judge(episode).word == "violated":
+                return asked
+        return None
+
+    def _keep(self, item: pytest.Item, case: SearchedCase, asked: Objective) -> Iterator[str]:
+        from pytest_dura.plugin.messages import rerun_command
+        from pytest_dura.search.counterexamples import (
+            confirm_violation,
+            store_counterexample,
+        )
+        from pytest_dura.search.space import SearchSpace
+        from pytest_dura.search.trials import Trials
+
+        bench, name = self.session.bench, asked.requirement.id
+        original = bench.case(case.scenario.name)
+        trials = Trials(bench, SearchSpace(original, (), original.scenario.world), [asked])
+        confirmed = confirm_violation(trials, asked, case, 0)
+        repeats = confirmed.found.repeats
+        if not repeats.confirmed:
+            yield (
+                f"{case.id} violates {name}, and again in {repeats.violated} of {repeats.runs} "
+                f"replays, {repeats.equal} of them with an equal digest: no file is kept"
+            )
+            return
+        written: list[StoredCounterexample] = []
+        keep = counterexample_store(self.session)
+
+        def noted(*arguments: Any) -> tuple[StoredCounterexample, str]:
+            found = keep(*arguments)
+            written.append(found[0])
+            return found
+
+        found = store_counterexample(
+            trials, asked, confirmed, noted, f"simplest failing case of {item.nodeid}"
+        )
+        command = rerun_command(self.session, f"{found.name}::{written[0].requirement.id}")
+        yield f"{case.id} violates {name}, confirmed by replay with an equal digest"
+        for change in found.changes:
+            yield f"          {change.path}: {change.value} instead of {change.nominal}"
+        yield f"kept in:  {found.file}, which --dura-scenarios runs from now on"
+        yield f"rerun:    {command}"
+
+
+def _leaves(error: BaseException) -> Iterator[BaseException]:
+    """The error, or those that a group of them holds."""
+    inner = getattr(error, "exceptions", None)
+    if isinstance(inner, (tuple, list)):
+        for one in inner:
+            yield from _leaves(one)
+    else:
+        yield error

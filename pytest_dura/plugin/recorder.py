@@ -1,0 +1,480 @@
+"""ItemRecorder: collects what the current item used and decided, for its report.
+
+It also keeps the traces of the item's episodes.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import pytest
+
+from pytest_dura.core.errors import DuraError, describe_error
+from pytest_dura.plugin.markers import marked_requirements
+from pytest_dura.plugin.messages import replay_command
+from pytest_dura.plugin.outcomes import (
+    UsedEpisodes,
+    check_passed,
+    episode_of,
+    failed_assertion,
+    outcome_of_test,
+    status_of_test,
+    without_verdict,
+)
+
+if TYPE_CHECKING:
+    from pytest_dura.campaign.causal_chains import CausalChain
+    from pytest_dura.core.episode import Episode
+    from pytest_dura.core.role_spec import RoleSpec
+    from pytest_dura.evidence.episodes import ItemReport
+    from pytest_dura.execution.store import EpisodeKey
+    from pytest_dura.library.cases import Case, SearchedCase
+    from pytest_dura.plugin.markers import Target
+    from pytest_dura.plugin.session import DuraSession
+    from pytest_dura.requirements.model import Requirement
+    from pytest_dura.requirements.monitoring.quality import MonitorQuality
+    from pytest_dura.requirements.verdicts.campaigns import CampaignVerdict
+    from pytest_dura.requirements.verdicts.episodes import JudgedEpisode, SearchedEpisode
+
+
+def case_record(
+    case: Case, component: str, planned: int, runs_override: int | None, off: list[str]
+) -> dict[str, Any]:
+    """A case as the evidence holds it.
+
+    Args:
+        case: The case.
+        component: Name of the component under test.
+        planned: Its episodes.
+        runs_override: What replaced the number that its scenario plans, if something did.
+        off: Roles that are switched off.
+    """
+    return {
+        "order": case.scenario.order,
+        "id": case.id,
+        "scenario": case.scenario.name,
+        "faults": [dict(fault) for fault in case.faults],
+        "component": component,
+        "without": list(case.without),
+        "off": off,
+        "requirements": list(case.requirements),
+        "variation": {
+            path: _without_none(spread.model_dump(mode="json"))
+            for path, spread in case.scenario.variation.items()
+        },
+        "planned": planned,
+        "runs_override": runs_override,
+    }
+
+
+def _without_none(spread: dict[str, Any]) -> dict[str, Any]:
+    """A range of single numbers says nothing of pieces."""
+    return {key: value for key, value in spread.items() if value is not None}
+
+
+Level = Literal["summary", "violations", "all"]
+Reason = Literal["all", "sample", "missing", "violation"]
+
+_RANK: dict[Reason, int] = {"all": 0, "sample": 1, "missing": 2, "violation": 3}
+"""Of several reasons to keep a trace the last one is told."""
+
+
+class TraceKeeper:
+    """Writes traces into ``episodes`` of the evidence directory, each of them once.
+
+    A file holds what follows from the episode alone, so that two processes write the same one;
+    what requirements say of it stands in the record.
+
+    Args:
+        session: The session of this process.
+    """
+
+    def __init__(self, session: DuraSession) -> None:
+        self.session = session
+        self._kept: dict[tuple[Any, ...], tuple[Reason, dict[str, Any] | None]] = {}
+        self._samples: set[tuple[str, str, str]] = set()
+        self._told_problem = False
+        self.traces: list[dict[str, Any]] = []
+        """``{id, component, digest, trace}`` of what was written and not yet taken."""
+        self.problems: list[str] = []
+        """Why a trace could not be written; the first reason alone is told."""
+
+    def used(self, episode: Episode) -> None:
+        """A test looked at an episode."""
+        level = self.session.options.evidence_level
+        if level == "all":
+            self._keep(episode, "all")
+        if level == "violations" and episode.validity != "invalid":
+            reason: Reason = "sample" if episode.validity == "valid" else "missing"
+            kind = reason, episode.spec.case, episode.spec.component
+            if kind not in self._samples:
+                self._samples.add(kind)
+                self._keep(episode, reason)
+
+    def violated(self, episode: Episode) -> None:
+        """An episode violates a requirement, or failed its test."""
+        if self.session.options.evidence_level != "summary":
+            self._keep(episode, "violation")
+
+    def take(self) -> tuple[list[dict[str, Any]], list[str]]:
+        """What there is to tell since the last call: traces, and problems."""
+        told = self.traces, self.problems
+        self.traces, self.problems = [], []
+        return told
+
+    def _keep(self, episode: Episode, reason: Reason) -> None:
+        about = self.session.redact(
+            {
+                "id": episode.id,
+                "component": episode.spec.component,
+                "seed": episode.spec.seed,
+                "digest": episode.digest,
+            }
+        )
+        key = tuple(about.values())
+        before = self._kept.get(key)
+        if before is not None and _RANK[before[0]] >= _RANK[reason]:
+            return
+        written = self._write(episode, about) if before is None else before[1]
+        self._kept[key] = reason, written
+        if written is not None:
+            named = {name: about[name] for name in ("id", "component", "digest")}
+            self.traces.append({**named, "trace": {**written, "kept_for": reason}})
+
+    def _write(self, episode: Episode, about: dict[str, Any]) -> dict[str, Any] | None:
+        """The file and its digest; ``None`` if it cannot be written, which is told."""
+        from pytest_dura.evidence.mcap import write_trace
+        from pytest_dura.evidence.traces import TRACE_FOLDER, Trace, trace_path
+
+        path, directory = trace_path(about), self.session.evidence_directory
+        try:
+            _check_inside(directory / TRACE_FOLDER)
+            trace = Trace.of(episode).without_secrets(self.session.redact)
+            return {"file": path, **write_trace(directory / path, trace)}
+        except Exception as error:  # whatever it is, the verdicts do not need the trace
+            if not self._told_problem:
+                self._told_problem = True
+                why = error.strerror if isinstance(error, OSError) and error.strerror else None
+                self.problems.append(
+                    f"infrastructure: the trace of {episode.id} cannot be written: "
+                    f"{why or describe_error(error)}"
+                )
+            return None
+
+
+def _check_inside(folder: Path) -> None:
+    if folder.is_symlink():
+        raise OSError(
+            f"{folder.name} is a symbolic link, and traces stay in the evidence directory"
+        )
+
+
+REPORT_ATTRIBUTE = "dura"
+"""Of a test report. pytest and xdist carry further attributes along, and unlike
+``user_properties`` they do not end up in JUnit files, where kilobytes per test have no place."""
+
+
+class ItemRecorder:
+    """Works in whichever process runs the items.
+
+    Args:
+        session: The session of this process.
+    """
+
+    def __init__(self, session: DuraSession) -> None:
+        self.session = session
+        self._pending: ItemReport | None = None
+        self._told: set[tuple[EpisodeKey, bool]] = set()
+        self._used: dict[str, UsedEpisodes] = {}
+        self._decided: set[tuple[str, str]] = set()
+        self._components: dict[tuple[str, bytes, bool], dict[str, Any]] = {}
+        self._last: JudgedEpisode | None = None
+        self._asserted = False
+        """Whether the body of the current test came to its end without a failure."""
+        self.traces = TraceKeeper(session)
+
+    def episode_used(self, case: Case, episode: JudgedEpisode, planned: int) -> None:
+        """An item looked at an episode of so many planned ones; 0 for one chosen by hand."""
+        from pytest_dura.evidence.episodes import episode_record
+
+        self._used.setdefault(case.id, UsedEpisodes(case)).add(episode)
+        generator = episode.spec.roles["generator"]
+        self._case_used(case, generator, planned)
+        self.session.models.used(episode.spec)
+        own = self.session.bench.key(episode)
+        key = own, planned > 0
+        if key not in self._told:
+            self._told.add(key)
+            origin = self.session.bench.store.earlier.origin(own)
+            told = episode_record(episode, planned=planned > 0, origin=origin)
+            self._report.episodes.append(told)
+            self._relieve()
+        self._last = episode
+        self.traces.used(episode)
+        if planned:
+            self.session.repeats.episode_used(case, episode)
+
+    def searched_used(self, case: SearchedCase, episode: SearchedEpisode) -> None:
+        """An item looked at an episode of a case that a strategy chose, which is no sample."""
+        self._used.setdefault(case.id, UsedEpisodes(case)).add(episode)
+        self._component_used(episode.spec.roles["generator"])
+        self.session.models.used(episode.spec)
+        self.session.properties.looked_at(case)
+
+    def verdict_reached(self, verdict: CampaignVerdict, requirement: Requirement) -> None:
+        """A campaign was judged, and what its episodes are worth along with it."""
+        used = self._used.pop(verdict.case, None)
+        for counterexample in verdict.counterexamples:
+            episode = used and used.again(self.session.bench, counterexample.episode)
+            if episode:
+                self.traces.violated(episode)
+        self._used.pop((verdict.pairs or {}).get("case", verdict.case), None)
+        asked = requirement.to_json()
+        question = {"check": asked["check"], "paired": asked["paired"]}
+        self._report.verdicts.append({**verdict.to_json(), **question})
+        self._decided.add((verdict.requirement, verdict.case))
+        self._requirement_used(requirement)
+        self._planned(verdict.case, verdict.component, verdict.planned)
+
+    def search_ended(self, case: Case, falsification: Mapping[str, Any]) -> None:
+        """A search for violations came to its end, whatever its test makes of that.
+
+        Args:
+            case: What it searched.
+            falsification: ``Falsification.to_json()``.
+        """
+        from pytest_dura.evidence.model import plain_data
+        from pytest_dura.requirements.model import Requirement
+
+        spec = self.session.bench.task(case).spec
+        self._component_used(spec.roles["generator"])
+        self.session.models.used(spec)
+        library = self.session.library().requirements
+        for outcome in falsification["outcomes"]:
+            name, check = outcome["requirement"], outcome["check"]
+            known = library.get(name) or self.session.marked.get(name)
+            self._requirement_used(known or Requirement(name, check=check))
+            self._decided.add((name, case.id))
+        about = {
+            "scenario": case.scenario.name,
+            "simulator": spec.simulator.path,
+            "roles": {name: role.path for name, role in spec.roles.items()},
+        }
+        self._report.searches.append({**plain_data(falsification), **about})
+
+    def monitors_judged(self, case: Case, qualities: list[MonitorQuality]) -> None:
+        """It was measured how good a case's monitors are."""
+        self._report.monitors += [{"case": case.id, **one.to_json()} for one in qualities]
+
+    def faults_followed(
+        self, case: Case, episode: JudgedEpisode, chains: list[CausalChain]
+    ) -> None:
+        """It was found what came of each fault of an episode."""
+        told = {"case": case.id, "component": episode.spec.component, "episode": episode.id}
+        self._report.chains += [{**told, **one.to_json()} for one in chains]
+        self._relieve()
+
+    def case_repeated(self, repeat: Mapping[str, Any]) -> None:
+        """One episode of a case was run again."""
+        self._report.repeats.append(dict(repeat))
+
+    def _relieve(self) -> None:
+        """Let no item hold a great many episodes until it ends."""
+        if self._report.full:
+            part = self._report.split(self.session.redact)
+            if self.session.is_worker:
+                self._report.parts.append(part)
+            else:
+                self.session.evidence.take(part)
+
+    def outcome_of(self, error: DuraError) -> BaseException:
+        """What one of our own errors does to a test: fail it, with a message and no more."""
+        verdict, search = getattr(error, "verdict", None), getattr(error, "falsification", None)
+        undecided = verdict is not None and verdict.verdict == "undecided"
+        if search is not None:
+            undecided = not search.found and any(o.word == "undecided" for o in search.outcomes)
+        if undecided and self.session.options.warn_undecided:
+            return pytest.skip.Exception(str(error))
+        return pytest.fail.Exception(str(error))
+
+    def body_ended(self, item: pytest.Function) -> None:
+        """A test came to its end: what it has looked at by now is what it looked at."""
+        episode = episode_of(item)
+        if episode is not None:
+            from pytest_dura.plugin.observed_episode import observations_of
+
+            observations_of(episode).end()
+
+    def body_passed(self, item: pytest.Function) -> None:
+        """A test passed; fail it if the episodes that it looked at do not carry that."""
+        self._asserted = True
+        check_passed(self.session, item, self._used, self._decided)
+
+    def attach(
+        self, item: pytest.Item, call: pytest.CallInfo[None], report: pytest.TestReport
+    ) -> ItemReport | None:
+        """Put what the item told on its report, as JSON; returns it, if it told anything."""
+        if call.when == "teardown":
+            self._end(item)
+        if call.when == "setup":
+            self._claim(item)
+        if call.when == "call":
+            self._called(item, call, report)
+        traces, problems = self.traces.take()
+        if traces or problems:
+            self._report.traces += traces
+            self._report.problems += problems
+        notes, searched = self.session.shared.take_problems(), self.session.shared.take_searched()
+        if notes or searched:
+            self._report.notes += notes
+            self._report.searched += searched
+        models = self.session.models.take()
+        if models:
+            self._report.models += models
+        if self._pending is None:
+            return None
+        told, self._pending = self._pending, None
+        told.item = item.nodeid
+        told = told.without_secrets(self.session.redact)
+        if told:
+            setattr(report, REPORT_ATTRIBUTE, json.dumps(told.to_json(), allow_nan=False))
+        return told
+
+    def _called(
+        self, item: pytest.Item, call: pytest.CallInfo[None], report: pytest.TestReport
+    ) -> None:
+        self._keep_last(call)
+        if self._target(item) is not None:
+            self._test_outcome(item, call, report)
+        # A test that skips itself, or is expected to fail, came to no verdict either.
+        excused = report.skipped and not self.session.options.warn_undecided
+        if excused and without_verdict(self.session, item, self._decided):
+            self._report.objections.append(f"{item.nodeid} ended without a verdict")
+
+    def _end(self, item: pytest.Item) -> None:
+        self._used.clear()
+        self._decided.clear()
+        self._last = None
+        self._asserted = False
+        if self.session.simulating.is_lost:  # what there is by now can be resumed
+            item.session.shouldstop = "nobody is left who simulates"
+        if self.session.shared.is_broken:
+            item.session.shouldstop = "file descriptors of this process were closed"
+
+    def _keep_last(self, call: pytest.CallInfo[None]) -> None:
+        """Keep the episode at which a test failed that asked for no verdict: its last one."""
+        if self._last is None or self._decided or call.excinfo is None:
+            return
+        word, why = status_of_test(self._last, call.excinfo.value)
+        if word == "violated" and not why.startswith("undecided: "):
+            self.traces.violated(self._last)
+
+    @property
+    def _report(self) -> ItemReport:
+        if self._pending is None:
+            from pytest_dura.evidence.episodes import ItemReport
+
+            self._pending = ItemReport("")
+        return self._pending
+
+    def _case_used(self, case: Case, generator: RoleSpec, planned: int) -> None:
+        report, component = self._report, self._component_used(generator)
+        if not any((one["id"], one["component"]) == (case.id, component) for one in report.cases):
+            off = case.roles_off(self.session.bench.roles)
+            runs = self.session.options.runs
+            report.cases.append(case_record(case, component, planned, runs, off))
+            known = self.session.library().requirements
+            for name in case.requirements:
+                self._requirement_used(known[name])
+        self._planned(case.id, component, planned)
+
+    def _component_used(self, generator: RoleSpec) -> str:
+        """Describe a component under test; returns its name."""
+        from pytest_dura.core.episode import canonical
+        from pytest_dura.library.roles import LocalRole
+        from pytest_dura.provenance import describe_component
+
+        component = generator.label
+        key = generator.path, canonical(generator.params), generator.opaque
+        if key not in self._components:
+            factory = type(generator.instance) if generator.opaque else generator.resolve()
+            file, root = None, self.session.config.rootpath
+            if isinstance(generator, LocalRole):
+                file = root / generator.path.rpartition(":")[0]
+            described = describe_component(generator.path, factory, generator.params, file, root)
+            sources = described.pop("sources")
+            if described["digest"] is not None:
+                # They are many: the first report of each process has them.
+                self._report.sources[described["digest"]] = sources
+            named = {"name": component, **described, "opaque": generator.opaque}
+            self._components[key] = named
+        if self._components[key] not in self._report.components:
+            self._report.components.append(self._components[key])
+        return component
+
+    def _planned(self, case: str, component: str, planned: int) -> None:
+        for one in self._report.cases:
+            if (one["id"], one["component"]) == (case, component):
+                one["planned"] = max(one["planned"], planned)
+
+    def _requirement_used(self, requirement: Requirement) -> None:
+        if requirement.to_json() not in self._report.requirements:
+            self._report.requirements.append(requirement.to_json())
+
+    def _claim(self, item: pytest.Item) -> None:
+        """Say what a test is to decide: if it ends before it does, that is undecided."""
+        run = self._target(item)
+        target = run or self._target(item, "campaign")
+        if target is None:
+            return
+        campaign = getattr(item, "funcargs", {}).get("campaign")
+        from pytest_dura.evidence.gather import UNKNOWN_COMPONENT
+
+        component = getattr(campaign, "component", None) or UNKNOWN_COMPONENT
+        override = self.session.options.runs
+        off = target.case.roles_off(self.session.bench.roles)
+        case = case_record(target.case, component, target.planned, override, off)
+        for requirement in marked_requirements(self.session, item):
+            self._requirement_used(requirement)
+            claim = {"requirement": requirement.id, "case": case, "each_run": run is not None}
+            self._report.claims.append(claim)
+
+    def _target(self, item: pytest.Item, fixture: str = "episode") -> Target | None:
+        """The run that a test looks at, or the case, if it looks at one."""
+        parameters = getattr(getattr(item, "callspec", None), "params", {})
+        target = parameters.get(fixture)
+        return target if hasattr(target, "planned") else None
+
+    def _test_outcome(
+        self, item: pytest.Item, call: pytest.CallInfo[None], report: pytest.TestReport
+    ) -> None:
+        """What a test on one episode means for the requirements in its markers."""
+        target, episode = self._target(item), getattr(item, "funcargs", {}).get("episode")
+        if target is None or episode is None:
+            return
+        self._planned(target.case.id, episode.spec.component, target.planned)
+        error = None if call.excinfo is None else call.excinfo.value
+        if error is not None:
+            command = replay_command(self.session, episode.id)
+            report.sections.append(("dura", f"{episode.id}, replay: {command}"))
+        failed = (
+            "" if call.excinfo is None or self._asserted else failed_assertion(item, call.excinfo)
+        )
+        for requirement in marked_requirements(self.session, item):
+            self._requirement_used(requirement)
+            of_case = self.session.bench.requirements_of(target.case)
+            told = outcome_of_test(requirement, of_case, episode, error, failed)
+            if told["verdict"] == "violated":
+                self.traces.violated(episode)
+            self._report.outcomes.append(
+                {
+                    **told,
+                    "case": target.case.id,
+                    "planned": target.planned,
+                    "at_most": requirement.at_most,
+                    "confidence": requirement.confidence,
+                }
+            )

@@ -1,0 +1,191 @@
+"""Which roles the episodes of a session run with.
+
+Options and role fixtures choose them; which conftest files override a fixture is known before
+any fixture is set up.
+"""
+
+from __future__ import annotations
+
+import ast
+import os
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from pytest_dura.core.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from pytest_dura.core.role_spec import RoleSpec
+    from pytest_dura.plugin.session import DuraSession
+
+
+OVERRIDABLE = (
+    "simulator",
+    "generator",
+    "safety_monitor",
+    "security_assessor",
+    "performance_oracle",
+    "fault_injector",
+    "recovery_planner",
+)
+
+
+def root_conftest_with(config: pytest.Config, role: str) -> str | None:
+    """The root conftest's file name, if it defines the fixture of this role."""
+    root = config.rootpath / "conftest.py"
+    return root.name if (root, role) in _overrides(config) else None
+
+
+def overrides_deeper_down(config: pytest.Config) -> list[tuple[str, str]]:
+    """``(file, role)`` of overrides that scenario items do not see, relative to the root."""
+    root = config.rootpath
+    return [
+        (os.path.relpath(file, root), role)
+        for file, role in _overrides(config)
+        if file.parent != root and root in file.parents
+    ]
+
+
+def none_in_root_conftest(config: pytest.Config) -> list[tuple[str, str]]:
+    """``(file, role)`` of fixtures of the root conftest that plainly return ``None``."""
+    root = config.rootpath / "conftest.py"
+    roles = [role for file, role in _overrides(config) if file == root]
+    if not roles:
+        return []
+    tree = ast.parse(root.read_bytes())
+    functions = {one.name: one for one in tree.body if isinstance(one, ast.FunctionDef)}
+    return [(root.name, role) for role in roles if _returns_none(functions.get(role))]
+
+
+def _returns_none(function: ast.FunctionDef | None) -> bool:
+    if function is None:
+        return False
+    nodes = list(ast.walk(function))
+    values = [one.value for one in nodes if isinstance(one, ast.Return) and one.value is not None]
+    generates = any(isinstance(one, (ast.Yield, ast.YieldFrom)) for one in nodes)
+    return not generates and all(isinstance(v, ast.Constant) and v.value is None for v in values)
+
+
+def conftest_defining(config: pytest.Config, value: object) -> str | None:
+    """The ``conftest.py`` at whose top level a class or function is defined, if it is in one.
+
+    pytest may have loaded several modules of the name ``conftest``, of which ``sys.modules`` holds
+    one; so the class itself does not tell.
+    """
+    name = getattr(value, "__qualname__", None)
+    for file, module in _conftests(config):
+        own = getattr(value, "__module__", None) == module.__name__
+        if name is not None and own and vars(module).get(name) is value:
+            return Path(os.path.relpath(file, config.rootpath)).as_posix()
+    return None
+
+
+def defined_in_conftest(config: pytest.Config, file: str, name: str) -> Any:
+    """What :func:`conftest_defining` was asked about; ``None`` if that file is not loaded."""
+    wanted = config.rootpath / file
+    return next((vars(m).get(name) for path, m in _conftests(config) if path == wanted), None)
+
+
+def _overrides(config: pytest.Config) -> list[tuple[Path, str]]:
+    return [
+        (file, role)
+        for file, module in _conftests(config)
+        for role in OVERRIDABLE
+        if _is_fixture(module, role)
+    ]
+
+
+def _conftests(config: pytest.Config) -> list[tuple[Path, ModuleType]]:
+    found = []
+    for plugin in config.pluginmanager.get_plugins():
+        file = getattr(plugin, "__file__", None)
+        if isinstance(plugin, ModuleType) and file and Path(file).name == "conftest.py":
+            found.append((Path(file), plugin))
+    return sorted(found, key=lambda one: one[0])
+
+
+def _is_fixture(module: ModuleType, name: str) -> bool:
+    """Whether the module defines a fixture of this name, by what pytest 8 and 9 make of one."""
+    value = vars(module).get(name)
+    made_of = type(value).__name__
+    return made_of == "FixtureFunctionDefinition" or hasattr(value, "_pytestfixturefunction")
+
+
+class SessionRoles:
+    """What options, role fixtures and the domain's defaults come to.
+
+    Args:
+        session: The session of this process.
+    """
+
+    def __init__(self, session: DuraSession) -> None:
+        self.session = session
+        self._defaults: dict[str, RoleSpec] = {}
+
+    def default(self, role: str) -> RoleSpec:
+        """What a role's fixture returns unless it is overridden; the same object at every call."""
+        if role not in self._defaults:
+            from pytest_dura.core.role_spec import RoleSpec
+            from pytest_dura.domains import DOMAINS
+            from pytest_dura.library.roles import generator_of_option
+
+            driving, option = DOMAINS["driving"], self.session.options.generator
+            if role == "simulator":
+                spec = RoleSpec(driving.simulator)
+            elif role == "generator" and option is not None:
+                spec = generator_of_option(option)
+            else:
+                spec = RoleSpec(driving.roles[role])
+            self._defaults[role] = spec
+        return self._defaults[role]
+
+    def chosen(self) -> dict[str, RoleSpec | None]:
+        """The roles that options put in place of the scenarios' and domains' own."""
+        if self.session.options.generator is None:
+            return {}
+        return {"generator": self.default("generator")}
+
+    def use(self, given: dict[str, Any]) -> None:
+        """Let the bench run what the role fixtures of an item returned.
+
+        Raises:
+            ConfigurationError: For something that is no such role, and for a generator that is
+                given twice.
+        """
+        from pytest_dura.library.roles import role_of_fixture
+
+        overridden = {
+            role: role_of_fixture(role, value, conftest_defining(self.session.config, value))
+            for role, value in given.items()
+            if value is not self.default(role)
+        }
+        if "generator" in overridden and self.session.options.generator is not None:
+            raise _given_twice("a fixture")
+        self.session.bench.simulator = overridden.pop("simulator", None)
+        self.session.bench.roles = self.chosen() | overridden
+
+    def check(self) -> None:
+        """Check the generator that is given.
+
+        Raises:
+            ConfigurationError: For one that cannot be used, and for one that is given twice.
+        """
+        if self.session.options.generator is None:
+            return
+        self.default("generator")
+        conftest = root_conftest_with(self.session.config, "generator")
+        if conftest is not None:
+            raise _given_twice(f"the fixture `generator` in {conftest}")
+
+
+def _given_twice(where: str) -> ConfigurationError:
+    """The component under test is named twice."""
+    return ConfigurationError(
+        "the component under test is given twice",
+        key="--dura-generator",
+        found=f"--dura-generator and {where}",
+        expected="one of them",
+        remedy="drop the option, or the fixture",
+    )

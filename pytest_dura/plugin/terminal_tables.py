@@ -1,0 +1,529 @@
+"""The tables in the terminal, from the record alone.
+
+They cover cases, attacks, pairs, monitors, faults and failure modes. Of a great many rows the
+worst are shown.
+"""
+
+from __future__ import annotations
+
+import textwrap
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, TypeVar
+
+from pytest_dura.core.metrics import REACTIONS
+from pytest_dura.evidence.conclude import RECOVERY_ROLE
+from pytest_dura.evidence.text import name
+from pytest_dura.plugin.messages import indent_if_reserved
+from pytest_dura.reports.tables import (
+    FAILURE_MODE_HEADINGS,
+    cases_with_accounts,
+    decision_age_lines,
+    decision_time_lines,
+    failure_mode_text,
+    failure_modes_by_component,
+    measured_failure_modes,
+    percent_text,
+)
+from pytest_dura.requirements.model import FAULTS
+
+Data = Mapping[str, Any]
+
+WIDTH = 100
+LONGEST = 500
+"""Characters of a row's name."""
+
+
+def case_table(cases: Sequence[Data], overall: Sequence[Data] = ()) -> list[str]:
+    """The paper's table: one line per case and component, and one for all of a component's cases.
+
+    Args:
+        cases: Those that are shown.
+        overall: The record's, over all of them.
+    """
+    users = sorted({name for case in cases for name in case["metrics"]["user"]})
+    names, metrics = _case_names(cases, overall)
+    rows = [_case_row(one, users) for one in metrics]
+    starred = any(_beyond(one["collided"]) for one in metrics)
+    legend = [*CASE_LEGEND, BEYOND] if starred else CASE_LEGEND
+    return [*aligned("case", (*CASE_COLUMNS, *users), names, rows), *legend]
+
+
+def reliance_table(cases: Sequence[Data], overall: Sequence[Data] = ()) -> list[str]:
+    """What the component leaves to its recovery, to passengers, and how it reacts to attacks.
+
+    Args:
+        cases: Those that are shown.
+        overall: The record's, over all of them.
+    """
+    names, metrics = _case_names(cases, overall)
+    known = {name for one in metrics for name in one["reactions"]}
+    classes = [*REACTIONS, *sorted(known.difference(REACTIONS))] if known else []
+    felt = any(one["comfort_failed"] for one in metrics)
+    if not (felt or known or any(one["rescued"] and one["rescued"]["run"] for one in metrics)):
+        return []
+    rows = [
+        [
+            _percent(one["rescued"]),
+            "-" if one["switching"] is None else f"{100 * one['switching']['share']:.1f}",
+            *([_percent(one["comfort_failed"])] if felt else ()),
+            *(str(one["reactions"].get(kind, 0)) for kind in classes),
+        ]
+        for one in metrics
+    ]
+    columns = ["rescued %", "time %", *(["comfort %"] if felt else ())]
+    columns += [SHORT.get(kind, kind) for kind in classes]
+    legend = [RESCUED, *([COMFORT] if felt else ()), *([REACTED] if known else ())]
+    return [*aligned("reliance", columns, names, rows), *legend]
+
+
+def _case_names(cases: Sequence[Data], overall: Sequence[Data]) -> tuple[list[str], list[Data]]:
+    """Names and metrics of the rows: the cases, then all together where there are several."""
+    several = len({case["component"] for case in cases}) > 1
+    names = [f"{case['id']} ({case['component']})" if several else case["id"] for case in cases]
+    metrics = [case["metrics"] for case in cases]
+    for one in overall:
+        if one["cases"] > 1:
+            names.append(f"overall ({one['component']})" if several else "overall")
+            metrics.append(one["metrics"])
+    return names, metrics
+
+
+SHORT = {"follows the fake": "follows"}
+RESCUED = "rescued: runs in which recovery took over; time: share of it for which it was in control"
+COMFORT = "comfort: runs that at some time were beyond what passengers take"
+REACTED = "unaffected ... follows (the fake): reactions to what looked like an attack, each counted"
+
+
+def aligned(
+    title: str, columns: Sequence[str], names: Sequence[str], rows: Sequence[Sequence[str]]
+) -> list[str]:
+    """Lines of a table; a name that is too long stands on a line of its own."""
+    # The names of cases, faults and metrics may have any length.
+    names = [indent_if_reserved(name(text, LONGEST)) for text in names]
+    table = [[name(one) for one in columns], *rows]
+    widths = [max(len(row[i]) for row in table) for i in range(len(columns))]
+    room = max(24, WIDTH - sum(widths) - 2 * len(widths))
+    left = min(max(map(len, [title, *names])), room)
+    lines = []
+    for label, row in zip([title, *names], table, strict=True):
+        cells = "".join(f"  {cell:>{width}}" for cell, width in zip(row, widths, strict=True))
+        if len(label) > left:
+            lines += [label, " " * left + cells]
+        else:
+            lines.append(f"{label:<{left}}{cells}")
+    return lines
+
+
+CASE_COLUMNS = ("n", "flag %", "coll %", "clearance s", "grid", "recov", "alerts", "inv")
+CASE_LEGEND = (
+    "n: valid runs (of those planned); flag, coll: runs with an unsafe proposal, with a collision;",
+    "clearance: mean +- sd over cleared runs (their number); grid: gridlock, not cleared in time",
+)
+BEYOND = "3*: so many collisions in runs that are invalid or missing, which are in no rate"
+
+
+def _case_row(metrics: Data, users: Sequence[str]) -> list[str]:
+    valid, planned = metrics["valid"], metrics["planned"]
+    grid = metrics["gridlock"]
+    missing = f"+{metrics['missing']} missing" if metrics["missing"] else ""
+    return [
+        str(valid) if valid == planned else f"{valid} ({planned})",
+        _percent(metrics["flagged"]),
+        _percent(metrics["collided"]) + _beyond(metrics["collided"]),
+        _time(metrics["clearance_time"]),
+        "-" if grid is None else str(grid["valid"]),
+        str(metrics["recoveries"]),
+        str(metrics["alerts"]),
+        f"{metrics['invalid']}{missing}",
+        *(_user(metrics["user"].get(name)) for name in users),
+    ]
+
+
+def _percent(share: Data | None) -> str:
+    if share is None or share["share_of_valid"] is None:
+        return "-"
+    return f"{100 * share['share_of_valid']:.0f}"
+
+
+def _beyond(share: Data | None) -> str:
+    """``+3*`` for what happened in runs that are not valid."""
+    beyond = 0 if share is None else share["run"] - share["valid"]
+    return f" +{beyond}*" if beyond else ""
+
+
+def _time(clearance: Data | None) -> str:
+    if clearance is None or clearance["mean"] is None:
+        return "-"
+    spread = "" if clearance["sd"] is None else f" +- {clearance['sd']:.1f}"
+    return f"{clearance['mean']:.1f}{spread} ({clearance['runs']})"
+
+
+def _user(value: Data | None) -> str:
+    return "-" if value is None or value["mean"] is None else f"{value['mean']:.4g}"
+
+
+ATTACK_COLUMNS = ("pairs", "caused", "spared", "both", "cost", "max", "never", "p")
+ATTACK_LEGEND = (
+    "pairs: runs with the faults and without, equal seeds; violations there are only with them",
+    "(caused) and only without (spared); cost: mean growth of the measure; never: pairs without a",
+    "value only with the faults; p: exact McNemar, for a measure exact sign test",
+)
+
+
+def attack_table(verdicts: Sequence[Data], cases: Sequence[Data]) -> list[str]:
+    """What faults did: one line per case and requirement on pairs without them."""
+    names: list[str] = []
+    rows: list[list[str]] = []
+    order = {case["id"]: place for place, case in enumerate(cases)}
+    for verdict in sorted(verdicts, key=lambda verdict: order.get(verdict["case"], len(order))):
+        pairs = verdict["pairs"]
+        if not pairs or pairs["without"] != FAULTS:
+            continue
+        if "only_with" in pairs:
+            incomplete = pairs["incomplete"]
+            complete = pairs["pairs"] - incomplete
+            cells = [str(pairs[key]) for key in ("only_with", "only_without", "both")] + ["-"] * 3
+            p_value = pairs["p_value"]
+        elif "change" in pairs:
+            change = pairs["change"]
+            complete, incomplete = change["n"], len(change["incomplete"])
+            p_value = change["p_value"]
+            known = change["mean"] is not None
+            cost = [f"{change[key]:+.1f}" if known else "-" for key in ("mean", "max")]
+            cells = ["-"] * 3 + [*cost, str(len(change["lost"]))]
+        else:
+            continue
+        names.append(f"{verdict['requirement']} on {verdict['case']}")
+        rows.append([_complete(complete, incomplete), *cells, _p_value(verdict, p_value)])
+    return [*aligned("attack", ATTACK_COLUMNS, names, rows), *ATTACK_LEGEND] if rows else []
+
+
+PAIR_COLUMNS = (
+    "pairs", "prev", "intro", "futile", "unnec", "success", "p", "takeovers", "to safe s",
+)  # fmt: skip
+PAIR_LEGEND = (
+    "pairs: runs with recovery and without, equal seeds; violations that recovery prevented and",
+    "introduced, that it met in vain (futile); runs in which it acted unnecessarily; success:",
+    "prevented of prevented and futile, in % (their number); p: exact McNemar; to safe: median",
+    "until the proposal was acceptable again",
+)
+
+
+def pair_table(verdicts: Sequence[Data], cases: Sequence[Data]) -> list[str]:
+    """What recovery did: one line per case, component and requirement on pairs without it."""
+    metrics = {(case["id"], case["component"]): case["metrics"] for case in cases}
+    names: list[str] = []
+    rows: list[list[str]] = []
+    sums: dict[tuple[str, str], list[Data]] = {}
+    order = {case["id"]: place for place, case in enumerate(cases)}
+    for verdict in sorted(verdicts, key=lambda verdict: order.get(verdict["case"], len(order))):
+        pairs = verdict["pairs"]
+        if not pairs or pairs["without"] != "recovery_planner" or "only_with" not in pairs:
+            continue
+        names.append(f"{verdict['requirement']} on {verdict['case']}")
+        key = verdict["case"], verdict["component"]
+        rows.append(_pair_row(verdict, metrics[key]["switching"]))
+        sums.setdefault((verdict["requirement"], verdict["component"]), []).append(pairs)
+    for (requirement, component), found in sums.items():
+        if len(found) > 1:
+            whose = f" ({component})" if len({who for _, who in sums}) > 1 else ""
+            names.append(f"{requirement} overall{whose}")
+            rows.append(_all_pairs_row(found))
+    return [*aligned("recovery", PAIR_COLUMNS, names, rows), *PAIR_LEGEND] if rows else []
+
+
+def _pair_row(verdict: Data, switching: Data | None) -> list[str]:
+    pairs = verdict["pairs"]
+    row = [
+        _complete(pairs["pairs"] - pairs["incomplete"], pairs["incomplete"]),
+        str(pairs["only_without"]),
+        str(pairs["only_with"]),
+        str(pairs["acted_both"]),
+        str(pairs["acted_neither"]),
+        _success(pairs["acted_only_without"], pairs["acted_both"]),
+        _p_value(verdict, pairs["p_value"]),
+    ]
+    if switching is None:
+        return [*row, "-", "-"]
+    safe = switching["time_to_safe"]
+    median = "-" if safe["median"] is None else f"{safe['median']:.1f}"
+    never = f" ({safe['censored']} never)" if safe["censored"] else ""
+    return [*row, str(switching["takeovers"]), median + never]
+
+
+def _all_pairs_row(found: Sequence[Data]) -> list[str]:
+    """The sums over cases; a test of all pairs together would take them to be of one kind."""
+    total: Counter[str] = Counter()
+    for pairs in found:
+        total.update({key: value for key, value in pairs.items() if isinstance(value, int)})
+    return [
+        _complete(total["pairs"] - total["incomplete"], total["incomplete"]),
+        *(str(total[key]) for key in ("only_without", "only_with", "acted_both", "acted_neither")),
+        _success(total["acted_only_without"], total["acted_both"]),
+        *"---",
+    ]
+
+
+def _complete(complete: int, incomplete: int) -> str:
+    return f"{complete} (+{incomplete} inc)" if incomplete else str(complete)
+
+
+def _p_value(verdict: Data, value: float) -> str:
+    # The test's level holds for a number of pairs that does not depend on what they show.
+    return "-" if verdict["method"] in ("sprt", "e-process") else f"{value:.2g}"
+
+
+def _success(prevented: int, futile: int) -> str:
+    tried = prevented + futile
+    return f"{100 * prevented / tried:.0f} ({tried})" if tried else "-"
+
+
+def effectiveness_lines(found: Sequence[Data], role: str | None = None) -> list[str]:
+    """What the runs show of recovery or of monitors, a sentence each.
+
+    Args:
+        found: The record's ``effectiveness``.
+        role: Of this role alone; ``None`` for all but recovery.
+    """
+    several = len({one["component"] for one in found}) > 1
+    lines = []
+    for one in found:
+        if (one["role"] == role) if role else (one["role"] != RECOVERY_ROLE):
+            whose = f" with {name(one['component'])}" if several else ""
+            told = indent_if_reserved(name(f"{one['role']}{whose}: {one['detail']}", LONGEST))
+            lines += textwrap.wrap(told, WIDTH, subsequent_indent="  ", break_long_words=False)
+    return lines
+
+
+MONITOR_COLUMNS = ("TP", "FN", "FP", "TN", "precision", "recall", "lead s", "false/h")
+MONITOR_LEGEND = (
+    "runs without recovery: violated, flagged in the 5 s before (TP) or not (FN); not violated,",
+    "flagged (FP) or not (TN); lead: median from flag to violation, for faults from activation",
+    "to the alert; false/h: false alarms per simulated hour",
+)
+
+
+def monitor_table(monitors: Sequence[Data]) -> list[str]:
+    """How good each monitor was, one line per case and monitor.
+
+    Requirements on which it did equally well share a line; where nothing was violated and nothing
+    flagged there is none.
+    """
+    same: dict[tuple[str, ...], list[str]] = {}
+    for one in monitors:
+        if one["true_positives"] + one["false_negatives"] + one["false_positives"]:
+            key = one["case"].partition("~")[0], one["monitor"], *_monitor_row(one)
+            same.setdefault(key, []).append(one["target"])
+    names = [f"{who}, {case}: {', '.join(on)}" for (case, who, *_), on in same.items()]
+    rows = [row for _, _, *row in same]
+    return [*aligned("monitor", MONITOR_COLUMNS, names, rows), *MONITOR_LEGEND] if rows else []
+
+
+def _monitor_row(one: Data) -> list[str]:
+    time = one["lead_time"] or one["delay"]
+    per_hour = one["false_alarms_per_hour"]
+    return [
+        str(one["true_positives"]),
+        str(one["false_negatives"]),
+        str(one["false_positives"]),
+        str(one["true_negatives"]),
+        *("-" if one[key] is None else f"{one[key]:.2f}" for key in ("precision", "recall")),
+        "-" if time is None else f"{time['median']:.1f}",
+        "-" if per_hour is None else f"{per_hour:.0f}",
+    ]
+
+
+def counted(number: int, noun: str) -> str:
+    """``1 run``, ``2 runs``."""
+    return f"{number} {noun}" + ("" if number == 1 else "s")
+
+
+T = TypeVar("T")
+
+MOST_ROWS = 100
+"""Rows of a table, verdicts, or failures that are shown at most, unless pytest is told ``-v``."""
+VERDICT_RANK = {"violated": 0, "undecided": 1, "supported": 2}
+WHERE_ALL_ARE = "-v shows all of them, as do the report and evidence.json"
+
+
+def keep_worst(
+    found: Sequence[T], ranks: Sequence[int], *, most: int | None = MOST_ROWS
+) -> list[T]:
+    """As many as are shown, the worst of them, in their own order.
+
+    Args:
+        found: All there is.
+        ranks: How bad each is, 0 the worst; among equals the first ones stay.
+        most: How many; ``None`` for all.
+    """
+    if most is None or len(found) <= most:
+        return list(found)
+    kept = sorted(range(len(found)), key=ranks.__getitem__)[:most]
+    return [found[place] for place in sorted(kept)]
+
+
+def worst_cases(
+    cases: Sequence[Data], verdicts: Iterable[Data], *, most: int | None = MOST_ROWS
+) -> list[Data]:
+    """The cases that tables show: first those with the worst verdicts, also on a comparison."""
+    rank: dict[tuple[str, str], int] = {}
+    for one in verdicts:
+        for case in (one["case"], (one["pairs"] or {}).get("case")):
+            key = str(case), one["component"]
+            rank[key] = min(rank.get(key, len(VERDICT_RANK)), VERDICT_RANK[one["verdict"]])
+    ranks = [rank.get((one["id"], one["component"]), len(VERDICT_RANK)) for one in cases]
+    return keep_worst(cases, ranks, most=most)
+
+
+def left_out_lines(words: Iterable[str]) -> list[str]:
+    """A line on the verdicts that are not shown, by their words; none where all are."""
+    counts = Counter(words)
+    if not counts:
+        return []
+    parts = ", ".join(f"{counts[word]} {word}" for word in VERDICT_RANK if counts[word])
+    return [f"and {counted(counts.total(), 'verdict')} more: {parts}; {WHERE_ALL_ARE}"]
+
+
+FAULT_COLUMNS = ("runs", "act", "manif", "prop", "det", "after s", "recov", "after s", "viol")
+FAULT_LEGEND = (
+    "act, manif: runs in which it became active, changed what the component read; of the latter,",
+    "prop: proposals left those of the fault-free twin; det: an alert, median time from when it",
+    "became active; recov: recovery acted, median time from manifestation; viol: a requirement was",
+    "violated from then on; a+b: b more runs violated only what they violate without it, too; a/b:",
+    "a of the b runs in which that is known; -: it is known of none",
+)
+
+
+def fault_table(cases: Sequence[Data]) -> list[str]:
+    """One line per fault, case and component."""
+    several = len({case["component"] for case in cases}) > 1
+    names, rows = [], []
+    for case in cases:
+        for fault in case["metrics"]["faults"]:
+            # Most cases are named after their only fault, which need not be said twice. Of several
+            # none is left out: what remained would be the name of another case.
+            alone = len(case["metrics"]["faults"]) == 1
+            told = case["id"].removesuffix(f"+{fault['id']}") if alone else case["id"]
+            component = f" ({case['component']})" if several else ""
+            names.append(f"{fault['id']} on {told}{component}")
+            rows.append(_fault_row(fault))
+    return [*aligned("fault", FAULT_COLUMNS, names, rows), *FAULT_LEGEND] if rows else []
+
+
+def _fault_row(fault: Data) -> list[str]:
+    propagated = _known(fault["propagated"], fault["followed"], fault["manifested"])
+    violated = _known(fault["violated"], fault["judged"], fault["run"], fault["violated_without"])
+    return [
+        str(fault["run"]),
+        str(fault["activated"]),
+        str(fault["manifested"]),
+        propagated,
+        str(fault["detected"]),
+        _median(fault["detection_latency"]),
+        str(fault["recovery"]),
+        _median(fault["recovery_latency"]),
+        violated,
+    ]
+
+
+def _known(count: int, known: int, whole: int, apart: int = 0) -> str:
+    """A count; with the number of runs in which it is known, if that is not all of them.
+
+    Args:
+        count: Runs.
+        known: Runs in which it is known.
+        whole: All runs.
+        apart: Runs that are counted beside it.
+    """
+    shown = f"{count}+{apart}" if apart else str(count)
+    if known == whole:
+        return shown
+    return f"{shown}/{known}" if known else "-"
+
+
+def _median(latency: Data | None) -> str:
+    return "-" if latency is None else f"{latency['median']:.1f}"
+
+
+def chain_line(fault: Data) -> str:
+    """The chain of one fault in words, with times in s."""
+    steps = [
+        ("planned", fault["planned_at"], ""),
+        ("activated", fault["activated_at"], ""),
+        ("manifested", fault["manifested_at"], ""),
+        ("propagated", fault["propagated_at"], ""),
+        ("detected", fault["detected_at"], _by(fault["detected_by"], fault["pattern"])),
+        ("recovery", fault["recovery_at"], _by(fault["recovery"])),
+        ("recovered", fault["recovered_at"], ""),
+    ]
+    told = [f"{word} {time:.2f}{by}" for word, time, by in steps if time is not None]
+    if fault["outcome"] is not None:
+        told.append(str(fault["outcome"]))
+    return f"{fault['id']}: {', '.join(told) or 'never active'}"
+
+
+def _by(*names: Any) -> str:
+    known = [str(name) for name in names if name]
+    return f" ({': '.join(known)})" if known else ""
+
+
+FAILURE_MODE_COLUMNS = ("decisions", "share %", "null %", "episodes")
+FAILURE_MODE_LEGEND = (
+    "decisions: those that showed it, of those that could; episodes: those in which it ever did;",
+    "null: a component that ignores its input, on the same decisions: what it also reaches says",
+    "nothing about the model",
+)
+
+
+def failure_mode_table(cases: Sequence[Data], *, by_case: bool = False) -> list[str]:
+    """One line per failure mode and component, over all cases, and with ``by_case`` for each too.
+
+    The negative control, and what is no failure by itself, stand apart below.
+    """
+    found = failure_modes_by_component(cases)
+    several = len(found) > 1
+    lines = []
+    for component, modes in found.items():
+        lines += _failure_mode_rows(modes, f" of {component}" if several else "")
+    for component, text in decision_time_lines(cases):
+        lines.append(f"answers{f' of {component}' if several else ''}: {text}")
+    for component, text in decision_age_lines(cases):
+        whose = f" of {component}" if several else ""
+        lines.append(f"decisions{whose} came into force at an age of {text}")
+    for case in cases_with_accounts(cases) if by_case else ():
+        whose = f" of {case['component']}" if several else ""
+        lines += [
+            "",
+            *_failure_mode_rows(
+                measured_failure_modes(case["metrics"]["failure_modes"]), f" on {case['id']}{whose}"
+            ),
+        ]
+    return [*lines, *FAILURE_MODE_LEGEND] if lines else []
+
+
+def _failure_mode_rows(modes: Sequence[Data], whose: str) -> list[str]:
+    names, rows, kind = [], [], ""
+    for one in modes:
+        if one["kind"] != kind:
+            kind = one["kind"]
+            if kind != "failure":
+                names.append(f"{FAILURE_MODE_HEADINGS[kind]}:")
+                rows.append([""] * len(FAILURE_MODE_COLUMNS))
+        names.append(failure_mode_text(one["name"]))
+        rows.append(_failure_mode_row(one))
+    return [
+        line.rstrip()
+        for line in aligned(
+            FAILURE_MODE_HEADINGS["failure"] + whose, FAILURE_MODE_COLUMNS, names, rows
+        )
+    ]
+
+
+def _failure_mode_row(one: Data) -> list[str]:
+    return [
+        f"{one['hits']}/{one['of']}",
+        percent_text(one["share"]),
+        percent_text(one["null_share"]),
+        f"{one['episodes']}/{one['of_episodes']}",
+    ]

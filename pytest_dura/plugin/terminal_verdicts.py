@@ -1,0 +1,356 @@
+"""Verdicts and searches in the terminal, and why a verdict is not "supported"."""
+
+from __future__ import annotations
+
+import textwrap
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from pytest_dura.evidence.gate import OBJECTIONABLE_OUTCOMES, outcome_status
+from pytest_dura.evidence.text import name, one_line
+from pytest_dura.plugin.messages import replay_command, rerun_command
+from pytest_dura.plugin.terminal_tables import (
+    MOST_ROWS,
+    VERDICT_RANK,
+    WHERE_ALL_ARE,
+    WIDTH,
+    Data,
+    aligned,
+    chain_line,
+    counted,
+    keep_worst,
+    left_out_lines,
+)
+from pytest_dura.plugin.terminal_tables import keep_worst as worst_of
+from pytest_dura.reports.tables import (
+    NOTHING_SUPPORTED,
+    SEARCHER_COLUMNS,
+    SEARCHER_LEGEND,
+    counterexample_text,
+    is_notable_outcome,
+    outcome_headline,
+    parameter_changes,
+    searcher_rows,
+    shrinking_text,
+    simulations_text,
+)
+from pytest_dura.reports.wording import (
+    assertion_sentences,
+    event_text,
+    fault_free_violations_text,
+    other_run_counts,
+)
+from pytest_dura.requirements.verdicts.campaigns import SITUATIONS
+
+if TYPE_CHECKING:
+    from pytest_dura.evidence.model import SessionRecord
+    from pytest_dura.plugin.session import DuraSession
+
+
+LONGEST_TEXT = 2000
+"""Characters of a text that is told in several lines."""
+NO_BREAK = "\N{NO-BREAK SPACE}"
+"""Keeps a requirement and its margin on one line, and is shown as a space."""
+VERDICT_COLOURS = {
+    "supported": {"green": True},
+    "violated": {"red": True},
+    "undecided": {"yellow": True},
+}
+
+
+def show_verdicts(session: DuraSession, terminal: Any, record: SessionRecord) -> None:
+    """Every verdict with its figures, and then each failure with what helps to mend it."""
+    verdicts = record["verdicts"]
+    if not verdicts:
+        return
+    terminal.line("")
+    most = None if session.config.option.verbose > 0 else MOST_ROWS
+    shown = keep_worst(verdicts, [VERDICT_RANK[one["verdict"]] for one in verdicts], most=most)
+    kept = {id(one) for one in shown}
+    same: dict[tuple[str, ...], list[Data]] = {}
+    for verdict in shown:
+        told = verdict["verdict"], _where(verdict), _counts(verdict), *_rests_on(verdict)
+        same.setdefault(told, []).append(verdict)
+    for told, group in same.items():
+        _show_alike(terminal, told, group)
+    for line in left_out_lines(one["verdict"] for one in verdicts if id(one) not in kept):
+        terminal.line(line)
+    terminal.line(f"{'':<11}(behind each requirement: its least margin, in the check's unit)")
+    alike: dict[tuple[str, ...], list[Data]] = {}
+    for verdict in shown:
+        if verdict["verdict"] != "supported":
+            # What is undecided for one reason is told once for all requirements of a case.
+            cause = verdict["reason"], (verdict["spoilt"] or {}).get("detail", "")
+            apart = (verdict["requirement"],) if verdict["verdict"] == "violated" else cause
+            alike.setdefault((verdict["case"], verdict["component"], *apart), []).append(verdict)
+    episodes = _shown_episodes(record, [group[0] for group in alike.values()])
+    checks = {one["id"]: one["check"] for one in record["requirements"]}
+    for group in alike.values():
+        check = str(group[0]["check"] or checks.get(group[0]["requirement"], ""))
+        _show_failure(session, terminal, check, group, episodes)
+
+
+def _show_alike(terminal: Any, told: tuple[str, ...], verdicts: Sequence[Data]) -> None:
+    """Verdicts of a case that differ by their requirement and margin alone."""
+    word, where, counts, *rests_on = told
+    terminal.write(f"{word:<9}", **VERDICT_COLOURS[word])
+    terminal.line(f"  {where}")
+    terminal.line(f"{'':<11}{counts}")
+    names = ", ".join(dict.fromkeys(map(_with_margin, verdicts)))
+    for line in textwrap.wrap(names, WIDTH - 11, break_on_hyphens=False):
+        terminal.line(f"{'':<11}{line.replace(NO_BREAK, ' ')}")
+    for sentence in rests_on:
+        for line in textwrap.wrap(sentence, WIDTH - 11, subsequent_indent="  "):
+            terminal.line(f"{'':<11}{line}")
+
+
+def _counts(verdict: Data) -> str:
+    """The figures that the verdict rests on."""
+    violations = counted(verdict["violations"], "violation") + fault_free_violations_text(verdict)
+    counts = f"n = {verdict['episodes']}, {violations}"
+    if verdict["pairs"]:
+        counts = f"pairs without {verdict['pairs']['without']}: {counts}"
+    left = [told for told in other_run_counts(verdict) if not told.endswith("vacuous")]
+    counts = ", ".join([counts, *left])
+    bound = verdict["bound"]
+    if bound["upper"] is not None:
+        counts += f", rate <= {bound['upper']:.2g} at {bound['confidence']:g}"
+    if verdict["situation"] is not None:
+        counts += f", {SITUATIONS[verdict['situation']]}"
+    counts += f", {verdict['method']}"
+    if verdict["saved"]:
+        counts += f", {verdict['saved']} of {verdict['planned']} runs saved"
+    waiver = f" [{verdict['waiver']['kind']}]" if verdict["waiver"] else ""
+    return counts + waiver
+
+
+def _rests_on(verdict: Data) -> list[str]:
+    """That assertions decided it, and what they looked at; what failed is shown further below."""
+    told = [one_line(one, LONGEST_TEXT) for one in assertion_sentences(verdict)]
+    return [one for one in told if not one.startswith(("failed: ", "by its check"))]
+
+
+def _with_margin(verdict: Data) -> str:
+    """The requirement, its least margin, and how many episodes satisfied it vacuously."""
+    told = [] if verdict["margin"] is None else [f"{verdict['margin']:.3g}"]
+    if verdict["vacuous"]:
+        told.append(f"{verdict['vacuous']} vacuous")
+    shown = name(verdict["requirement"])
+    if not told:
+        return shown
+    return f"{shown}{NO_BREAK}({f',{NO_BREAK}'.join(told)})".replace(" ", NO_BREAK)
+
+
+def _where(verdict: Data) -> str:
+    return f"{name(verdict['case'])} ({name(verdict['component'])})"
+
+
+def _show_failure(
+    session: DuraSession,
+    terminal: Any,
+    check: str,
+    verdicts: Sequence[Data],
+    episodes: Mapping[tuple[str, str], Data],
+) -> None:
+    first = verdicts[0]
+    names = ", ".join(dict.fromkeys(name(one["requirement"]) for one in verdicts))
+    terminal.line("")
+    terminal.line(
+        f"{first['verdict']}: {names} on {_where(first)}",
+        **VERDICT_COLOURS[first["verdict"]],
+    )
+    for line in textwrap.wrap(one_line(first["reason"], LONGEST_TEXT), WIDTH - 2):
+        terminal.line(f"  {line}")
+    own = first["assertion"] or {"failed": [], "by_check": 0}
+    for line in assertion_sentences(first)[: len(own["failed"][:1])]:
+        terminal.line(f"  {one_line(line, LONGEST_TEXT)}")
+    held = own["failed"] and not own["by_check"]  # what failed is an assertion of the test
+    if check and len(verdicts) == 1 and check != first["requirement"] and not held:
+        terminal.line(f"  check:  {check}")
+    _show_episode(session, terminal, first, episodes)
+    items = list(dict.fromkeys(item for one in verdicts for item in one["item"].split(", ")))
+    if len(items) > 1 and all(item.startswith(f"{first['case']}::") for item in items):
+        items = [first["case"]]
+    for item in items:
+        terminal.line(f"  rerun:  {rerun_command(session, item)}")
+
+
+def _show_episode(
+    session: DuraSession,
+    terminal: Any,
+    verdict: Data,
+    episodes: Mapping[tuple[str, str], Data],
+) -> None:
+    """The worst episode, or one that spoilt the campaign, and how to see it again."""
+    shown = _shown_episode_id(verdict)
+    if shown is None:
+        return
+    episode = episodes.get((shown, verdict["component"]), {"faults": [], "events": []})
+    if verdict["counterexamples"]:
+        from pytest_dura.campaign.reasons import describe_counterexample
+
+        terminal.line(f"  worst:  {describe_counterexample(verdict['counterexamples'][0])}")
+        if not verdict["counterexamples"][0]["valid"]:
+            terminal.line(f"  invalid: {episode.get('invalid_reason')}")
+        # What ended the episode before its time, if anything did.
+        for event in episode["events"]:
+            if event["kind"] == "critical":
+                terminal.line(f"  event:  {event_text(event)}")
+    else:
+        told = str(verdict["spoilt"]["detail"])
+        word = verdict["spoilt"]["verdict"]
+        if word != "missing" and not told.startswith(f"{word}: "):
+            told = f"{word}: {told}"
+        terminal.line(f"  {told}")
+    for fault in episode["faults"]:
+        chain = one_line(chain_line(fault), LONGEST_TEXT)
+        first, *rest = textwrap.wrap(chain, WIDTH - 12, break_on_hyphens=False)
+        terminal.line(f"  fault:  {first}")
+        for line in rest:
+            terminal.line(f"            {line}")
+    terminal.line(f"  replay: {replay_command(session, shown)}")
+
+
+def _shown_episode_id(verdict: Data) -> str | None:
+    """The id of the episode that stands for a verdict which is not "supported"."""
+    if verdict["counterexamples"]:
+        return str(verdict["counterexamples"][0]["episode"])
+    return None if verdict["spoilt"] is None else str(verdict["spoilt"]["episode"])
+
+
+def _shown_episodes(record: SessionRecord, verdicts: Iterable[Data]) -> dict[tuple[str, str], Data]:
+    """The episodes that stand for verdicts: of their components, and run by hand only if no other.
+
+    They are found in one go, since a record may have a great many.
+    """
+    named = [(_shown_episode_id(one), one["component"]) for one in verdicts]
+    wanted = {(shown, component) for shown, component in named if shown is not None}
+    found: dict[tuple[str, str], Data] = {}
+    for episode in record.episodes() if wanted else ():
+        key = episode["id"], episode["component"]
+        if key in wanted and (key not in found or episode["planned"] > found[key]["planned"]):
+            found[key] = episode
+    return found
+
+
+SEARCH_WIDTH = 80
+MOST_CHANGES = 12
+LONGEST_SEARCH_TEXT = 500
+"""Characters of a text that is told in several lines."""
+SEARCH_COLOURS: Mapping[str, dict[str, bool]] = {
+    "falsified": {"red": True},
+    "not repeatable": {"red": True},
+    "undecided": {"yellow": True},
+}
+SEARCH_RANK = {word: rank for rank, word in enumerate(OBJECTIONABLE_OUTCOMES)}
+
+
+def show_searches(session: DuraSession, terminal: Any, record: SessionRecord) -> None:
+    """Every search, and for each of its requirements what came of it."""
+    searches = record["searches"]
+    if not searches:
+        return
+    most = None if session.config.option.verbose > 0 else MOST_ROWS
+    ranks = [
+        min(
+            SEARCH_RANK.get(outcome_status(one, outcome), len(SEARCH_RANK))
+            for outcome in one["outcomes"]
+        )
+        for one in searches
+    ]
+    shown = worst_of(searches, ranks, most=most)
+    for one in shown:
+        terminal.line("")
+        _show_search(session, terminal, one)
+    if len(shown) < len(searches):
+        more = counted(len(searches) - len(shown), "search")
+        terminal.line(f"and {more.replace('searchs', 'searches')} more; {WHERE_ALL_ARE}")
+    terminal.line("")
+    for line in textwrap.wrap(NOTHING_SUPPORTED, SEARCH_WIDTH):
+        terminal.line(line)
+
+
+def search_counts(record: SessionRecord) -> str:
+    """Outcomes by their words, for the line on the gate; empty without a search."""
+    words = Counter(
+        outcome["word"] for search in record["searches"] for outcome in search["outcomes"]
+    )
+    return ", ".join(
+        f"{words[word]} {word}"
+        for word in (*OBJECTIONABLE_OUTCOMES, "nothing found")
+        if words[word]
+    )
+
+
+def _show_search(session: DuraSession, terminal: Any, search: Data) -> None:
+    waiver = f" [{search['waiver']['kind']}]" if search["waiver"] else ""
+    terminal.line(f"search     {name(search['case'])} ({name(search['component'])}){waiver}")
+    for line in _wrapped(f"{simulations_text(search)}; seed {search['seed']}", 11):
+        terminal.line(line)
+    for outcome in search["outcomes"]:
+        _show_outcome(session, terminal, search, outcome)
+
+
+def _show_outcome(session: DuraSession, terminal: Any, search: Data, outcome: Data) -> None:
+    word, requirement = outcome["word"], outcome["requirement"]
+    head = outcome_headline(search, outcome)
+    for line in textwrap.wrap(head, SEARCH_WIDTH, subsequent_indent="  ", break_on_hyphens=False):
+        terminal.line(line, **SEARCH_COLOURS.get(word, {}))
+    if outcome_status(search, outcome) == "baseline":
+        terminal.line(f"  {OBJECTIONABLE_OUTCOMES['baseline']}", red=True)
+    for line in _outcome_lines(outcome):
+        terminal.line(line)
+    if is_notable_outcome(search, outcome):
+        for line in _searcher_table(search, requirement):
+            terminal.line(f"  {line}")
+    found = outcome["counterexample"]
+    kept = found is not None and found["file"] is not None
+    if kept:
+        terminal.line(f"  kept:     {one_line(found['file'])}")
+    if word != "nothing found":
+        again = found["name"] if kept else search["item"]
+        terminal.line(f"  rerun:    {rerun_command(session, again)}")
+
+
+def _outcome_lines(outcome: Data) -> Iterator[str]:
+    """The check, and the counterexample as far as there is one."""
+    found = outcome["counterexample"]
+    if outcome["check"] not in ("", outcome["requirement"]):
+        yield from _entry("check", outcome["check"])
+    if found is None:
+        return
+    yield from _entry("worst", counterexample_text(found, outcome["check"]))
+    if found["shrinking"] is not None:
+        yield from _entry("simpler", shrinking_text(found))
+    told = [f"{path}: {change}" for path, change in parameter_changes(found, MOST_CHANGES)]
+    for number, one in enumerate(told or ["in nothing: the case violates it as it stands"]):
+        yield from _entry("" if number else "differs", one)
+    if len(found["changes"]) > MOST_CHANGES:
+        yield f"{'':<12}and {len(found['changes']) - MOST_CHANGES} more, in evidence.json"
+
+
+def _entry(what: str, text: str) -> Iterator[str]:
+    lines = textwrap.wrap(
+        one_line(text, LONGEST_SEARCH_TEXT), SEARCH_WIDTH - 14, break_on_hyphens=False
+    )
+    head = f"  {what}:" if what else ""
+    for number, line in enumerate(lines or [""]):
+        yield f"{'' if number else head:<12}{'  ' if number else ''}{line}".rstrip()
+
+
+def _wrapped(text: str, indent: int) -> list[str]:
+    space = " " * indent
+    return textwrap.wrap(text, SEARCH_WIDTH, initial_indent=space, subsequent_indent=space)
+
+
+def _searcher_table(search: Data, requirement: str) -> Iterator[str]:
+    """Searchers, and below them each trivial baseline by itself."""
+    own = list(searcher_rows(search, requirement, "searchers"))
+    alone = list(searcher_rows(search, requirement, "baselines"))
+    told = [*own, ("trivial, each by itself:", [""] * len(SEARCHER_COLUMNS)), *alone]
+    if not alone:
+        told[len(own)] = ("trivial: none was run", [""] * len(SEARCHER_COLUMNS))
+    names, cells = [one for one, _ in told], [row for _, row in told]
+    yield from (line.rstrip() for line in aligned("searcher", SEARCHER_COLUMNS, names, cells))
+    yield from textwrap.wrap(SEARCHER_LEGEND, SEARCH_WIDTH - 2)

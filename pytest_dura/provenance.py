@@ -1,0 +1,541 @@
+"""Say what a result rests on: files, code and its digests, packages, platform, commit."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import inspect
+import os
+import platform
+import re
+import subprocess
+import sys
+import sysconfig
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib import import_module, metadata
+from pathlib import Path
+from typing import Any
+
+
+def recorded_path(file: Path, root: Path, known: Mapping[Path, str] | None = None) -> str:
+    """The name of a file in the record, with ``/`` between its parts.
+
+    Within an installed package it is ``package/...``, below the project's root it is relative to
+    that, and anywhere else the file's name with its folder's.
+
+    Args:
+        file: The file.
+        root: The project's root.
+        known: Folders that have a name of their own.
+    """
+    absolute = _absolute(file)
+    places: list[tuple[Path, Path | str]] = [
+        (folder, "") for folder in (*installed_folders(), _absolute(root), _resolved(root))
+    ]
+    for path in dict.fromkeys((absolute, _resolved(absolute))):
+        for folder, name in [*places, *(known or {}).items()]:
+            if path.is_relative_to(folder):
+                return (Path(name) / path.relative_to(folder)).as_posix()
+    return f"{absolute.parent.name}/{absolute.name}".lstrip("/")
+
+
+def is_installed(file: Path) -> bool:
+    """Whether a file belongs to an installed package, and so is not the user's to change."""
+    return any(_resolved(file).is_relative_to(folder) for folder in installed_folders())
+
+
+@cache
+def installed_folders() -> tuple[Path, ...]:
+    """The folders of installed packages and of Python's own modules, the innermost first."""
+    names = ("purelib", "platlib", "stdlib", "platstdlib")
+    folders = {_resolved(Path(path)) for name in names if (path := sysconfig.get_path(name))}
+    return tuple(sorted(folders, key=lambda folder: (-len(folder.parts), folder)))
+
+
+def _absolute(path: Path) -> Path:
+    # Links keep their names here: what the user calls a file is what a reader looks for.
+    return Path(os.path.abspath(path))  # noqa: PTH100 - Path.absolute() would leave `..` in it
+
+
+def _resolved(path: Path) -> Path:
+    try:
+        return path.resolve()
+    except (OSError, RuntimeError):  # a loop of links
+        return path
+
+
+MAX_LISTED_FILES = 50
+"""Files that are listed by name; with more of them, the defining one is."""
+MAX_COMPONENT_FILES = 1000
+"""Files that are read; with more of them, the defining one is."""
+_NO_SOURCES = {"__pycache__", "node_modules", "site-packages"}
+
+
+@dataclass(frozen=True)
+class Sources:
+    """What a component is made of.
+
+    Args:
+        digest: Of all files, see :func:`digest_of`.
+        named: SHA-256 of each file by its name, relative to the folder of the package.
+        files: ``{path, sha256}`` of each, or of the defining one where they are many.
+        read: The same files on this machine.
+    """
+
+    digest: str
+    named: dict[str, str]
+    files: list[dict[str, str]]
+    read: tuple[Path, ...]
+
+
+def sources_of(
+    file: Path, module: str, root: Path, *, most: int = MAX_COMPONENT_FILES
+) -> Sources | None:
+    """All Python files of the top-level package that defines something; ``None`` without a file.
+
+    A component changes as well with a function in the next file. What it imports from other
+    packages is not part of it, nor are data files.
+
+    Args:
+        file: The file that defines it.
+        module: The dotted name of that file's module.
+        root: The project's root, to which names are relative.
+        most: Of how many files at most; see :data:`MOST`.
+    """
+    package = top_package(file, module)
+    found = sorted(python_files(package, most)) if package is not None else []
+    base = file.parent
+    if package is None or not 0 < len(found) <= most or file not in found:
+        found = [file]
+    elif len(found) > 1:
+        base = package.parent
+    else:
+        base = package
+    told, named = [], {}
+    try:
+        for one in found:
+            sha256 = hashlib.sha256(one.read_bytes()).hexdigest()
+            # Names within the package: it is the same component wherever it is installed.
+            named[one.relative_to(base).as_posix()] = sha256
+            told.append((one, sha256))
+    except OSError:  # gone, or not for us to read
+        return None
+    listed = told if len(told) <= MAX_LISTED_FILES and not is_installed(file) else []
+    listed = listed or [one for one in told if one[0] == file]
+    return Sources(
+        digest=digest_of(named),
+        named=named,
+        files=[{"path": recorded_path(one, root), "sha256": sha256} for one, sha256 in listed],
+        read=tuple(one for one, _ in listed),
+    )
+
+
+def digest_of(named: Mapping[str, str]) -> str:
+    """SHA-256 of the names and the SHA-256 of files, in order of their names."""
+    state = hashlib.sha256()
+    for name in sorted(named):
+        state.update(f"{name}\0{named[name]}\n".encode("utf-8", "surrogatepass"))
+    return state.hexdigest()
+
+
+def top_package(file: Path, module: str) -> Path | None:
+    """The folder of the top-level package, if the file lies where its module's name says."""
+    parts = module.split(".")
+    if file.name != "__init__.py":
+        parts = parts[:-1]
+    if not parts or len(file.parents) < len(parts):
+        return None
+    package = file.parents[len(parts) - 1]
+    return package if package.name == parts[0] else None
+
+
+def python_files(package: Path, most: int) -> Iterator[Path]:
+    """The files below a package, one more than ``most`` at most."""
+    found = 0
+    for folder, inner, names in os.walk(package):
+        inner[:] = [one for one in inner if not one.startswith(".") and one not in _NO_SOURCES]
+        for name in names:
+            if name.endswith(".py"):
+                yield Path(folder, name)
+                found += 1
+                if found > most:
+                    return
+
+
+_READ = re.compile(
+    r"""\b(?:environb?(?:\s*\[|\s*\.\s*(?:get|setdefault|pop)\s*\()|getenvb?\s*\()\s*
+    b?["']([A-Za-z_]\w*)["']""",
+    re.VERBOSE,
+)
+_EXCLUDED = re.compile(r"PYTEST_|.*(?:KEY|TOKEN|SECRET|PASSW|CREDENTIAL)", re.IGNORECASE)
+"""Names of what is another one in each process or for each user, and no episode should rest on."""
+
+
+def variables_in(text: str) -> set[str]:
+    """The names of the variables that a text of Python reads; computed names are not found.
+
+    Secrets are left out, and what pytest sets for each of its processes and tests.
+    """
+    return {name for name in _READ.findall(text) if not _EXCLUDED.match(name)}
+
+
+def describe_variable(name: str) -> str:
+    """SHA-256 of its value, or that it is not set."""
+    value = os.environ.get(name)
+    if value is None:
+        return "not set"
+    return hashlib.sha256(f"{name}={value}".encode("utf-8", "surrogateescape")).hexdigest()
+
+
+MAX_PACKAGE_FILES = 5000
+"""Files that are read of one package; nothing is known of one that has more."""
+_OURS = "pytest_dura"
+_IMPORT = re.compile(
+    r"""\b(?:
+        from[ \t]*\.[\w. \t]*\bimport\b  # of its own package, all of which counts anyway
+        | from[ \t]+([^\W\d][\w.]*)[ \t]+import\b
+        | import[ \t]+([^\W\d][\w., \t]*)
+        | (?:import_module|__import__)\(\s*["']([^\W\d][\w.]*)
+    )""",
+    re.VERBOSE,
+)
+_CONTINUED = re.compile(r"\\\r?\n")
+
+
+@dataclass(frozen=True)
+class UserCode:
+    """The user's own code that something rests on.
+
+    Args:
+        digest: SHA-256 over names and digests of all files.
+        files: The files, sorted.
+        variables: Names of the environment variables that they read by name.
+    """
+
+    digest: str
+    files: tuple[Path, ...]
+    variables: frozenset[str]
+
+
+def user_code(file: Path, module: str) -> UserCode | None:
+    """The code that something rests on, or ``None`` if it cannot be told.
+
+    That is the top-level package that defines it, and in turn the packages and modules that any of
+    their files imports by name, as far as they are not installed: the versions of installed
+    packages are told elsewhere. Imports are looked for in the text, so that also those within a
+    function count. What is imported by a computed name is not found, nor are data files.
+
+    Args:
+        file: The file that defines it.
+        module: The dotted name of that file's module.
+    """
+    found = _FileCollector()
+    try:
+        found.add(file, module)
+    except OSError:  # gone, or not for us to read
+        return None
+    return found.told()
+
+
+class _FileCollector:
+    """Files, and the names that they have on any machine."""
+
+    def __init__(self) -> None:
+        self._files: dict[Path, tuple[str, str]] = {}
+        self._looked_for: set[str] = set()
+        self._variables: set[str] = set()
+
+    def told(self) -> UserCode | None:
+        """What was found; ``None`` if there are too many files."""
+        if len(self._files) > MAX_PACKAGE_FILES:
+            return None
+        state = hashlib.sha256()
+        for name, sha256 in sorted(self._files.values()):
+            state.update(f"{name}\0{sha256}\n".encode("utf-8", "surrogateescape"))
+        return UserCode(state.hexdigest(), tuple(sorted(self._files)), frozenset(self._variables))
+
+    def add(self, file: Path, module: str) -> None:
+        """A file with the rest of its package, and whatever they import.
+
+        Raises:
+            OSError: If one of them cannot be read.
+        """
+        package = top_package(file, module)
+        self._looked_for.add(module.partition(".")[0])
+        files = [] if package is None else list(python_files(package, MAX_PACKAGE_FILES))
+        if package is None or file not in files:
+            self._read(file, file.parent)
+        for one in files:
+            self._read(one, (package or one).parent)
+
+    def _read(self, file: Path, base: Path) -> None:
+        if file in self._files or len(self._files) > MAX_PACKAGE_FILES:
+            return
+        data = file.read_bytes()
+        name = file.relative_to(base).as_posix()
+        self._files[file] = name, hashlib.sha256(data).hexdigest()
+        if file.suffix != ".py":
+            return
+        # Another encoding than UTF-8 spoils letters of names that are not ASCII, and nothing else.
+        text = _CONTINUED.sub(" ", data.decode(errors="replace"))
+        self._variables |= variables_in(text)
+        for top in _imported(text):
+            if top not in self._looked_for:
+                self._looked_for.add(top)
+                for origin in _origins(top, file.parent):
+                    if not is_installed(origin):
+                        self.add(origin, top)
+
+
+def _imported(text: str) -> Iterator[str]:
+    """The first parts of the names that a file imports; those of its own package apart."""
+    for match in _IMPORT.finditer(text):
+        for names in match.groups(""):
+            for name in names.split(","):
+                top = name.split(" as ")[0].strip().partition(".")[0]
+                if top.isidentifier() and top != _OURS and top not in sys.stdlib_module_names:
+                    yield top
+
+
+def _origins(top: str, beside: Path) -> Iterator[Path]:
+    """The files that define a top-level module; every file of a package without an own one."""
+    try:
+        spec = importlib.util.find_spec(top)
+    except (ImportError, ValueError, AttributeError):  # a module that was made by hand
+        spec = None
+    if spec is None:
+        # Some ways to import tests leave their folder out of the path.
+        found = [beside / f"{top}.py", beside / top / "__init__.py"]
+        yield from (one for one in found if one.is_file())
+    elif spec.origin is not None and Path(spec.origin).is_file():
+        yield Path(spec.origin).absolute()
+    else:
+        for folder in spec.submodule_search_locations or ():
+            yield from python_files(Path(folder), MAX_PACKAGE_FILES)
+
+
+_MAX_OWN_FILES = 5000
+"""Files of our own, all of which count."""
+
+
+@cache
+def describe_tool() -> dict[str, Any]:
+    """Name, version, and the digest of all our own Python files as they are when first asked.
+
+    Development checkouts and installations that were changed have the version of a release; the
+    digest tells them apart. It takes some 15 ms, once a process.
+
+    Returns:
+        ``name``, ``version``, ``code``: the SHA-256 of :func:`sources_of`, the same wherever it is
+        installed, or ``None`` where the files cannot be read, as in a zip file.
+    """
+    # Our own name is loaded in any case; to import it by statement would reach for all of us.
+    package = import_module(_OURS)
+    return {"name": "pytest-dura", "version": package.__version__, "code": _digest()}
+
+
+def tool_code() -> str:
+    """What tells our code from another, for addresses: its digest, else the version."""
+    told = describe_tool()
+    return told["code"] or f"version {told['version']}"
+
+
+def _digest() -> str | None:
+    file = Path(__file__).absolute().parents[1] / "__init__.py"
+    found = sources_of(file, _OURS, file.parent, most=_MAX_OWN_FILES)
+    return None if found is None else found.digest
+
+
+DISTRIBUTION = "pytest-dura"
+PACKAGES = (
+    "pytest-dura", "pytest", "pytest-xdist", "hypothesis", "highway-env", "gymnasium",
+    "allure-pytest", "numpy", "scipy", "pydantic", "PyYAML",
+)  # fmt: skip
+
+
+def describe_environment(root: Path, evidence: Path) -> dict[str, Any]:
+    """Versions and platform, and the state of the git repository at ``root``, if it is one.
+
+    Args:
+        root: The project's root.
+        evidence: The evidence folder, whose files do not make the repository dirty.
+    """
+    return {
+        "python": sys.version.split()[0],
+        "platform": platform.platform(),
+        "machine": platform.machine(),
+        "byte_order": sys.byteorder,
+        **describe_arithmetic(),
+        "packages": {name: version for name in _packages() if (version := _version(name))},
+        "git": _git(root, evidence),
+    }
+
+
+def describe_arithmetic() -> dict[str, Any]:
+    """What the last bit of a sum depends on, and with it every digest.
+
+    ``cpu_features`` are the instruction sets that NumPy uses on this machine, ``blas`` is the
+    library that multiplies its matrices; ``None`` where NumPy does not tell.
+    """
+    import numpy as np
+
+    found: Any = np.show_config(mode="dicts")
+    simd = found.get("SIMD Extensions")
+    blas = found.get("Build Dependencies", {}).get("blas")
+    features = None if simd is None else [*simd.get("baseline", []), *simd.get("found", [])]
+    told = None if not blas else f"{blas.get('name', '')} {blas.get('version', '')}".strip()
+    return {"cpu_features": features, "blas": told}
+
+
+def describe_hypothesis() -> dict[str, Any] | None:
+    """The profile of Hypothesis that is loaded, and what of it says which cases were tried.
+
+    Tests may have settings of their own. ``None`` where nothing has imported Hypothesis.
+    """
+    if "hypothesis" not in sys.modules:
+        return None
+    from hypothesis import settings
+
+    profile = settings.get_profile(settings.get_current_profile_name())
+    return {
+        "profile": settings.get_current_profile_name(),
+        "max_examples": profile.max_examples,
+        "derandomize": profile.derandomize,
+        "database": profile.database is not None,
+    }
+
+
+NUMERIC = ("numpy", "scipy", "highway-env", "gymnasium")
+"""Packages whose versions are told one by one, since most episodes rest on them."""
+_TOOLS = ("pytest", "hypothesis", "allure", "execnet", "ruff", "mypy", "pip", "setuptools", "dask",
+          "distributed")  # fmt: skip
+"""How the names of packages begin that run, distribute or check, and compute no episode."""
+
+
+def describe_packages() -> dict[str, str]:
+    """The versions of what is installed here and may change an episode.
+
+    Components may rest on any package; the names of the metadata folders on the path say which are
+    there, in what versions, without reading them.
+    """
+    found: set[str] = set()
+    for place in sys.path:
+        try:
+            names = [one.name for one in Path(place or ".").iterdir()]
+        except OSError:  # no folder, or not for us to read
+            continue
+        found.update(Path(one).stem for one in names if one.endswith((".dist-info", ".egg-info")))
+    rest = sorted(name for name in found if not name.lower().startswith((*_TOOLS, "pytest_dura")))
+    told = {name: version for name in NUMERIC if (version := _version(name))}
+    return {**told, "other packages": hashlib.sha256("\n".join(rest).encode()).hexdigest()}
+
+
+def describe_component(
+    path: str,
+    factory: Callable[..., Any],
+    params: Mapping[str, Any],
+    file: Path | None = None,
+    root: Path | None = None,
+) -> dict[str, Any]:
+    """Import path, distribution and version, a digest of the sources, and that of each of them.
+
+    See :func:`pytest_dura.provenance.sources_of` for what belongs to a component.
+
+    Args:
+        path: The component's import path.
+        factory: Its class, or the function that makes it.
+        params: The parameters it is made with.
+        file: The file that defines it, where the factory does not tell.
+        root: The project's root, to which the names of files are relative; default: the folder
+            that the process works in.
+    """
+    module = path.partition(":")[0]
+    inner = getattr(factory, "__module__", None) or module
+    if file is None:
+        file = _defining_file(factory)
+    else:
+        inner = file.stem  # no import path leads to it
+    sources = None if file is None else sources_of(file, inner, root or Path.cwd())
+    distribution = _distribution_of(module.partition(".")[0], file)
+    return {
+        "path": path,
+        "params": dict(params),
+        "distribution": distribution,
+        "version": None if distribution is None else _version(distribution),
+        "digest": None if sources is None else sources.digest,
+        "file_count": 0 if sources is None else len(sources.named),
+        "files": [] if sources is None else sources.files,
+        "sources": {} if sources is None else sources.named,
+    }
+
+
+def _defining_file(factory: Callable[..., Any]) -> Path | None:
+    try:
+        name = inspect.getsourcefile(factory)
+    except TypeError:  # built in, or written in C
+        return None
+    return Path(name).absolute() if name and Path(name).is_file() else None
+
+
+def _packages() -> list[str]:
+    """What may change results, and whatever else our own distribution requires."""
+    try:
+        required = metadata.requires(DISTRIBUTION) or []
+    except metadata.PackageNotFoundError:  # run from its sources
+        required = []
+    found = {name.lower(): name for name in PACKAGES}
+    for one in required:
+        name = re.split(r"[^A-Za-z0-9._-]", one, maxsplit=1)[0]
+        if "extra ==" not in one:
+            found.setdefault(name.lower(), name)
+    return list(found.values())
+
+
+def _version(distribution: str) -> str | None:
+    try:
+        return metadata.version(distribution)
+    except metadata.PackageNotFoundError:
+        return None
+
+
+def _distribution_of(top: str, file: Path | None) -> str | None:
+    """The distribution that a top-level module belongs to, if it is installed from one."""
+    within = file is not None and is_installed(file)
+    try:
+        likely = metadata.distribution(top.replace("_", "-"))
+    except (metadata.PackageNotFoundError, ValueError):
+        # All distributions are looked through only where one of them has the file.
+        return _owners().get(top, [None])[0] if within else None
+    # A module of the user's own may be called like a distribution that has nothing to do with it.
+    editable = likely.read_text("direct_url.json") is not None
+    name: str = likely.metadata["Name"]
+    return name if within or editable else None
+
+
+@cache
+def _owners() -> Mapping[str, list[str]]:
+    return metadata.packages_distributions()
+
+
+def _git(root: Path, evidence: Path) -> dict[str, Any]:
+    """Commit and whether files differ from it; both ``None`` outside a repository."""
+    commit = _ask_git(root, "rev-parse", "HEAD")
+    if commit is None:
+        return {"commit": None, "dirty": None}
+    places = ["."]
+    if root in evidence.parents:
+        places.append(f":(exclude){evidence.relative_to(root).as_posix()}")
+    changes = _ask_git(root, "status", "--porcelain", "--", *places)
+    return {"commit": commit, "dirty": None if changes is None else bool(changes)}
+
+
+def _ask_git(root: Path, *command: str) -> str | None:
+    try:
+        found = subprocess.run(
+            ["git", *command], cwd=root, capture_output=True, text=True, timeout=10, check=False
+        )
+    except (OSError, subprocess.TimeoutExpired):  # no git here
+        return None
+    return found.stdout.strip() if found.returncode == 0 else None

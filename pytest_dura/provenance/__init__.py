@@ -1,1 +1,0 @@
-"""Provenance: on what machine and from which sources something was run."""

@@ -1,0 +1,1 @@
+"""Reports: every file that is rendered from the evidence record."""

@@ -1,0 +1,552 @@
+"""``cyclonedx.json``: CycloneDX 1.6 declarations, for tools that keep a product's attestations.
+
+The requirements are a standard of their own; each verdict is a claim on the component under test,
+with evidence that points into ``evidence.json``; an attestation maps requirements to claims.
+
+What a reader may conclude, and what not:
+
+- A violated verdict is a counter claim. An undecided one is a claim that says no more than that.
+- ``conformance.score`` is 1, 0 or absent, never a share: a share would let many cases outweigh the
+  one in which a requirement is violated. It is 1 only where the session is complete, every verdict
+  on the requirement is supported, none is waived, and each planned case that declares it has one.
+  It is 0 where a verdict is violated, or a search falsified it, and no waiver excuses that. Where
+  it is neither, there is none: conformance is not attested, and the rationale says why. Cells that
+  no scenario and no test declares do not count.
+- ``confidence`` is left out: it is the belief in the claim, which a tool has not. The confidence of
+  an interval stands with its bound and its n in the evidence.
+- ``affirmation`` is left out: nobody has reviewed what is generated.
+- A waiver is recorded with the evidence. It excuses a verdict; it mitigates nothing.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import uuid
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+from urllib.parse import quote, unquote
+
+from pytest_dura.evidence.bundle import RECORD_FILE
+from pytest_dura.evidence.gate import NOTHING_FOUND, OBJECTIONABLE_OUTCOMES, outcome_status
+from pytest_dura.evidence.model import Counts, SessionRecord, components_under_test, plain_data
+from pytest_dura.evidence.text import name, one_line, visible
+from pytest_dura.reports.wording import (
+    UNREVIEWED,
+    rate_bound,
+    sample_text,
+    shard_text,
+    valid_sha256,
+)
+from pytest_dura.requirements.verdicts.campaigns import CAMPAIGN_STATUSES
+
+PREFIX = "pytest-dura:"
+NAME_LIMIT = 400
+JsonObject = dict[str, Any]
+
+
+def requirement_ref(number: int) -> str:
+    """``bom-ref`` of a requirement, by its place in the record: ids may hold anything."""
+    return f"requirement/{number}"
+
+
+def property_entries(told: Mapping[str, str]) -> list[JsonObject]:
+    """Name-value pairs under our prefix."""
+    return [{"name": f"{PREFIX}{key}", "value": value} for key, value in told.items()]
+
+
+def component_entry(component: Mapping[str, Any], ref: str) -> JsonObject:
+    """A component under test, with version and digest as far as the record has them."""
+    found: JsonObject = {
+        "type": "application",
+        "bom-ref": ref,
+        "name": name(component["name"] or "unknown", NAME_LIMIT),
+    }
+    if component.get("version"):
+        found["version"] = name(str(component["version"]), NAME_LIMIT)
+    if digest := valid_sha256(component.get("digest")):
+        found["hashes"] = [{"alg": "SHA-256", "content": digest}]
+    told = {"path": visible(component["path"])} if component.get("path") else {}
+    if component.get("opaque"):
+        told["opaque"] = "true"
+    return found | ({"properties": property_entries(told)} if told else {})
+
+
+MAX_LISTED = 5
+"""Counterexamples that are listed with one claim; the record has all of them."""
+
+_PREDICATES = {
+    "supported": "The evidence supports, on the episodes run, that {what}",
+    "violated": "The evidence refutes that {what}",
+    "undecided": "The evidence does not decide whether {what}",
+}
+_FIGURES = (
+    "verdict", "planned", "run", "episodes", "violations", "open", "without_effect", "invalid",
+    "missing", "bound",
+)  # fmt: skip
+
+
+def declarations(record: SessionRecord) -> JsonObject:
+    """All that the session declares, as one self-assessment.
+
+    Raises:
+        ValueError: If a verdict names a requirement that the record does not list.
+    """
+    targets = _Targets.of(record)
+    places = _counterexample_places(record)
+    texts = {one["id"]: one["text"] for one in record["requirements"]}
+    claims, evidence = [], []
+    for number, verdict in enumerate(record["verdicts"]):
+        if verdict["requirement"] not in texts:
+            told = name(verdict["requirement"])
+            raise ValueError(f"a verdict is on {told}, which is not among the requirements")
+        entries = list(_evidence(number, verdict, places))
+        for one in entries:
+            one["created"] = record["finished"] or record["created"]
+        evidence += entries
+        claims.append(_claim(number, verdict, texts, targets.refs[verdict["component"]], entries))
+    return {
+        "assessors": [
+            {
+                "bom-ref": "assessor",
+                "thirdParty": False,
+                "organization": {"name": name(record["tool"]["name"], NAME_LIMIT)},
+            }
+        ],
+        "attestations": [
+            {
+                "summary": f"By a test tool, {UNREVIEWED}. The gate of {_component_names(record)}: "
+                f"{record['gate']['result']}.",
+                "assessor": "assessor",
+                "map": list(_attestation_map(record)),
+            }
+        ],
+        "claims": claims,
+        "evidence": evidence,
+        "targets": {"components": targets.described},
+    }
+
+
+def _component_names(record: SessionRecord) -> str:
+    found = shard_text(record)
+    return f"{found}, a part of a session" if found else "the session"
+
+
+@dataclass(frozen=True)
+class _Targets:
+    """What claims are made on: every component that the record describes or a verdict names."""
+
+    described: list[JsonObject]
+    refs: Mapping[str, str]
+
+    @classmethod
+    def of(cls, record: SessionRecord) -> _Targets:
+        known: dict[str, Any] = {}
+        for one in components_under_test(record):
+            known.setdefault(one["name"], one)
+        for verdict in record["verdicts"]:
+            known.setdefault(verdict["component"], {"name": verdict["component"]})
+        refs = {component: f"target/{number}" for number, component in enumerate(known)}
+        return cls([component_entry(known[one], ref) for one, ref in refs.items()], refs)
+
+
+def _counterexample_places(record: SessionRecord) -> dict[tuple[str, str], tuple[int, str | None]]:
+    """Index and trace of each episode that will be listed as a counterexample."""
+    wanted = {
+        (one["episode"], verdict["component"])
+        for verdict in record["verdicts"]
+        for one in verdict["counterexamples"][:MAX_LISTED]
+    }
+    found: dict[tuple[str, str], tuple[int, str | None]] = {}
+    for number, episode in enumerate(record.episodes()):
+        key = episode["id"], episode["component"]
+        if key in wanted and (episode["planned"] or key not in found):
+            found[key] = number, episode["trace"] and episode["trace"]["file"]
+    return found
+
+
+def _claim(
+    number: int,
+    verdict: JsonObject,
+    texts: Mapping[str, str],
+    target: str,
+    entries: list[JsonObject],
+) -> JsonObject:
+    word = verdict["verdict"]
+    requirement = name(verdict["requirement"], NAME_LIMIT)
+    what = f"{requirement} holds on {name(verdict['case'], NAME_LIMIT)}"
+    text = one_line(texts[verdict["requirement"]])
+    first, *counterexamples = (one["bom-ref"] for one in entries)
+    claim = {
+        "bom-ref": f"claim/{number}",
+        "target": target,
+        "predicate": _PREDICATES[word].format(what=what) + (f": {text}" if text else ""),
+        "reasoning": f"{visible(verdict['reason'])} ({sample_text(verdict)};"
+        f" {rate_bound(verdict)})",
+        "evidence": [first],
+    }
+    # A counterexample is what a counter claim rests on, and speaks against any other.
+    if word == "violated":
+        claim["evidence"] = [first, *counterexamples]
+    elif counterexamples:
+        claim["counterEvidence"] = counterexamples
+    return claim
+
+
+def _evidence(number: int, verdict: JsonObject, places: Mapping[Any, Any]) -> Iterator[JsonObject]:
+    data = [
+        {
+            "name": "verdict",
+            "contents": _json_text({key: verdict[key] for key in _FIGURES})
+            | {"url": f"{RECORD_FILE}#/verdicts/{number}"},
+        }
+    ]
+    if verdict["waiver"] is not None:
+        waiver = {key: visible(str(text)) for key, text in verdict["waiver"].items()}
+        data.append({"name": "waiver", "contents": _json_text(waiver)})
+    yield {
+        "bom-ref": f"evidence/{number}",
+        "propertyName": f"{PREFIX}verdict:{verdict['verdict']}",
+        "description": f"{sample_text(verdict)}; {rate_bound(verdict)}"
+        f" ({verdict['bound']['method']})",
+        "data": data,
+    }
+    if verdict["counterexamples"]:
+        yield _counterexamples(number, verdict, places)
+
+
+def _counterexamples(number: int, verdict: JsonObject, places: Mapping[Any, Any]) -> JsonObject:
+    found = verdict["counterexamples"]
+    data = []
+    for one in found[:MAX_LISTED]:
+        index, trace = places.get((one["episode"], verdict["component"]), (None, None))
+        shown = name(one["episode"], NAME_LIMIT)
+        contents = _json_text({key: one[key] for key in ("time", "margin", "valid")})
+        if index is not None:
+            contents["url"] = f"{RECORD_FILE}#/episodes/{index}"
+        data.append({"name": shown, "contents": contents})
+        if trace is not None:
+            url = quote(trace, errors="surrogatepass")
+            data.append({"name": f"trace of {shown}", "contents": {"url": url}})
+    return {
+        "bom-ref": f"evidence/{number}/counterexamples",
+        "propertyName": f"{PREFIX}counterexamples",
+        "description": (
+            f"{min(len(found), MAX_LISTED)} of {len(found)} listed, the largest violation first."
+        ),
+        "data": data,
+    }
+
+
+def _json_text(told: Mapping[str, Any]) -> JsonObject:
+    content = json.dumps(plain_data(told))
+    return {"attachment": {"contentType": "application/json", "content": content}}
+
+
+def _attestation_map(record: SessionRecord) -> Iterator[JsonObject]:
+    """Each requirement with its claims, also one on which there is none."""
+    verdicts: dict[str, list[tuple[int, JsonObject]]] = defaultdict(list)
+    for number, verdict in enumerate(record["verdicts"]):
+        verdicts[verdict["requirement"]].append((number, verdict))
+    untested = _declared_and_untested(record)
+    for number, requirement in enumerate(record["requirements"]):
+        own = verdicts[requirement["id"]]
+        against = [f"claim/{place}" for place, one in own if one["verdict"] == "violated"]
+        claims = [f"claim/{place}" for place, one in own if one["verdict"] != "violated"]
+        yield {
+            "requirement": requirement_ref(number),
+            "claims": claims,
+            "counterClaims": against,
+            "conformance": _conformance(
+                record, requirement["id"], [one for _, one in own], untested[requirement["id"]]
+            ),
+        }
+
+
+def _declared_and_untested(record: SessionRecord) -> Counter[str]:
+    """Of each requirement, how many planned cases declare it and have no verdict on it.
+
+    Other cells of the coverage table, a fault of one scenario in another one, nobody declared.
+    """
+    judged = {(one["requirement"], one["case"], one["component"]) for one in record["verdicts"]}
+    compared = {one["pairs"]["case"] for one in record["verdicts"] if one["pairs"] is not None}
+    compared -= {case for _, case, _ in judged}
+    return Counter(
+        requirement
+        for case in record["cases"]
+        if case["planned"] and not case["without"] and case["id"] not in compared
+        for requirement in case["requirements"]
+        if (requirement, case["id"], case["component"]) not in judged
+    )
+
+
+def _search_outcomes(record: SessionRecord, requirement: str) -> Counter[str]:
+    """What searches have against a requirement that no waiver excuses, counted by word."""
+    return Counter(
+        word
+        for one in record["searches"]
+        if one["waiver"] is None
+        for outcome in one["outcomes"]
+        if outcome["requirement"] == requirement
+        and (word := outcome_status(one, outcome)) != NOTHING_FOUND
+    )
+
+
+def _conformance(
+    record: SessionRecord, requirement: str, verdicts: list[JsonObject], untested: int
+) -> JsonObject:
+    """The score where it is decided: 1 or 0, see the package; and the reason, always."""
+    words = Counter(one["verdict"] for one in verdicts)
+    refuted = any(one["verdict"] == "violated" and one["waiver"] is None for one in verdicts)
+    searched = _search_outcomes(record, requirement)
+    doubts = [f"{words[word]} {word}" for word in ("violated", "undecided") if words[word]]
+    doubts += [f"{count} {OBJECTIONABLE_OUTCOMES[word]}" for word, count in searched.items()]
+    if waived := sum(one["waiver"] is not None for one in verdicts):
+        doubts.append(f"{waived} waived")
+    if untested:
+        doubts.append(f"{untested} untested")
+    if record["status"] != "complete" or record["gate"]["result"] == "incomplete":
+        doubts.append("the session is incomplete")
+    if shard_text(record):
+        doubts.append(f"{shard_text(record)} alone")
+    if not verdicts:
+        doubts.append("no verdict")
+    told = f"{words['supported']} of {len(verdicts)} verdicts supported"
+    if not doubts:
+        rationale = f"{told}, each on the episodes and with the bound in its evidence"
+        return {"score": 1, "rationale": f"{rationale}; {UNREVIEWED}."}
+    rationale = f"{told}; {', '.join(doubts)}"
+    if refuted or searched["falsified"]:
+        return {"score": 0, "rationale": f"{rationale}. 0: it was violated; {UNREVIEWED}."}
+    rationale = f"{rationale}. No score: conformance is not attested, nor refuted"
+    return {"rationale": f"{rationale}; {UNREVIEWED}."}
+
+
+FILE = "cyclonedx.json"
+_SCHEMA = "http://cyclonedx.org/schema/bom-1.6.schema.json"
+_NAMESPACE = uuid.uuid5(uuid.NAMESPACE_URL, "urn:pytest-dura")
+
+
+def render(record: SessionRecord) -> str:
+    """The document as text.
+
+    Raises:
+        ValueError: If a verdict names a requirement that the record does not list.
+    """
+    document = {
+        "$schema": _SCHEMA,
+        "bomFormat": "CycloneDX",
+        "specVersion": "1.6",
+        "serialNumber": f"urn:uuid:{_serial_number(record)}",
+        "version": 1,
+        "metadata": _metadata(record),
+        "components": _packages(record["environment"]["packages"]),
+        "definitions": {"standards": [_standard(record["requirements"])]},
+        "declarations": declarations(record),
+    }
+    return json.dumps(document, indent=1) + "\n"
+
+
+def _serial_number(record: SessionRecord) -> uuid.UUID:
+    """The same for the same record: from all of it, of episodes their digests."""
+    state = hashlib.sha256(json.dumps(plain_data(record.head), sort_keys=True).encode())
+    for one in record.episodes():
+        told = [one[key] for key in ("id", "component", "digest", "validity")]
+        state.update(json.dumps(told).encode())
+    return uuid.uuid5(_NAMESPACE, state.hexdigest())
+
+
+def _metadata(record: SessionRecord) -> JsonObject:
+    tool = record["tool"]
+    counts = {key: str(value) for key, value in Counts.of(record).to_json().items()}
+    told = {
+        **counts,
+        "status": record["status"],
+        "review": UNREVIEWED,
+        "command": visible(record["command"]),
+        "base_seed": str(record["base_seed"]),
+    }
+    return {
+        "timestamp": record["created"],
+        "tools": {
+            "components": [
+                {
+                    "type": "application",
+                    "bom-ref": "tool",
+                    "name": name(tool["name"], NAME_LIMIT),
+                    "version": name(tool["version"], NAME_LIMIT),
+                }
+            ]
+        },
+        "component": component_entry(components_under_test(record)[0], "component-under-test"),
+        "properties": property_entries(told),
+    }
+
+
+def _packages(packages: Mapping[str, str]) -> list[JsonObject]:
+    found = []
+    for number, package in enumerate(sorted(packages)):
+        shown = name(package, NAME_LIMIT)
+        version = name(packages[package] or "unknown", NAME_LIMIT)
+        # The purl of PyPI has lower case, and a dash for an underscore.
+        purl = (
+            f"pkg:pypi/{quote(shown.lower().replace('_', '-'), safe='')}@{quote(version, safe='')}"
+        )
+        found.append(
+            {
+                "type": "library",
+                "bom-ref": f"package/{number}",
+                "name": shown,
+                "version": version,
+                "purl": purl,
+            }
+        )
+    return found
+
+
+def _standard(requirements: list[JsonObject]) -> JsonObject:
+    return {
+        "bom-ref": "standard",
+        "name": "Requirements of the session",
+        "description": f"The requirements that the session judged; {UNREVIEWED}.",
+        "requirements": [_requirement(number, one) for number, one in enumerate(requirements)],
+    }
+
+
+def _requirement(number: int, one: JsonObject) -> JsonObject:
+    at_most = "every valid episode satisfies it"
+    if one["at_most"] is not None:
+        at_most = f"at most {one['at_most']:g} of episodes violate it, at {one['confidence']:g}"
+    texts = (
+        ("check", one["check"]),
+        ("criterion", at_most),
+        ("reason", one["reason"]),
+        ("source", one["source"]),
+    )
+    return {
+        "bom-ref": requirement_ref(number),
+        "identifier": name(one["id"], NAME_LIMIT),
+        "title": visible(one["text"] or one["id"], 200),
+        "text": visible(one["text"]),
+        "descriptions": [f"{label}: {visible(text)}" for label, text in texts if text],
+        "properties": [{"name": f"{PREFIX}kind", "value": visible(one["kind"] or "")}],
+    }
+
+
+Data = Mapping[str, Any]
+_PROPERTY_PREFIX = "pytest-dura:"
+_LINKS = ("assessor", "requirement", "target", "parent")
+_LISTS = ("claims", "counterClaims", "evidence", "counterEvidence", "mitigationStrategies")
+
+
+def read_counts(text: str) -> Counts:
+    """What the document states: verdicts counted among its claims, the rest from its properties.
+
+    Raises:
+        ValueError: If the text is no such document, or a claim is not mapped as its evidence says.
+    """
+    try:
+        document = json.loads(text)
+        stated = {one["name"]: one["value"] for one in document["metadata"]["properties"]}
+        words, waived = _claimed_verdicts(document["declarations"])
+        requirements = len(document["definitions"]["standards"][0]["requirements"])
+        numbers = ("cases", "episodes", "valid", "invalid", "missing")
+        return Counts(
+            gate=stated[f"{_PROPERTY_PREFIX}gate"],
+            requirements=requirements,
+            **{key: int(stated[f"{_PROPERTY_PREFIX}{key}"]) for key in numbers},
+            **{word: words[word] for word in CAMPAIGN_STATUSES},
+            waived=waived,
+        )
+    except (LookupError, TypeError, AttributeError) as error:
+        problem = f"{type(error).__name__}: {error}"
+        raise ValueError(f"not the declarations of a session ({problem})") from None
+
+
+def _claimed_verdicts(declared: Data) -> tuple[Counter[str], int]:
+    """Claims by the word of their verdict, and how many of them are waived."""
+    entries = {one["bom-ref"]: one for one in declared["evidence"]}
+    mapped: Counter[tuple[str, str]] = Counter()
+    for attestation in declared["attestations"]:
+        for one in attestation["map"]:
+            mapped.update((ref, "claims") for ref in one["claims"])
+            mapped.update((ref, "counterClaims") for ref in one["counterClaims"])
+    words: Counter[str] = Counter()
+    waived = 0
+    for claim in declared["claims"]:
+        evidence = entries[claim["evidence"][0]]
+        word = evidence["propertyName"].removeprefix(f"{_PROPERTY_PREFIX}verdict:")
+        if word not in CAMPAIGN_STATUSES:
+            raise ValueError(f"{claim['bom-ref']} rests on evidence of no verdict")
+        place = "counterClaims" if word == "violated" else "claims"
+        if mapped.pop((claim["bom-ref"], place), 0) != 1:
+            raise ValueError(f"{claim['bom-ref']} is {word}, and not once among the {place}")
+        words[word] += 1
+        waived += any(one["name"] == "waiver" for one in evidence["data"])
+    if mapped:
+        raise ValueError(f"{min(mapped)[0]} is mapped, and is no claim, or of another verdict")
+    return words, waived
+
+
+def dangling_references(document: Data) -> list[str]:
+    """References in the document to a ``bom-ref`` that is not there, and references given twice.
+
+    The strict validator of the format looks at neither.
+    """
+    given = Counter(_as_references(document))
+    told = [
+        f"the bom-ref {ref} is given {count} times" for ref, count in given.items() if count > 1
+    ]
+    return told + [
+        f"{where} refers to {ref}"
+        for where, ref in _declared_references(document)
+        if ref not in given
+    ]
+
+
+def broken_references(text: str, record: SessionRecord) -> Iterator[str]:
+    """References that lead nowhere: inside the document, into the record, to its traces."""
+    document = json.loads(text)
+    yield from dangling_references(document)
+    there = {f"evidence.json#/verdicts/{number}" for number in range(len(record["verdicts"]))}
+    for number, episode in enumerate(record.episodes()):
+        there.add(f"evidence.json#/episodes/{number}")
+        if episode["trace"] is not None:
+            there.add(episode["trace"]["file"])
+    for entry in document["declarations"]["evidence"]:
+        for data in entry["data"]:
+            url = data["contents"].get("url")
+            if url is not None and unquote(url, errors="surrogatepass") not in there:
+                yield f"{entry['bom-ref']} refers to {url}, which is not there"
+
+
+def _as_references(value: Any) -> Iterator[str]:
+    if isinstance(value, Mapping):
+        if "bom-ref" in value:
+            yield value["bom-ref"]
+        value = list(value.values())
+    if isinstance(value, list):
+        for one in value:
+            yield from _as_references(one)
+
+
+def _declared_references(document: Data) -> Iterator[tuple[str, str]]:
+    """Every reference of the declarations, with where it stands."""
+    declared = document["declarations"]
+    holders = [(one["bom-ref"], one) for one in declared["claims"]]
+    for number, attestation in enumerate(declared["attestations"]):
+        holders.append((f"attestation {number}", attestation))
+        for one in attestation["map"]:
+            where = f"the map of attestation {number}"
+            holders += [(where, one), (where, one.get("conformance", {}))]
+    for standard in document["definitions"]["standards"]:
+        holders += [(one["bom-ref"], one) for one in standard["requirements"]]
+    for where, holder in holders:
+        for key in _LINKS:
+            if key in holder:
+                yield f"{where}, {key},", holder[key]
+        for key in _LISTS:
+            for ref in holder.get(key, ()):
+                yield f"{where}, {key},", ref

@@ -1,0 +1,419 @@
+"""Views of an episode: margins, signals as CSV and SVG, and the steps of a tick in words."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from html import escape
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_dura.core.episode import Episode
+from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.loop_signals import LOOP_PREFIX, loop_columns
+from pytest_dura.core.simulator import Recording
+from pytest_dura.evidence.text import one_line
+from pytest_dura.evidence.traces import Trace
+from pytest_dura.requirements.checks import is_function_path
+from pytest_dura.requirements.stl.formula import Boolean, Formula, Node, Temporal
+from pytest_dura.requirements.stl.parser import parse
+from pytest_dura.requirements.stl.robustness import robustness
+
+Column = NDArray[np.float64]
+_TIME_DECIMALS = 9
+"""Of seconds; what more there is comes from adding up time steps."""
+
+
+def formula_of(check: str) -> Formula | None:
+    """The formula that a check is; ``None`` for a function, and where test code decides."""
+    if not check or is_function_path(check):
+        return None
+    try:
+        return parse(check)
+    except ConfigurationError:  # the name of a function inside a test
+        return None
+
+
+def signal_columns(names: tuple[str, ...], episode: Episode | Trace) -> dict[str, Column]:
+    """The episode's signals of these names, and those of the loop, as far as it has them."""
+    known = dict(episode.signals)
+    if any(name.startswith(LOOP_PREFIX) for name in names) and episode.decisions:
+        known |= loop_columns(episode.time, episode.decisions)
+    return {name: known[name] for name in names if name in known}
+
+
+def margin_over_time(check: str, episode: Episode | Trace) -> tuple[str, Column] | None:
+    """The robustness at each tick, and the formula that it is of.
+
+    An ``always`` over the whole episode at the root is left out, so that the curve shows the
+    moment: its minimum is the margin. NaN where a signal is not finite, and after that.
+
+    Returns:
+        ``None`` for a check that is no formula over signals of this episode.
+    """
+    formula = formula_of(check)
+    if formula is None:
+        return None
+    columns = signal_columns(formula.signals, episode)
+    if len(columns) < len(formula.signals):
+        return None
+    finite = np.logical_and.reduce([np.isfinite(one) for one in columns.values()])
+    ticks = len(episode.time)
+    samples = ticks if finite.all() else int(np.argmin(finite))
+    if not samples:
+        return None
+    moment = Formula(_is_momentary(formula.root), formula.text)
+    found = np.full(ticks, np.nan)
+    cut = {name: column[:samples] for name, column in columns.items()}
+    try:
+        found[:samples] = robustness(moment, cut, _time_step(episode))
+    except ConfigurationError:  # an expression that is not finite: the verdict tells where
+        return None
+    return str(moment), found
+
+
+def _time_step(episode: Episode | Trace) -> float:
+    """Seconds from tick to tick; a trace tells them by its times alone."""
+    if isinstance(episode, Episode):
+        return episode.spec.time_step
+    steps = len(episode.time) - 1
+    return (
+        round(float(episode.time[-1] - episode.time[0]) / steps, _TIME_DECIMALS) if steps else 1.0
+    )
+
+
+def _is_momentary(node: Node) -> Node:
+    if isinstance(node, Temporal) and node.operator == "always" and node.window is None:
+        return _is_momentary(node.operand)
+    if isinstance(node, Boolean) and node.operator == "and":
+        return replace(node, left=_is_momentary(node.left), right=_is_momentary(node.right))
+    return node
+
+
+MAX_CELLS = 60_000
+"""Greatest number of values, which stay below 2 MB."""
+
+
+def signals_csv(trace: Trace, cells: int = MAX_CELLS) -> str:
+    """One row per tick with the time in s and each signal; of a long episode every n-th tick.
+
+    Args:
+        trace: The episode.
+        cells: Greatest number of values.
+    """
+    names = sorted(trace.signals)
+    every = max(1, math.ceil(len(trace.time) * (len(names) + 1) / cells))
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(["time", *map(_safe_header, names)])
+    columns = [trace.time[::every], *(trace.signals[name][::every] for name in names)]
+    writer.writerows(zip(*(column.tolist() for column in columns), strict=True))
+    return stream.getvalue()
+
+
+def _safe_header(name: str) -> str:
+    """A name that no spreadsheet takes for a formula."""
+    shown = one_line(name, 200)
+    return f"'{shown}" if shown[:1] in ("=", "+", "-", "@") else shown
+
+
+STATUS_NAMES = {0: "safe", 1: "warning", 2: "unsafe"}
+_FAULTS = ("fault_activated", "fault_manifested", "fault_deactivated")
+_ASSESSED = ("unsafe", "alert", "reaction", "performance_fail")
+_DECIDED = ("recovery",)
+
+
+@dataclass(frozen=True)
+class LoopStep:
+    """One step of a tick.
+
+    Args:
+        name: Such as ``Propose: SLOWER``.
+        told: What happened in it, by name.
+    """
+
+    name: str
+    told: Mapping[str, str]
+
+
+def decision_at(trace: Trace, time: float | None) -> int | None:
+    """The tick with a decision that a time belongs to, the last one at most; ``None`` of none.
+
+    Without a time it is the first tick at which something was unsafe, or else the first one.
+    """
+    verdicts = trace.decisions["verdict"]
+    if not len(verdicts):
+        return None
+    if time is None or not np.isfinite(time):
+        return int(np.argmax(np.asarray(verdicts) == 2))
+    return min(int(np.searchsorted(trace.time, time - 1e-6)), len(verdicts) - 1)
+
+
+def loop_steps(trace: Trace, tick: int, signals: Sequence[str]) -> list[LoopStep]:
+    """Update, Propose, Assess, Decide, Act and Log of a tick.
+
+    Args:
+        trace: The episode.
+        tick: A tick at which something was decided.
+        signals: Names of the signals to tell of.
+    """
+    column = {name: str(values[tick]) for name, values in trace.decisions.items()}
+    said, word = trace.recording, STATUS_NAMES[int(trace.decisions["verdict"][tick])]
+    recovery = _value_at(said.recoveries, tick)
+    action = _value_at(said.recoveries, tick) or column["source"]
+    return [
+        LoopStep(
+            f"Update: t = {trace.time[tick]:.2f} s",
+            _signal_values(trace, tick, signals) | _events_of_tick(trace, tick, _FAULTS),
+        ),
+        LoopStep(
+            one_line(f"Propose: {column['proposed'] or 'nothing'}", 200),
+            _joined_parts(explanation=_value_at(said.explanations, tick))
+            | _events_of_tick(trace, tick, ("component_failure",)),
+        ),
+        LoopStep(
+            f"Assess: {word}",
+            _flag_text(said, tick)
+            | _joined_parts(reasons=_value_at(said.reasons, tick))
+            | _events_of_tick(trace, tick, _ASSESSED),
+        ),
+        LoopStep(
+            one_line(f"Decide: {action}", 200),
+            _joined_parts(source=column["source"], recovery=recovery)
+            | ({"attempts": column["attempts"]} if column["attempts"] != "0" else {}),
+        ),
+        LoopStep(
+            one_line(f"Act: {column['executed'] or 'nothing'}", 200),
+            {
+                f"{name} then": value
+                for name, value in _truth_text(trace, tick + 1, signals).items()
+            },
+        ),
+        LoopStep(
+            f"Log: t = {trace.time[tick + 1]:.2f} s",
+            _other_events(trace, tick) | _ending_text(trace, tick),
+        ),
+    ]
+
+
+def _truth_text(trace: Trace, tick: int, signals: Sequence[str]) -> dict[str, str]:
+    return {
+        one_line(name, 100): f"{float(trace.signals[name][tick]):.6g}"
+        for name in signals
+        if name in trace.signals
+    }
+
+
+def _signal_values(trace: Trace, tick: int, signals: Sequence[str]) -> dict[str, str]:
+    """Each signal as it is, and as it is perceived where there is such a column."""
+    found: dict[str, str] = {}
+    for name in signals:
+        found |= _truth_text(trace, tick, [name, f"percept.{name}"])
+    return found
+
+
+def _flag_text(said: Recording, tick: int) -> dict[str, str]:
+    return {
+        one_line(monitor, 100): STATUS_NAMES.get(int(column[tick]), "not asked")
+        for monitor, column in said.flags.items()
+    }
+
+
+def _value_at(column: Sequence[str], tick: int) -> str:
+    return column[tick] if tick < len(column) else ""
+
+
+def _joined_parts(**texts: str) -> dict[str, str]:
+    return {name: one_line(text) for name, text in texts.items() if text}
+
+
+def _events_of_tick(trace: Trace, tick: int, kinds: Sequence[str]) -> dict[str, str]:
+    """The tick's events of these kinds; several of one kind are joined."""
+    found: dict[str, list[str]] = {}
+    for event in trace.events:
+        if event["tick"] == tick and event["kind"] in kinds:
+            detail = f": {event['detail']}" if event["detail"] else ""
+            found.setdefault(event["kind"], []).append(f"{event['subject']}{detail}")
+    return {kind: one_line("; ".join(texts)) for kind, texts in found.items()}
+
+
+def _other_events(trace: Trace, tick: int) -> dict[str, str]:
+    """What else was logged in this tick, of whatever kind."""
+    told = (*_FAULTS, *_ASSESSED, *_DECIDED, "component_failure")
+    others = dict.fromkeys(one["kind"] for one in trace.events if one["kind"] not in told)
+    return _events_of_tick(trace, tick, list(others))
+
+
+def _ending_text(trace: Trace, tick: int) -> dict[str, str]:
+    if tick + 2 < len(trace.time):
+        return {}
+    about = {name: str(trace.about[name] or "") for name in ("termination", "failure")}
+    return _joined_parts(**about)
+
+
+Place = Callable[[float], float]
+
+WIDTH, LEFT, RIGHT = 720, 64, 16
+HEIGHT, GAP, TOP, BOTTOM = 96, 30, 34, 44
+POINTS = 500
+"""Points of a curve at most; a longer one is drawn by the least and greatest value of each part."""
+
+LARGEST = 1e300
+
+STYLE = """
+text{font:12px system-ui,sans-serif;fill:#1f2328}.small{font-size:10px;fill:#57606a}
+.back{fill:#fff}.frame{fill:none;stroke:#d0d7de}.bound{stroke:#57606a;stroke-dasharray:2 3}
+.line{fill:none;stroke-width:1.6}.c0{stroke:#0550ae}.c1{stroke:#bc4c00;stroke-dasharray:5 3}
+.mark{stroke:#cf222e;stroke-width:1.4}.told{fill:#cf222e}
+@media(prefers-color-scheme:dark){text{fill:#e6edf3}.small{fill:#9198a1}.back{fill:#0d1117}
+.frame{stroke:#3d444d}.bound{stroke:#9198a1}.c0{stroke:#6cb6ff}.c1{stroke:#f0883e}
+.mark{stroke:#ff7b72}.told{fill:#ff7b72}}
+"""
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One plot of several below each other.
+
+    Args:
+        name: What it shows.
+        curves: Up to two columns of shape ``(ticks,)`` by name; the second one is dashed.
+        bound: A value to draw a line at.
+    """
+
+    name: str
+    curves: Mapping[str, Column]
+    bound: float | None = None
+
+
+def signal_plot(
+    title: str,
+    description: str,
+    time: Column,
+    panels: Sequence[Panel],
+    mark: tuple[float, str] | None = None,
+) -> str:
+    """An SVG of panels over one axis of time.
+
+    Args:
+        title: Its title, which screen readers read first.
+        description: What is to be seen, in words.
+        time: Seconds, shape ``(ticks,)``.
+        panels: What is drawn, from top to bottom.
+        mark: A time and what happened there, drawn through all panels.
+    """
+    height = TOP + len(panels) * (HEIGHT + GAP) - GAP + BOTTOM
+    start, end = (float(time[0]), float(time[-1])) if len(time) else (0.0, 0.0)
+    span = (end - start) or 1.0
+
+    def x(seconds: float) -> float:
+        return LEFT + (seconds - start) / span * (WIDTH - LEFT - RIGHT)
+
+    parts = [
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {height}"',
+        f'  width="{WIDTH}" height="{height}" role="img" aria-labelledby="title desc">',
+        f'<title id="title">{_escaped(title)}</title>',
+        f'<desc id="desc">{_escaped(description)}</desc>',
+        f'<style>{STYLE}</style><rect class="back" width="100%" height="100%"/>',
+        f'<text x="{LEFT}" y="18">{_escaped(title)}</text>',
+    ]
+    for index, panel in enumerate(panels):
+        parts += _panel_svg(panel, TOP + index * (HEIGHT + GAP), time, x)
+    base = height - BOTTOM
+    for seconds in (start, start + span / 2, end):
+        parts.append(
+            f'<text class="small" x="{x(seconds):.1f}" y="{base + 16}" text-anchor="middle">'
+            f"{seconds:.3g} s</text>"
+        )
+    if mark is not None and math.isfinite(mark[0]):
+        at = x(min(max(mark[0], start), end))
+        anchor = "end" if at > WIDTH / 2 else "start"
+        parts.append(f'<line class="mark" x1="{at:.1f}" x2="{at:.1f}" y1="{TOP}" y2="{base}"/>')
+        parts.append(
+            f'<text class="told" x="{at:.1f}" y="{base + 34}" text-anchor="{anchor}">'
+            f"{_escaped(mark[1])}</text>"
+        )
+    return "\n".join([*parts, "</svg>"]) + "\n"
+
+
+def _panel_svg(panel: Panel, top: int, time: Column, x: Place) -> list[str]:
+    least, greatest = _value_range(panel)
+    room = (greatest - least) * 0.05 or max(abs(greatest) * 0.05, 0.5)
+    low, high = least - room, greatest + room
+
+    def y(value: float) -> float:
+        return top + HEIGHT - (value - low) / (high - low) * HEIGHT
+
+    right = WIDTH - RIGHT
+    parts = [
+        f'<rect class="frame" x="{LEFT}" y="{top}" width="{right - LEFT}" height="{HEIGHT}"/>',
+        f'<text class="small" x="{right}" y="{top - 5}" text-anchor="end">{_legend(panel)}</text>',
+        *(
+            f'<text class="small" x="{LEFT - 6}" y="{y(value) + 3:.1f}" text-anchor="end">'
+            f"{value:.4g}</text>"
+            for value in sorted({least, greatest})
+        ),
+    ]
+    if panel.bound is not None:
+        level = y(panel.bound)
+        parts.append(
+            f'<line class="bound" x1="{LEFT}" x2="{right}" y1="{level:.1f}" y2="{level:.1f}"/>'
+        )
+    for index, column in enumerate(panel.curves.values()):
+        path = _line_path(*_thinned(time, column), x, y)
+        if path:
+            parts.append(f'<path class="line c{min(index, 1)}" d="{path}"/>')
+    return parts
+
+
+def _legend(panel: Panel) -> str:
+    others = [f"dashed: {name}" for name in list(panel.curves)[1:]]
+    return _escaped(", ".join([panel.name, *others]))
+
+
+def _value_range(panel: Panel) -> tuple[float, float]:
+    """The least and greatest finite value, that of the bound included."""
+    columns = [column[np.isfinite(column)] for column in panel.curves.values()]
+    values = np.concatenate([*columns, [] if panel.bound is None else [panel.bound]])
+    if not len(values):
+        return 0.0, 1.0
+    # Of values near the greatest float no number is left for their difference.
+    low, high = np.clip([values.min(), values.max()], -LARGEST, LARGEST)
+    return float(low), float(high)
+
+
+def _thinned(time: Column, column: Column) -> tuple[Column, Column]:
+    """At most :data:`POINTS` samples that keep every part's extremes."""
+    if len(column) <= POINTS:
+        return time, column
+    chosen = {0, len(column) - 1}
+    for part in np.array_split(np.arange(len(column)), POINTS // 3):
+        values = column[part]
+        gaps = part[~np.isfinite(values)]
+        chosen.update(gaps[:1].tolist())
+        if np.isfinite(values).any():
+            chosen.add(int(part[np.nanargmin(np.where(np.isfinite(values), values, np.nan))]))
+            chosen.add(int(part[np.nanargmax(np.where(np.isfinite(values), values, np.nan))]))
+    kept = np.array(sorted(chosen))
+    return time[kept], column[kept]
+
+
+def _line_path(time: Column, column: Column, x: Place, y: Place) -> str:
+    """Straight lines from sample to sample, broken where a sample is not finite."""
+    found, broken = [], True
+    for seconds, value in zip(time.tolist(), column.tolist(), strict=True):
+        if not math.isfinite(value):
+            broken = True
+            continue
+        step = "M" if broken else "L"
+        found.append(f"{step}{x(seconds):.1f} {y(min(max(value, -LARGEST), LARGEST)):.1f}")
+        broken = False
+    return "".join(found)
+
+
+def _escaped(text: str) -> str:
+    return escape(one_line(text, 200))

@@ -1,0 +1,617 @@
+"""The argument of a session, from its record alone; it claims no more than was tested.
+
+A violated verdict defeats its goal: one episode is enough against a claim on all. It defeats the
+requirement and the top goal as well, unless a waiver accepts it: then it challenges them, and
+the waiver's reason stays beside the verdict. What was not decided or not tested is undeveloped.
+
+No search supports anything. A counterexample defeats a requirement that asks for all episodes;
+one that bounds a rate is challenged by it, since no rate follows from where a search looked.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import groupby
+from typing import Any
+
+from pytest_dura.evidence.gate import NOTHING_FOUND, outcome_status
+from pytest_dura.evidence.model import Counts, SessionRecord
+from pytest_dura.evidence.text import name, one_line
+from pytest_dura.reports.gsn.element import Argument, Element, derived_id
+from pytest_dura.reports.gsn.verdicts import (
+    MAX_TEXT,
+    EpisodeFacts,
+    VerdictElements,
+    monitor_text,
+    names_text,
+    requirement_text,
+    scenario_text,
+    verdict_elements,
+)
+from pytest_dura.reports.html.contents import requirement_anchor
+from pytest_dura.reports.tables import NOTHING_SUPPORTED, counterexample_text, outcome_headline
+from pytest_dura.reports.wording import merge_text, shard_text
+
+REVIEW_ID, SESSION_ID = "CReview", "CSession"
+REVIEW_KEYS = ("reviewer", "reviewDate", "opinion")
+"""Keys that a reviewer fills in."""
+
+
+def argument_contexts(record: SessionRecord, counts: Counts, facts: EpisodeFacts) -> list[Element]:
+    """Contexts and assumptions of the whole argument."""
+    return [
+        _review(),
+        _session(record, counts),
+        _component(record, facts),
+        _domain(record),
+        _versions(record),
+        _seeds(record, facts),
+        *_assumptions(facts),
+    ]
+
+
+def scenario_contexts(record: SessionRecord) -> Iterator[Element]:
+    """One context for each scenario, with its variation ranges."""
+    rows = sorted(record["coverage"]["parameters"], key=lambda one: str(one["scenario"]))
+    ranges = {key: list(found) for key, found in groupby(rows, lambda one: one["scenario"])}
+    for scenario in sorted({one["scenario"] for one in record["cases"]} | set(ranges)):
+        yield Element(
+            derived_id("C", "scenario", scenario),
+            scenario_text(scenario, ranges.get(scenario, [])),
+            url="evidence.json#/coverage/parameters",
+            alias=f"scenario:{name(scenario)}",
+        )
+
+
+def _review() -> Element:
+    return Element(
+        REVIEW_ID,
+        "Generated, unreviewed. No element of this argument is asserted until a reviewer says so.",
+        alias="context:review",
+        layers=dict.fromkeys(REVIEW_KEYS, ""),
+    )
+
+
+def _session(record: SessionRecord, counts: Counts) -> Element:
+    gate = record["gate"]
+    reasons = [one_line(one, MAX_TEXT) for one in gate["reasons"]]
+    more = f" and {len(reasons) - 3} more" if len(reasons) > 3 else ""
+    why = f" ({'; '.join(reasons[:3])}{more})" if reasons else ""
+    return Element(
+        SESSION_ID,
+        f"{_case_names(record)} {name(record['status'])}, gate {counts.gate}{why}. "
+        f"{counts.episodes} episodes of {counts.cases} cases: {counts.valid} valid, "
+        f"{counts.invalid} invalid, {counts.missing} missing. Verdicts: {counts.supported} "
+        f"supported, {counts.violated} violated, {counts.undecided} undecided; "
+        f"{counts.waived} of them waived.",
+        url="evidence.json#/gate",
+        alias="context:session",
+        layers={
+            key: getattr(counts, key)
+            for key in ("gate", "cases", "episodes", "valid", "invalid", "missing")
+        },
+    )
+
+
+def _case_names(record: SessionRecord) -> str:
+    shards = merge_text(record)
+    whole = f"Session of {shards}," if shards else "Session"
+    return f"{shard_text(record).capitalize()} of a session," if shard_text(record) else whole
+
+
+def _component(record: SessionRecord, facts: EpisodeFacts) -> Element:
+    under_test: Mapping[str, Any] = record["component_under_test"] or {}
+    version, digest = under_test.get("version"), under_test.get("digest")
+    told = [
+        f"Component under test: {name(str(under_test.get('name', 'unknown')))}",
+        f"from {name(str(under_test.get('path', 'unknown')))}",
+        f"version {name(str(version))}" if version is not None else "no version",
+        f"digest {name(str(digest))}" if digest is not None else "no digest",
+    ]
+    if under_test.get("opaque"):
+        told.append("an instance whose state the record does not hold")
+    policies = names_text(sorted(facts.policies)) or "unknown"
+    return Element(
+        "CComponent",
+        f"{', '.join(told)}. Recovery policy: {policies}.",
+        url="evidence.json#/component_under_test",
+        alias="context:component",
+    )
+
+
+def _domain(record: SessionRecord) -> Element:
+    cells, left_out = record["coverage"]["cells"], record["coverage"]["left_out"]
+    untested = left_out + sum(one["verdict"] is None for one in cells)
+    scenarios = sorted({one["scenario"] for one in record["cases"]})
+    faults = sorted({fault["id"] for one in record["cases"] for fault in one["faults"]})
+    return Element(
+        "CDomain",
+        f"Operational domain as tested: {len(cells) + left_out} cells of requirement, scenario and "
+        f"faults, {untested} of them untested. Scenarios: {names_text(scenarios) or 'none'}. "
+        f"Faults: {names_text(faults) or 'none'}.",
+        url="evidence.json#/coverage",
+        alias="context:domain",
+    )
+
+
+def _versions(record: SessionRecord) -> Element:
+    environment, tool = record["environment"], record["tool"]
+    git = environment["git"] or {}
+    dirty = " with changes that are not committed" if git.get("dirty") else ""
+    packages = [f"{key} {value}" for key, value in sorted(environment["packages"].items())]
+    return Element(
+        "CVersions",
+        f"{name(tool['name'])} {name(tool['version'])}, Python {name(environment['python'])}, "
+        f"{name(environment['platform'])}, commit {name(str(git.get('commit') or 'unknown'))}"
+        f"{dirty}. Packages: {names_text(packages, 12) or 'unknown'}. "
+        f"{len(record['inputs'])} input files with their digests.",
+        url="evidence.json#/environment",
+        alias="context:versions",
+    )
+
+
+def _seeds(record: SessionRecord, facts: EpisodeFacts) -> Element:
+    count, least, greatest = facts.seeds or (0, 0, 0)
+    span = f"{count} episodes with seeds from {least} to {greatest}" if count else "no episode"
+    return Element(
+        "CSeeds",
+        f"Base seed {record['base_seed']}: {span}."
+        f" Command: {one_line(record['command'], MAX_TEXT)}",
+        url="evidence.json#/base_seed",
+        alias="context:seeds",
+    )
+
+
+def _assumptions(facts: EpisodeFacts) -> Iterator[Element]:
+    simulators = names_text(sorted(facts.simulators)) or "unknown"
+    for word, text in {
+        "Simulator": f"The simulator ({simulators}) is faithful enough for these requirements. "
+        "Nothing in this session shows it.",
+        "Sampling": "The episodes of a case are independent, identically distributed draws: each "
+        "seed gives its own streams, and parameters are drawn from the variation ranges. The "
+        "bounds hold for these distributions, not for those of the road.",
+        "Faults": "The fault models stand for the faults and attacks of the field, in kind and in "
+        "size. How often those occur is no part of the argument.",
+        "Sensors": "The simulated sensors without faults report what real ones would, as far as "
+        "the requirements depend on it. The verdicts read the ground truth.",
+    }.items():
+        yield Element(f"A{word}", text, alias=f"assumption:{word.lower()}")
+
+
+Data = Mapping[str, Any]
+
+MONITORS_ID = "GMonitors"
+
+
+def monitor_elements(rows: Sequence[Data]) -> Iterator[Element]:
+    """A goal that the quality is known, and for each monitor and target what was measured.
+
+    The goal is on what is known and not on how good it is: low figures are evidence as well.
+    """
+    if not rows:
+        return
+    found: dict[tuple[str, str, str], list[Data]] = {}
+    for row in rows:
+        found.setdefault((row["component"], row["monitor"], row["target"]), []).append(row)
+    told = [_quality(key, own) for key, own in found.items()]
+    yield Element(
+        MONITORS_ID,
+        "The quality of the runtime monitors is known from violations that they could have "
+        "missed, where recovery did not act. The verdicts do not rest on the monitors.",
+        supported_by=tuple(one.id for one in told),
+        url="evidence.json#/monitors",
+        alias="monitors",
+    )
+    yield from told
+
+
+def _quality(key: tuple[str, str, str], rows: list[Data]) -> Element:
+    _, monitor, target = key
+    known = any(row["true_positives"] or row["false_negatives"] for row in rows)
+    text = monitor_text(monitor, target, rows)
+    return Element(
+        derived_id("Sn" if known else "G", "monitor", monitor, target, apart=key[:1]),
+        text if known else f"The quality of {text}",
+        undeveloped=not known,
+        url="evidence.json#/monitors",
+        alias=f"monitor:{name(monitor)}:{name(target)}",
+        brief=(name(monitor), name(target)),
+    )
+
+
+COUNTEREXAMPLE_PREFIX = "found:"
+"""How the alias of a counterexample of a search begins."""
+MAX_SEARCH_ELEMENTS = 5
+"""Counterexamples of a requirement that are elements; the record has all."""
+_MAX_SEARCH_TEXT = 300
+
+
+@dataclass(frozen=True)
+class SearchElements:
+    """What searches say of a requirement.
+
+    Args:
+        against: The counter solutions.
+        beside: Contexts on searches that found nothing.
+        violations: Counterexamples of searches, those without an element among them.
+        refuted: Whether one of them is against a claim on all episodes, and not waived.
+        accepted: Whether waivers accept all of them.
+    """
+
+    against: tuple[Element, ...]
+    beside: tuple[Element, ...]
+    violations: int
+    refuted: bool
+    accepted: bool
+
+
+def search_elements(record: SessionRecord, requirement: Data) -> SearchElements:
+    """What the record's searches say of a requirement."""
+    found: list[tuple[int, int, Data, Data]] = []
+    nothing: list[tuple[int, int, Data, Data]] = []
+    for number, search in enumerate(record["searches"]):
+        for place, outcome in enumerate(search["outcomes"]):
+            if outcome["requirement"] == requirement["id"]:
+                violated = outcome_status(search, outcome) not in (NOTHING_FOUND, "undecided")
+                told = (number, place, search, outcome)
+                (found if violated else nothing).append(told)
+    open_ = [one for one in found if one[2]["waiver"] is None]
+    return SearchElements(
+        tuple(_counter_solution(*one) for one in found[:MAX_SEARCH_ELEMENTS]),
+        _search_contexts(requirement, [(search, outcome) for _, _, search, outcome in nothing]),
+        len(found),
+        refuted=bool(open_) and requirement["at_most"] is None,
+        accepted=not open_,
+    )
+
+
+def _counter_solution(number: int, place: int, search: Data, outcome: Data) -> Element:
+    found, case = outcome["counterexample"], name(search["case"])
+    told = (
+        f"A search of {case} with {name(search['component'])}: {outcome_headline(search, outcome)}."
+    )
+    layers = {}
+    if found is None:
+        told += " A trivial baseline violated it; that was not confirmed."
+    else:
+        told += f" {one_line(counterexample_text(found, outcome['check']), _MAX_SEARCH_TEXT)}."
+        layers = {"kept": one_line(found["file"])} if found["file"] is not None else {}
+    if search["waiver"] is not None:
+        reason = one_line(search["waiver"]["reason"], _MAX_SEARCH_TEXT) or "none was given"
+        told += f" Waived ({name(search['waiver']['kind'])}), reason: {reason}."
+    apart = (str(number), str(place))
+    return Element(
+        derived_id("CSn", "search", outcome["requirement"], search["case"], apart=apart),
+        told,
+        url=f"evidence.json#/searches/{number}/outcomes/{place}",
+        alias=f"{COUNTEREXAMPLE_PREFIX}{name(outcome['requirement'])}@{case} ({number}.{place})",
+        layers=layers,
+        brief=("search", name(outcome_status(search, outcome))),
+    )
+
+
+def _search_contexts(requirement: Data, nothing: list[tuple[Data, Data]]) -> tuple[Element, ...]:
+    if not nothing:
+        return ()
+    told = [
+        f"{name(search['case'])}: {outcome_headline(search, one)}"
+        for search, one in nothing[:MAX_SEARCH_ELEMENTS]
+    ]
+    more = (
+        f"; and {len(nothing) - MAX_SEARCH_ELEMENTS} more"
+        if len(nothing) > MAX_SEARCH_ELEMENTS
+        else ""
+    )
+    return (
+        Element(
+            derived_id("C", "search", requirement["id"]),
+            f"Searched without a find: {'; '.join(told)}{more}. {NOTHING_SUPPORTED}",
+            url="evidence.json#/searches",
+            alias=f"searched:{name(requirement['id'])}",
+            brief=("searched,", "nothing found"),
+        ),
+    )
+
+
+@dataclass(frozen=True)
+class RequirementElements:
+    """A requirement and its elements.
+
+    Args:
+        name: Its id, visible.
+        kind: Its kind.
+        goal: Id of its goal.
+        challenge: Id of the counter goal against it, empty if nothing violated it.
+        refuted: Whether a violation is not waived.
+        accepted: Whether waivers accept all violations.
+        elements: All its elements, the goal first; those of verdicts are not among them.
+    """
+
+    name: str
+    kind: str
+    goal: str
+    challenge: str
+    refuted: bool
+    accepted: bool
+    elements: tuple[Element, ...]
+
+
+def requirement_elements(
+    record: SessionRecord, found: list[VerdictElements]
+) -> Iterator[RequirementElements]:
+    """Each requirement of the record, in its order, with its elements."""
+    for index, requirement in enumerate(record["requirements"]):
+        own = [one for one in found if one.verdict["requirement"] == requirement["id"]]
+        cells = [
+            (i, cell)
+            for i, cell in enumerate(record["coverage"]["cells"])
+            if cell["requirement"] == requirement["id"] and cell["verdict"] is None
+        ]
+        yield _elements_of_requirement(
+            requirement, index, own, cells, search_elements(record, requirement)
+        )
+
+
+def _elements_of_requirement(
+    requirement: Data,
+    index: int,
+    own: list[VerdictElements],
+    cells: list[tuple[int, Data]],
+    searches: SearchElements,
+) -> RequirementElements:
+    told = requirement["id"]
+    untested = [_untested_goal(i, cell) for i, cell in cells]
+    goals = [one.goal for one in own] + [one.id for one in untested]
+    violated = [one for one in own if one.verdict["verdict"] == "violated"]
+    accepted = searches.accepted and not any(one.refuted for one in violated)
+    refuted = searches.refuted or any(one.refuted for one in violated)
+    strategy = Element(
+        derived_id("S", told),
+        _strategy_text(own, untested),
+        supported_by=tuple(goals),
+        alias=f"strategy:{name(told)}",
+    )
+    reason = _justification(requirement, index)
+    challenge = []
+    if violated or searches.against:
+        challenge = _counter_goal(told, own, violated, searches, accepted=accepted)
+    url = f"evidence.json#/requirements/{index}"
+    goal = Element(
+        derived_id("G", told),
+        requirement_text(requirement) + ("" if goals else " No case was judged by it."),
+        supported_by=(strategy.id,) if goals else (),
+        in_context_of=tuple(one.id for one in (*reason, *searches.beside)),
+        undeveloped=not goals,
+        defeated=refuted,
+        url=url,
+        alias=f"requirement:{name(told)}",
+        layers={
+            "kind": requirement["kind"],
+            "source": one_line(requirement["source"], MAX_TEXT),
+            "report": f"report.html#{requirement_anchor(told)}",
+        },
+    )
+    return RequirementElements(
+        name(told),
+        requirement["kind"],
+        goal.id,
+        challenge[0].id if challenge else "",
+        refuted,
+        accepted,
+        (
+            goal,
+            *reason,
+            *searches.beside,
+            *([strategy] if goals else ()),
+            *challenge,
+            *searches.against,
+            *untested,
+        ),
+    )
+
+
+def _justification(requirement: Data, index: int) -> list[Element]:
+    reason = one_line(requirement["reason"], MAX_TEXT)
+    if not reason:
+        return []
+    return [
+        Element(
+            derived_id("J", requirement["id"]),
+            reason,
+            url=f"evidence.json#/requirements/{index}/reason",
+            alias=f"reason:{name(requirement['id'])}",
+        )
+    ]
+
+
+def _strategy_text(own: list[VerdictElements], untested: list[Element]) -> str:
+    rest = f", {_counted(len(untested), 'untested cell')}" if untested else ""
+    return f"Argue over scenarios and faults: {_counted(len(own), 'judged case')}{rest}."
+
+
+def _counted(count: int, what: str) -> str:
+    return f"{count} {what}{'' if count == 1 else 's'}"
+
+
+def _untested_goal(index: int, cell: Data) -> Element:
+    faults = f"under {name(cell['faults'])}" if cell["faults"] else "without faults"
+    apart = (cell["case"], str(index))
+    return Element(
+        derived_id(
+            "G", cell["requirement"], cell["scenario"], cell["faults"], "untested", apart=apart
+        ),
+        f"{name(cell['requirement'])} holds in {name(cell['scenario'])} {faults}. "
+        "Untested: no episode of this session says anything of it.",
+        undeveloped=True,
+        url=f"evidence.json#/coverage/cells/{index}",
+        alias=f"untested:{name(cell['requirement'])}@{name(cell['case'])}",
+        brief=(f"{name(cell['scenario'])} {faults}", "untested"),
+    )
+
+
+def _counter_goal(
+    told: str,
+    own: list[VerdictElements],
+    violated: list[VerdictElements],
+    searches: SearchElements,
+    *,
+    accepted: bool,
+) -> list[Element]:
+    how = f" in {len(violated)} of {len(own)} judged cases" if own else ""
+    if searches.against:
+        count = searches.violations
+        how += f"{' and' if own else ''} by what {count} search{'' if count == 1 else 'es'} found"
+    waived = " Waivers accept all of these violations." if accepted else ""
+    return [
+        Element(
+            derived_id("CG", told),
+            f"{name(told)} is violated{how}.{waived}",
+            supported_by=(
+                *(one.challenge for one in violated),
+                *(one.id for one in searches.against),
+            ),
+            challenges=derived_id("G", told),
+            alias=f"challenge:{name(told)}",
+        )
+    ]
+
+
+TOP_ID, KINDS_ID, INCOMPLETE_ID = "GTop", "SKinds", "GIncomplete"
+_KIND_IDS = {
+    "safety": "GSafety",
+    "security": "GSecurity",
+    "performance": "GPerformance",
+    "recovery": "GRecovery",
+}
+
+
+def generated_argument(record: SessionRecord) -> Argument:
+    """The generated argument, root first; a user's own is not yet in it.
+
+    Raises:
+        ValueError: If a verdict is on a requirement that the record does not list.
+    """
+    listed = {one["id"] for one in record["requirements"]}
+    for one in record["verdicts"]:
+        if one["requirement"] not in listed:
+            raise ValueError(f"a verdict is on {name(one['requirement'])}, which is not listed")
+    facts, counts = EpisodeFacts.of(record), Counts.of(record)
+    components = sorted({one["component"] for one in record["verdicts"]})
+    several = len(components) > 1
+    found = list(verdict_elements(record, facts, several=several))
+    requirements = list(requirement_elements(record, found))
+    around = argument_contexts(record, counts, facts)
+    domain = list(scenario_contexts(record))
+    below = [
+        *_kinds_strategy(requirements, domain),
+        *(element for one in requirements for element in one.elements),
+        *(element for one in found for element in one.elements),
+        *monitor_elements(record["monitors"]),
+        *domain,
+        *around,
+    ]
+    names = components or [str((record["component_under_test"] or {}).get("name", "unknown"))]
+    support = (KINDS_ID, *([MONITORS_ID] if record["monitors"] else ()))
+    surrounding = tuple(one.id for one in around)
+    top = _top_goal(names, sorted(facts.policies), requirements, shard_text(record))
+    if is_incomplete(record):
+        head = _incomplete_argument(record, top, support, surrounding)
+    else:
+        searched = bool(record["searches"])
+        head = [*_contested_top(top, requirements, support, surrounding, searched=searched)]
+    return {one.id: one for one in [*head, *below]}
+
+
+def is_incomplete(record: SessionRecord) -> bool:
+    """Whether the session ended before all was run."""
+    return bool(record["status"] != "complete" or record["gate"]["result"] == "incomplete")
+
+
+def _top_goal(
+    names: list[str], policies: list[str], requirements: list[RequirementElements], shard: str
+) -> Element:
+    kinds = [kind for kind in _KIND_IDS if any(one.kind == kind for one in requirements)]
+    policy = f"recovery policy {names_text(policies)}" if policies else "its recovery policy"
+    return Element(
+        TOP_ID,
+        f"Within the tested cells of the operational domain{f' in {shard} alone' if shard else ''} "
+        f"{names_text(names)} with {policy} "
+        f"meets its {names_text(kinds) or 'dependability'} requirements.",
+        alias="top",
+    )
+
+
+def _contested_top(
+    top: Element,
+    requirements: list[RequirementElements],
+    support: tuple[str, ...],
+    surrounding: tuple[str, ...],
+    *,
+    searched: bool,
+) -> Iterator[Element]:
+    """The top goal, and the counter goal against it if a requirement is challenged."""
+    against = [one for one in requirements if one.challenge]
+    refuted, accepted = any(one.refuted for one in against), all(one.accepted for one in against)
+    yield replace(top, supported_by=support, in_context_of=surrounding, defeated=refuted)
+    if against:
+        names = names_text([one.name for one in against])
+        yield Element(
+            "CGTop",
+            f"{len(against)} of {len(requirements)} requirements are violated in a tested cell"
+            f"{' or by what a search found' if searched else ''}: {names}."
+            f"{' Waivers accept all of these violations.' if accepted else ''}",
+            supported_by=tuple(one.challenge for one in against),
+            challenges=TOP_ID,
+            url="evidence.json#/gate/reasons",
+        )
+
+
+def _incomplete_argument(
+    record: SessionRecord, top: Element, support: tuple[str, ...], surrounding: tuple[str, ...]
+) -> list[Element]:
+    """A root that claims nothing of the component; the top goal is undeveloped and says so."""
+    reasons = [one_line(one, MAX_TEXT) for one in record["gate"]["reasons"]]
+    root = Element(
+        INCOMPLETE_ID,
+        "INCOMPLETE SESSION. The record holds what was run before the session ended"
+        f"{' (' + '; '.join(reasons[:3]) + ')' if reasons else ''}. The claim on the component "
+        "as a whole rests on none of it.",
+        supported_by=(TOP_ID, *support),
+        in_context_of=surrounding,
+        url="evidence.json#/gate",
+        alias="incomplete",
+    )
+    text = f"{top.text} UNDEVELOPED: the session is incomplete, so nothing supports this claim."
+    return [root, replace(top, text=text, undeveloped=True)]
+
+
+def _kinds_strategy(
+    requirements: list[RequirementElements], domain: list[Element]
+) -> Iterator[Element]:
+    present = {
+        kind: [one for one in requirements if one.kind == kind]
+        for kind in [*_KIND_IDS, *sorted({one.kind for one in requirements} - set(_KIND_IDS))]
+    }
+    absent = [kind for kind, found in present.items() if not found]
+    goals = [_kind_goal(kind, found) for kind, found in present.items() if found]
+    nothing = f" No requirement of the session is on {names_text(absent)}." if absent else ""
+    yield Element(
+        KINDS_ID,
+        "Argue over each kind of requirement, each requirement, and each scenario and fault."
+        f"{nothing}",
+        supported_by=tuple(one.id for one in goals),
+        in_context_of=tuple(one.id for one in domain),
+        undeveloped=not goals,
+        alias="strategy:kinds",
+    )
+    yield from goals
+
+
+def _kind_goal(kind: str, found: Iterable[RequirementElements]) -> Element:
+    return Element(
+        _KIND_IDS.get(kind) or derived_id("G", "kind", kind),
+        f"Each {kind} requirement is met in each tested cell.",
+        supported_by=tuple(one.goal for one in found),
+        alias=f"kind:{kind}",
+    )

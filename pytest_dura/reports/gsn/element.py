@@ -1,0 +1,305 @@
+"""Element: a node of an argument, the ids of elements, and the rules that an argument keeps.
+
+The rules are those that gsn2x documents, and checks under the codes given here. They are
+checked on plain data, so that a file is judged as it stands, whoever wrote it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+PREFIXES = {
+    "CG": "CounterGoal",
+    "G": "Goal",
+    "CSn": "CounterSolution",
+    "Sn": "Solution",
+    "S": "Strategy",
+    "C": "Context",
+    "A": "Assumption",
+    "J": "Justification",
+}
+"""What an id begins with, in the order in which it is looked at, and the kind of its element."""
+
+_READABLE = 60
+
+
+def kind_of(identifier: str) -> str | None:
+    """The kind of an element by its id, ``None`` if the id begins with no known prefix."""
+    return next((kind for start, kind in PREFIXES.items() if identifier.startswith(start)), None)
+
+
+def derived_id(prefix: str, *parts: str, apart: tuple[str, ...] = ()) -> str:
+    """A readable id of an element about something named, such as ``G-SAF-1``.
+
+    Different parts give different ids: what the readable form loses is kept as a short hash, after
+    a dot, which no readable form has. No id that is written by hand in this package has a dash.
+
+    Args:
+        prefix: Of the kind of element.
+        parts: What the element is about.
+        apart: Further parts, that go into the hash alone.
+    """
+    told = ".".join(parts)
+    head = told[: 4 * _READABLE]  # a megabyte of prose costs no more than a name
+    readable = re.sub(r"[^A-Za-z0-9_]+", "-", head).strip("-")[:_READABLE].strip("-")
+    if len(parts) == 1 and not apart and readable == told:
+        return f"{prefix}-{readable}"
+    digest = hashlib.sha256(repr((parts, apart)).encode()).hexdigest()[:10]
+    return f"{prefix}-{readable}.{digest}"
+
+
+@dataclass(frozen=True)
+class Element:
+    """One node of an argument.
+
+    Args:
+        id: Unique; its prefix tells its kind.
+        text: What it states.
+        supported_by: Ids of the elements that support it.
+        in_context_of: Ids of contexts, assumptions and justifications.
+        challenges: Id of the element that this counter element challenges, or a relation as
+            ``G1 -> G2``; empty if none.
+        undeveloped: Nothing supports it yet.
+        defeated: A challenge to it has been found right.
+        url: Where the evidence lies, relative to the bundle.
+        alias: A name that does not depend on how ids are made: ``requirement:SAF-1``.
+        layers: Further keys, which gsn2x shows on demand.
+        brief: The text in a few short lines, for a small shape of the picture.
+    """
+
+    id: str
+    text: str
+    supported_by: tuple[str, ...] = ()
+    in_context_of: tuple[str, ...] = ()
+    challenges: str = ""
+    undeveloped: bool = False
+    defeated: bool = False
+    url: str = ""
+    alias: str = ""
+    layers: Mapping[str, Any] = field(default_factory=dict)
+    brief: tuple[str, ...] = ()
+
+    @property
+    def kind(self) -> str:
+        """Such as ``Goal``; empty if the prefix is none of GSN's."""
+        return kind_of(self.id) or ""
+
+    def to_yaml(self) -> dict[str, Any]:
+        """Plain data under the keys of gsn2x; what is empty is left out."""
+        told: dict[str, Any] = {
+            "text": self.text,
+            "supportedBy": list(self.supported_by),
+            "inContextOf": list(self.in_context_of),
+            "challenges": self.challenges,
+            "undeveloped": self.undeveloped,
+            "defeated": self.defeated,
+            "url": self.url,
+            "alias": self.alias,
+        }
+        return {key: value for key, value in told.items() if value} | dict(self.layers)
+
+
+Argument = dict[str, Element]
+"""Elements by id, the root first."""
+
+
+Node = Mapping[str, Any]
+
+_CONTEXTS = frozenset({"Context", "Assumption", "Justification"})
+_COUNTER = frozenset({"CounterGoal", "CounterSolution"})
+_ALLOWED_SUPPORT = {
+    "Goal": frozenset({"Goal", "Strategy", "Solution"}) | _COUNTER,
+    "Strategy": frozenset({"Goal", "Strategy", "Solution"}) | _COUNTER,
+    "CounterGoal": _COUNTER,
+}
+_LISTS = ("supportedBy", "inContextOf", "defeatedRelation")
+_FLAGS = ("undeveloped", "defeated")
+_TEXTS = ("text", "url", "challenges")
+MODULE_KEY = "name"
+"""gsn2x takes whatever has this key for the description of a module, and not for an element."""
+
+
+def rule_problems(elements: Mapping[str, Any]) -> list[str]:
+    """Everything in which an argument breaks the rules; ``elements`` are without the module."""
+    shapes = [problem for id_, node in elements.items() for problem in _shape_problems(id_, node)]
+    if shapes:
+        return shapes  # nothing else can be said of what is not an argument at all
+    disputed = {
+        end for node in elements.values() for end in _challenged_element(challenged_id(node))
+    }
+    found: list[str] = []
+    for id_, node in elements.items():
+        found += _element_problems(id_, node, elements)
+        found += _challenge_problems(id_, node, elements)
+        if node.get("defeated") and id_ not in disputed:
+            found.append(f"V10 {id_}: it is marked as defeated, and nothing challenges it")
+    return found + list(_argument_problems(elements))
+
+
+def referenced_ids(node: Node, key: str) -> list[str]:
+    """The ids under a key: gsn2x accepts a single one without a list."""
+    value = node.get(key, [])
+    return [value] if isinstance(value, str) else list(value)
+
+
+def challenged_id(node: Node) -> list[str]:
+    """The id that an element challenges, both ends of a relation, or nothing."""
+    return [end.strip() for end in node.get("challenges", "").split("->") if end.strip()]
+
+
+def _challenged_element(ends: list[str]) -> list[str]:
+    """The end of a challenge to an element: one to a relation defeats neither of its ends."""
+    return ends if len(ends) == 1 else []
+
+
+def _shape_problems(id_: str, node: Any) -> Iterator[str]:
+    if not isinstance(node, Mapping):
+        yield f"{id_}: an element is a mapping"
+        return
+    if MODULE_KEY in node:
+        yield f"{id_}: the key `{MODULE_KEY}` makes gsn2x take it for a module"
+    for key in _LISTS:
+        value = node.get(key, [])
+        items = [value] if isinstance(value, str) else value
+        if not isinstance(items, list) or not all(isinstance(one, str) for one in items):
+            yield f"{id_}: {key} is a list of ids"
+    for key in _FLAGS:
+        if not isinstance(node.get(key, False), bool):
+            yield f"{id_}: {key} is true or false"
+    for key in _TEXTS:
+        if not isinstance(node.get(key, ""), str):
+            yield f"{id_}: {key} is text"
+    if not node.get("text"):
+        yield f"{id_}: an element has a text"
+
+
+def _element_problems(id_: str, node: Node, elements: Mapping[str, Node]) -> Iterator[str]:
+    kind = kind_of(id_)
+    if kind is None:
+        yield f"V01 {id_}: the id begins with no known prefix"
+        return
+    support = referenced_ids(node, "supportedBy")
+    yield from _list_problems(id_, support, "supportedBy", _ALLOWED_SUPPORT.get(kind, frozenset()))
+    around = referenced_ids(node, "inContextOf")
+    argued = kind in {"Goal", "Strategy"}
+    yield from _list_problems(id_, around, "inContextOf", _CONTEXTS if argued else frozenset[str]())
+    yield from _development_problems(id_, node, argued=argued)
+    if node.get("challenges") and kind not in _COUNTER:
+        yield f"V12 {id_}: only a counter goal or a counter solution challenges"
+    related = {*support, *around, *challenged_id(node)[:1]}
+    for one in referenced_ids(node, "defeatedRelation"):
+        if one not in related:
+            yield f"V13 {id_}: its relation to {one} is marked as defeated, and there is none"
+    for one in [*support, *around]:
+        if one not in elements:
+            yield f"C03 {id_}: {one} does not exist"
+
+
+def _development_problems(id_: str, node: Node, *, argued: bool) -> Iterator[str]:
+    support, undeveloped = referenced_ids(node, "supportedBy"), node.get("undeveloped", False)
+    if argued and not support and not undeveloped:
+        yield f"V02 {id_}: nothing supports it, and it is not marked as undeveloped"
+    if undeveloped and support:
+        yield f"V03 {id_}: it is marked as undeveloped, and something supports it"
+    if undeveloped and not argued:
+        yield f"V03 {id_}: only a goal or a strategy is undeveloped"
+
+
+def _list_problems(id_: str, listed: list[str], key: str, allowed: frozenset[str]) -> Iterator[str]:
+    for one in sorted(set(listed)):
+        if listed.count(one) > 1:
+            yield f"V05 {id_}: {one} stands twice under {key}"
+        if one == id_:
+            yield f"V06 {id_}: it refers to itself under {key}"
+        elif kind_of(one) not in allowed:
+            yield f"V04 {id_}: {one} is of no kind that may stand under {key}"
+
+
+def _challenge_problems(id_: str, node: Node, elements: Mapping[str, Node]) -> Iterator[str]:
+    ends = challenged_id(node)
+    for one in ends:
+        if one not in elements:
+            yield f"C14 {id_}: it challenges {one}, which does not exist"
+        if one == id_:
+            yield f"C13 {id_}: it challenges itself"
+    if len(ends) == 2 and ends[0] in elements:
+        first, second = elements[ends[0]], ends[1]
+        if ends[0] == second:
+            yield f"C15 {id_}: both ends of the relation that it challenges are {second}"
+        elif second not in referenced_ids(first, "supportedBy") + referenced_ids(
+            first, "inContextOf"
+        ):
+            yield f"C16 {id_}: it challenges a relation of {ends[0]} to {second}: there is none"
+
+
+def root_ids(elements: Mapping[str, Node]) -> list[str]:
+    """Ids of the elements that no other refers to, and that challenge nothing."""
+    told = {
+        one
+        for node in elements.values()
+        for one in referenced_ids(node, "supportedBy") + referenced_ids(node, "inContextOf")
+    }
+    return [id_ for id_, node in elements.items() if id_ not in told and not node.get("challenges")]
+
+
+def _argument_problems(elements: Mapping[str, Node]) -> Iterator[str]:
+    top = root_ids(elements)
+    if len(top) != 1:
+        names = ", ".join(top) or "none"
+        yield f"C01: there is exactly one element that no other refers to, and here: {names}"
+    for one in top:
+        if kind_of(one) != "Goal":
+            yield f"C02 {one}: the element that no other refers to is a goal"
+    cycle = _first_cycle(elements)
+    if cycle:
+        yield f"C04: {' -> '.join(cycle)} is a circle"
+    for one in sorted(set(elements) - reachable_ids(elements, top)):
+        yield f"C08 {one}: it cannot be reached from the top"
+
+
+def reachable_ids(elements: Mapping[str, Node], start: list[str]) -> set[str]:
+    """Ids that are reached from others: what they refer to, and what challenges them."""
+    challengers: dict[str, list[str]] = {}
+    for id_, node in elements.items():
+        for end in challenged_id(node):
+            challengers.setdefault(end, []).append(id_)
+    seen: set[str] = set()
+    waiting = list(start)
+    while waiting:
+        one = waiting.pop()
+        if one in seen or one not in elements:
+            continue
+        seen.add(one)
+        waiting += referenced_ids(elements[one], "supportedBy")
+        waiting += referenced_ids(elements[one], "inContextOf")
+        waiting += challengers.get(one, [])
+    return seen
+
+
+def _first_cycle(elements: Mapping[str, Node]) -> list[str]:
+    """The first circle of ``supportedBy``; not recursive, as a user's argument may be deep."""
+    done: set[str] = set()
+    for start in elements:
+        path: list[str] = []
+        on_path: set[str] = set()
+        waiting = [(start, False)]
+        while waiting:
+            one, leaving = waiting.pop()
+            if leaving:
+                path.pop()
+                on_path.discard(one)
+                done.add(one)
+            elif one in on_path:
+                return [*path[path.index(one) :], one]
+            elif one not in done and one in elements:
+                path.append(one)
+                on_path.add(one)
+                waiting.append((one, True))
+                waiting += [
+                    (child, False) for child in referenced_ids(elements[one], "supportedBy")
+                ]
+    return []

@@ -1,0 +1,162 @@
+"""``assurance-case.svg``: the argument as a picture that stands alone."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Any, NoReturn
+from xml.etree import ElementTree as ET
+
+from pytest_dura.evidence.model import Counts, SessionRecord
+from pytest_dura.evidence.text import name
+from pytest_dura.reports.gsn.argument import REVIEW_ID, SESSION_ID, is_incomplete
+from pytest_dura.reports.gsn.drawing import (
+    MARGIN,
+    MARKERS,
+    STYLE,
+    WIDTH,
+    DrawnArgument,
+    Edge,
+    Shape,
+    drawn_argument,
+    layout_argument,
+    text_of,
+    wrap_text,
+)
+from pytest_dura.reports.gsn.user_argument import session_argument
+
+FILE = "assurance-case.svg"
+NAMESPACE = "http://www.w3.org/2000/svg"
+
+_SUMMED = ("requirements", "supported", "violated", "undecided", "waived")
+_STATED = ("cases", "episodes", "valid", "invalid", "missing")
+_KINDS = ("Goal", "Strategy", "Solution", "Context", "Assumption", "CounterGoal")
+
+
+def render(record: SessionRecord) -> str:
+    """The file's text.
+
+    Raises:
+        ConfigurationError: If the user's argument does not fit.
+    """
+    argument = session_argument(record)
+    session = argument[SESSION_ID]
+    view = drawn_argument(argument)
+    view.counts[SESSION_ID] = Counter({key: session.layers[key] for key in ("gate", *_STATED)})
+    head, y = _picture_head(record, view)
+    picture = layout_argument(view, next(iter(argument)), y)
+    height = picture.height + MARGIN
+    edges = "\n".join(one.svg() for one in picture.edges)
+    shapes = "\n".join(one.svg() for one in picture.shapes)
+    told = argument[next(iter(argument))].text
+    return (
+        f'<svg xmlns="{NAMESPACE}" viewBox="0 0 {WIDTH:.0f} {height:.0f}" width="{WIDTH:.0f}" '
+        f'height="{height:.0f}" role="img" aria-labelledby="gsn-title gsn-text">\n'
+        '<title id="gsn-title">Assurance case, generated, unreviewed</title>\n'
+        f'<desc id="gsn-text">{text_of(f"{told} {session.text}")}</desc>\n'
+        f"<style>{STYLE}</style><defs>{MARKERS}</defs>\n"
+        f'<path fill="#fff" d="M0 0H{WIDTH:.0f}V{height:.0f}H0z"/>\n'
+        f"{head}\n<g>{edges}</g>\n{shapes}\n</svg>\n"
+    )
+
+
+def _picture_head(record: SessionRecord, view: DrawnArgument) -> tuple[str, float]:
+    """Title, warning, place for the reviewer and legend; and where they end."""
+    lines = [("head", "Assurance case (GSN): generated, unreviewed")]
+    if is_incomplete(record):
+        lines.append(("warning", "INCOMPLETE SESSION: not all was run, so no claim is made here."))
+    lines += [("", one) for one in view.folded]
+    if REVIEW_ID in view.argument:
+        layers = view.argument[REVIEW_ID].layers
+        blank = "." * 32
+        told = [f"{key}: {layers[key] or blank}" for key in layers]
+        lines.append(("", "   ".join(told)))
+    lines.append(
+        ("", f"{name(record['created'])}. Evidence and every element: assurance-case.gsn.yaml")
+    )
+    y = MARGIN + 6
+    told_lines = []
+    for kind, line in lines:
+        told_lines.append(
+            f'<text class="left {kind}" x="{MARGIN:.0f}" y="{y:.0f}">{text_of(line)}</text>'
+        )
+        y += 20
+    legend = _legend(y + 4)
+    return "\n".join([*told_lines, *legend]), y + 84
+
+
+def _legend(y: float) -> list[str]:
+    """Every kind of element and relation of the notation with its name, outside of the counts."""
+    told = []
+    x = MARGIN
+    for kind in _KINDS:
+        round_ = kind == "Solution"
+        lines = wrap_text(kind, 200, 1)
+        shape = Shape(kind, kind, lines, 60 if round_ else 104, x=x, y=y)
+        told.append(shape.svg().replace("data-id", "data-legend").replace("data-box", "data-size"))
+        x += shape.width + 16
+    undeveloped = Shape("undeveloped", "Goal", ["Undeveloped"], 104, undeveloped=True, x=x, y=y)
+    defeated = Shape("defeated", "Goal", ["Defeated"], 90, defeated=True, x=x + 120, y=y)
+    told += [
+        one.svg().replace("data-id", "data-legend").replace("data-box", "data-size")
+        for one in (undeveloped, defeated)
+    ]
+    x += 226
+    names = {
+        "supportedBy": "supported by",
+        "inContextOf": "in context of",
+        "challenges": "challenges",
+    }
+    for i, (relation, words) in enumerate(names.items()):
+        height = y + 4 + i * 18
+        told.append(Edge(relation, ((x, height), (x + 50, height))).svg())
+        told.append(f'<text class="left" x="{x + 58:.0f}" y="{height + 4:.0f}">{words}</text>')
+    return told
+
+
+def read_counts(text: str) -> Counts:
+    """Sums over the shapes of what each of them stands for; the session states the rest.
+
+    Raises:
+        ValueError: If the file is no picture of an argument.
+    """
+    if "<!DOCTYPE" in text or "<!ENTITY" in text:
+        _reading_error("a document type is not allowed")
+    try:
+        root = ET.fromstring(text)  # noqa: S314 - entities are refused above
+    except ET.ParseError as error:
+        _reading_error(f"no XML: {error}")
+    shapes = [one.attrib for one in root.iter(f"{{{NAMESPACE}}}g") if "data-id" in one.attrib]
+    sums: Counter[str] = Counter()
+    for shape in shapes:
+        for key in _SUMMED:
+            sums[key] += _number(shape.get(f"data-{key}", "0"))
+        _check_decoration(shape)
+    stated = [shape for shape in shapes if "data-gate" in shape]
+    if len(stated) != 1:
+        _reading_error(f"{len(stated)} shapes state the session, instead of one")
+    numbers = {key: _number(stated[0].get(f"data-{key}", "")) for key in _STATED}
+    found: dict[str, Any] = {**{key: sums[key] for key in _SUMMED}, **numbers}
+    return Counts(gate=stated[0]["data-gate"], **found)
+
+
+def _check_decoration(shape: dict[str, str]) -> None:
+    """A goal that stands for violated verdicts alone is drawn as defeated, and so on."""
+    words = [key for key in ("supported", "violated", "undecided") if f"data-{key}" in shape]
+    if shape["data-kind"] != "Goal" or len(words) != 1 or "data-requirements" in shape:
+        return
+    drawn = "undecided" if "data-undeveloped" in shape else "supported"
+    drawn = "violated" if "data-defeated" in shape else drawn
+    if drawn != words[0]:
+        _reading_error(
+            f"{shape['data-id']} is drawn as {drawn}, and stands for {words[0]} verdicts"
+        )
+
+
+def _number(text: str) -> int:
+    if not text.isascii() or not text.isdigit():
+        _reading_error(f"{text[:40]!r} is no number")
+    return int(text)
+
+
+def _reading_error(problem: str) -> NoReturn:
+    raise ValueError(f"{FILE}: {problem}")

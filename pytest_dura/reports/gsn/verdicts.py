@@ -1,0 +1,419 @@
+"""Elements about a verdict: its goal, its solution, its waiver, and what challenges it.
+
+The wording is of propositions, never of praise.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from pytest_dura.evidence.model import SessionRecord
+from pytest_dura.evidence.text import name, one_line
+from pytest_dura.reports.gsn.element import Element, derived_id
+from pytest_dura.reports.html.contents import folded_cases, requirement_anchor, verdict_anchor
+from pytest_dura.reports.wording import (
+    evidence_option,
+    fault_free_violations_text,
+    model_options,
+    no_rate_reason,
+    other_run_counts,
+    replay_command,
+)
+
+Data = Mapping[str, Any]
+
+MAX_TEXT = 400
+"""Characters of a text of a user's in an element; the record has all of it."""
+
+
+def percent_text(share: float) -> str:
+    """A share as a percentage of four digits at most: ``18.1 %``."""
+    return f"{100 * share:.4g} %"
+
+
+def requirement_text(requirement: Data) -> str:
+    """The requirement as a proposition, with its bound."""
+    return (
+        f"{name(requirement['id'])}: {as_sentence(requirement['text'])} {bound_text(requirement)}"
+    )
+
+
+def bound_text(requirement: Data) -> str:
+    """What the requirement asks of a campaign."""
+    pairs = requirement["paired"]
+    what = "episodes"
+    if pairs is not None:
+        lacking = name(pairs["without"])
+        what = f"pairs of equal seeds, with and without {lacking},"
+    if requirement["at_most"] is None:
+        return f"Asked for in all {what.rstrip(',')}."
+    return (
+        f"Violated in at most {percent_text(requirement['at_most'])} of {what.rstrip(',')}, "
+        f"confidence {percent_text(requirement['confidence'])}."
+    )
+
+
+def place_text(case: str, component: str, *, several: bool) -> str:
+    """The case, and the component where the session has several."""
+    return f"{name(case)} [{name(component)}]" if several else name(case)
+
+
+def verdict_text(verdict: Data, *, several: bool) -> str:
+    """The proposition that a verdict is on."""
+    where = place_text(verdict["case"], verdict["component"], several=several)
+    bound = verdict["bound"]["at_most"]
+    how = "holds in every valid episode of" if bound is None else "keeps its bound in"
+    if verdict["without_effect"]:
+        how = "is violated in no episode, valid or not, of"
+    return f"{name(verdict['requirement'])} {how} {where}."
+
+
+def evidence_text(verdict: Data) -> str:
+    """The counts and the bound of a verdict, as they stand in the record."""
+    what = "pairs" if verdict["pairs"] is not None else "episodes"
+    runs = f"{verdict['run']} run, {verdict['planned']} planned"
+    told = [
+        ", ".join(
+            [f"n = {verdict['episodes']} valid {what} of {runs}", *other_run_counts(verdict)]
+        ),
+        f"violations: {verdict['violations']}{fault_free_violations_text(verdict)}",
+        _upper_text(verdict),
+    ]
+    if verdict["margin"] is not None:
+        told.append(f"least margin {verdict['margin']:.4g}")
+    return "; ".join(told) + "."
+
+
+def short_evidence_text(verdict: Data) -> list[str]:
+    """The same in three lines of a few characters, for a circle of the picture."""
+    upper = verdict["bound"]["upper"]
+    bound = "no bound" if upper is None else f"≤ {percent_text(upper)}"
+    return [f"n = {verdict['episodes']}", f"{verdict['violations']} violated", bound]
+
+
+def _upper_text(verdict: Data) -> str:
+    bound = verdict["bound"]
+    method = one_line(str(bound["method"]))
+    if bound["upper"] is None:
+        return f"no bound on the rate of violations{no_rate_reason(verdict)} ({method})"
+    return (
+        f"rate of violations at most {percent_text(bound['upper'])} with confidence "
+        f"{percent_text(bound['confidence'])} ({method})"
+    )
+
+
+def waiver_text(verdict: Data) -> str:
+    """The doubt that a waiver leaves, with the reason that somebody gave for it."""
+    waiver = verdict["waiver"]
+    reason = as_sentence(str(waiver["reason"] or "none was given"))
+    return (
+        f"Waived ({name(str(waiver['kind']))}), reason: {reason} The verdict stays "
+        f"{verdict['verdict']}: a waiver accepts the doubt that remains, and takes none away."
+    )
+
+
+def scenario_text(scenario: str, parameters: list[Data]) -> str:
+    """A scenario of the operational domain, with its variation ranges."""
+    if not parameters:
+        return f"Scenario {name(scenario)}: no parameter varies."
+    told = [f"{name(one['parameter'])} {_range_text(one)}" for one in parameters]
+    return f"Scenario {name(scenario)}: {'; '.join(told)}."
+
+
+def _range_text(parameter: Data) -> str:
+    drawn, covered = parameter["drawn"], percent_text(parameter["covered"])
+    if parameter["choices"] is None:
+        low, high = _figure_text(parameter["low"]), _figure_text(parameter["high"])
+        return f"in [{low}, {high}], {drawn} drawn, {covered} of its tenths reached"
+    choices = names_text([str(one["value"]) for one in parameter["choices"]])
+    return f"one of {choices}; {drawn} drawn, {covered} of the choices reached"
+
+
+def monitor_text(monitor: str, target: str, rows: list[Data]) -> str:
+    """The quality of a monitor over all cases in which recovery did not act."""
+    names = ("true_positives", "false_negatives", "false_positives", "true_negatives")
+    hits, misses, alarms, quiet = (sum(row[key] for row in rows) for key in names)
+    raised = (
+        f"flagged {hits} of {hits + misses} episodes with a violation"
+        if hits + misses
+        else "met no violation that it could have missed"
+    )
+    return (
+        f"{name(monitor)} for {name(target)}: {raised}, and {alarms} of {alarms + quiet} without "
+        f"one, in {len(rows)} cases."
+    )
+
+
+def names_text(names: list[str], most: int = 8) -> str:
+    """Names with commas; of many, the first few and how many more there are."""
+    told = ", ".join(name(one) for one in names[:most])
+    return f"{told} and {len(names) - most} more" if len(names) > most else told
+
+
+def _figure_text(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, int | float) else name(str(value))
+
+
+def as_sentence(text: str) -> str:
+    """A text of a user's on one line, ended."""
+    told = one_line(text, MAX_TEXT)
+    return told if not told or told[-1] in ".!?)" else f"{told}."
+
+
+MAX_COUNTEREXAMPLES = 5
+"""Counterexamples of one verdict that become elements; the largest violations come first."""
+_MOST_NAMES = 8
+
+
+@dataclass
+class EpisodeFacts:
+    """Of all episodes, in bounded memory.
+
+    Args:
+        policies: Recovery policies of the cases on which there is a verdict.
+        simulators: Import paths of the simulators.
+        seeds: How many episodes have a seed, and the least and the greatest one.
+        counterexamples: Of the episodes that the argument shows, by id and component.
+    """
+
+    policies: set[str] = field(default_factory=set)
+    simulators: set[str] = field(default_factory=set)
+    seeds: tuple[int, int, int] | None = None
+    counterexamples: dict[tuple[str, str], Data] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, record: SessionRecord) -> EpisodeFacts:
+        """One pass over the record's episodes."""
+        told = cls()
+        wanted = {
+            (counterexample["episode"], verdict["component"])
+            for verdict in record["verdicts"]
+            for counterexample in shown_counterexamples(verdict)
+        }
+        judged = {verdict["case"] for verdict in record["verdicts"]}
+        for one in record.episodes():
+            told._take(one, judged=one["case"] in judged)
+            key = (one["id"], one["component"])
+            if key in wanted:
+                told.counterexamples[key] = {"seed": one["seed"], "trace": one["trace"]}
+        return told
+
+    def _take(self, one: Data, *, judged: bool) -> None:
+        spec, seed = one["spec"], one["seed"]
+        if judged and len(self.policies) < _MOST_NAMES:
+            self.policies.add(str(spec["policy"]))
+        if len(self.simulators) < _MOST_NAMES:
+            self.simulators.add(str(spec["simulator"]["path"]))
+        count, least, greatest = self.seeds or (0, seed, seed)
+        self.seeds = (count + 1, min(least, seed), max(greatest, seed))
+
+
+def shown_counterexamples(verdict: Data) -> list[Data]:
+    """The counterexamples of a verdict that become elements."""
+    return list(verdict["counterexamples"][:MAX_COUNTEREXAMPLES])
+
+
+@dataclass(frozen=True)
+class VerdictElements:
+    """A verdict and the elements that it makes.
+
+    Args:
+        verdict: As the record has it.
+        goal: Id of its goal.
+        challenge: Id of the counter goal against that goal, empty where nothing challenges it.
+        elements: All its elements, the goal first.
+    """
+
+    verdict: Data
+    goal: str
+    challenge: str
+    elements: tuple[Element, ...]
+
+    @property
+    def refuted(self) -> bool:
+        """Violated, and no waiver accepts that."""
+        return self.verdict["verdict"] == "violated" and self.verdict["waiver"] is None
+
+
+def verdict_elements(
+    record: SessionRecord, facts: EpisodeFacts, *, several: bool
+) -> Iterator[VerdictElements]:
+    """Each verdict of the record with its elements; ``several``: components are told apart."""
+    seen: Counter[tuple[str, ...]] = Counter()
+    folded = folded_cases(record)
+    for index, verdict in enumerate(record["verdicts"]):
+        # Its item tells apart two tests of one requirement and case; two of one item have no
+        # other difference than their order.
+        apart: tuple[str, ...] = (verdict["component"], str(verdict["item"]))
+        key = (verdict["requirement"], verdict["case"], *apart)
+        seen[key] += 1
+        if seen[key] > 1:
+            apart = (*apart, str(seen[key]))
+        shown = (verdict["case"], verdict["component"]) not in folded
+        yield _VerdictBuilder(record, facts, index, verdict, apart, several, shown).judged()
+
+
+@dataclass(frozen=True)
+class _VerdictBuilder:
+    """Makes the elements of one verdict."""
+
+    record: SessionRecord
+    facts: EpisodeFacts
+    index: int
+    verdict: Data
+    apart: tuple[str, ...]
+    several: bool
+    shown: bool
+    """Whether the report has a row for it."""
+
+    @property
+    def url(self) -> str:
+        return f"evidence.json#/verdicts/{self.index}"
+
+    @property
+    def where(self) -> str:
+        return place_text(self.verdict["case"], self.verdict["component"], several=self.several)
+
+    @property
+    def requirement(self) -> str:
+        return name(self.verdict["requirement"])
+
+    def identifier(self, prefix: str, *more: str) -> str:
+        """The id of the verdict's element of a kind."""
+        parts = (self.verdict["requirement"], self.verdict["case"], *more)
+        return derived_id(prefix, *parts, apart=self.apart)
+
+    def alias(self, what: str) -> str:
+        twin = f" ({self.apart[2]})" if len(self.apart) > 2 else ""
+        return f"{what}:{self.requirement}@{self.where}{twin}"
+
+    def layers(self) -> dict[str, Any]:
+        requirement = self.verdict["requirement"]
+        anchor = requirement_anchor(requirement)
+        if self.shown:
+            anchor = verdict_anchor(requirement, self.verdict["case"])
+        return {"report": f"report.html#{anchor}", "verdict": self.verdict["verdict"]}
+
+    def judged(self) -> VerdictElements:
+        """The verdict with all its elements."""
+        undecided = self.verdict["verdict"] == "undecided"
+        waived = self.verdict["waiver"] is not None
+        # Violations challenge a claim, also where its bound allows them or nothing is decided.
+        contested = bool(self.verdict["counterexamples"]) or self.verdict["verdict"] == "violated"
+        support = [] if undecided else [self._solution()]
+        waiver = [self._waiver()] if waived else []
+        challenge = list(self._challenge()) if contested else []
+        goal = self._goal([one.id for one in support], [one.id for one in waiver])
+        return VerdictElements(
+            self.verdict,
+            goal.id,
+            challenge[0].id if challenge else "",
+            (goal, *support, *waiver, *challenge),
+        )
+
+    def _goal(self, support: list[str], waivers: list[str]) -> Element:
+        word = self.verdict["verdict"]
+        why = (
+            f" Undecided: {as_sentence(str(self.verdict['reason']))}" if word == "undecided" else ""
+        )
+        return Element(
+            self.identifier("G"),
+            verdict_text(self.verdict, several=self.several) + why,
+            supported_by=tuple(support),
+            in_context_of=tuple(waivers),
+            undeveloped=word == "undecided",
+            defeated=word == "violated",
+            url=self.url,
+            alias=self.alias("verdict"),
+            layers=self.layers(),
+            brief=(self.where, word + (", waived" if waivers else "")),
+        )
+
+    def _solution(self) -> Element:
+        return Element(
+            self.identifier("Sn"),
+            evidence_text(self.verdict),
+            url=self.url,
+            alias=self.alias("evidence"),
+            layers=self.layers(),
+            brief=tuple(short_evidence_text(self.verdict)),
+        )
+
+    def _waiver(self) -> Element:
+        return Element(
+            self.identifier("J", "waiver"),
+            waiver_text(self.verdict),
+            url=f"{self.url}/waiver",
+            alias=self.alias("waiver"),
+            brief=("waived",),
+        )
+
+    def _challenge(self) -> Iterator[Element]:
+        """A counter goal, and the counterexamples or else the verdict's entry to support it."""
+        found = shown_counterexamples(self.verdict)
+        evidence = [self._counterexample(i, one) for i, one in enumerate(found)]
+        if not evidence:
+            text = evidence_text(self.verdict)
+            short = tuple(short_evidence_text(self.verdict))
+            evidence = [Element(self.identifier("CSn"), text, url=self.url, brief=short)]
+        yield Element(
+            self.identifier("CG"),
+            self._challenge_text(len(found)),
+            supported_by=tuple(one.id for one in evidence),
+            challenges=self.identifier("G"),
+            url=self.url,
+            alias=self.alias("challenge"),
+            brief=self._challenge_brief(),
+        )
+        yield from evidence
+
+    def _challenge_brief(self) -> tuple[str, str]:
+        verdict = self.verdict
+        if verdict["without_effect"] and not verdict["violations"]:
+            return f"{verdict['without_effect']} violate it", "without effect"
+        return f"{verdict['violations']} of {verdict['episodes']}", "violate it"
+
+    def _challenge_text(self, told: int) -> str:
+        verdict = self.verdict
+        how = {
+            "violated": "",
+            "supported": ", as many as the bound allows",
+            "undecided": ", which decide nothing yet",
+        }[verdict["verdict"]]
+        what = "pairs" if verdict["pairs"] is not None else "episodes"
+        rest = len(verdict["counterexamples"]) - told
+        more = f" {rest} more stand in the record." if told and rest > 0 else ""
+        if verdict["without_effect"] and not verdict["violations"]:
+            return (
+                f"{verdict['without_effect']} of {verdict['invalid']} invalid {what} violate "
+                f"{self.requirement} in {self.where}, without effect of the fault.{more}"
+            )
+        return (
+            f"{verdict['violations']} of {verdict['episodes']} valid {what} violate "
+            f"{self.requirement} in {self.where}{how}{fault_free_violations_text(verdict)}.{more}"
+        )
+
+    def _counterexample(self, index: int, one: Data) -> Element:
+        episode = one["episode"]
+        when = "" if one["time"] is None else f" at {one['time']:.4g} s"
+        margin = "" if one["margin"] is None else f", margin {one['margin']:.4g}"
+        known = self.facts.counterexamples.get((episode, self.verdict["component"]), {})
+        seed = f", seed {known['seed']}" if known else ""
+        effect = "" if one["valid"] else ", without effect of the fault"
+        trace = known.get("trace")
+        given = evidence_option(self.record["command"])
+        models = {key: name(one) for key, one in model_options(self.record["command"]).items()}
+        command = replay_command(name(episode), None if given is None else name(given), models)
+        layers = {"replay": command}
+        if trace is not None:
+            layers["trace"] = name(str(trace["file"]))
+        return Element(
+            self.identifier("CSn", str(index)),
+            f"Episode {name(episode)} violates it{when}{margin}{seed}{effect}.",
+            url=f"{self.url}/counterexamples/{index}",
+            layers=layers,
+            brief=("run " + name(episode).rpartition("#")[2][:10], when.strip()),
+        )

@@ -1,0 +1,1 @@
+"""``report.html``: a self-contained page that an assessor opens in a browser."""

@@ -1,0 +1,321 @@
+"""Contents of the report: which cases and episodes it shows, their anchors, links and counts.
+
+Other formats point at the anchors with ``report.html#...``. Of many cases that passed the
+report shows some, and counts the rest.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import heapq
+import re
+from collections import Counter, defaultdict
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from pytest_dura.evidence.model import SessionRecord
+
+MAX_READABLE = 80
+"""Readable characters of an anchor."""
+
+
+def requirement_anchor(requirement: str) -> str:
+    """Of a requirement and all its verdicts. It is there for each requirement of the record."""
+    return anchor("requirement", requirement)
+
+
+def verdict_anchor(requirement: str, case: str) -> str:
+    """Of the first verdict on a requirement and a case.
+
+    It is there for each such pair, unless the case is folded; see :func:`folded_cases`.
+    """
+    return anchor("verdict", requirement, case)
+
+
+def case_anchor(case: str) -> str:
+    """Of a case among the scenarios. It is there for each case of the record that is not folded."""
+    return anchor("case", case)
+
+
+def episode_anchor(episode: str, component: str) -> str:
+    """Of an episode in the list, which is bounded: of many episodes not all are there."""
+    return anchor("episode", episode, component)
+
+
+def player_anchor(episode: str, component: str) -> str:
+    """Of an episode's player. Only a bounded number of episodes has one."""
+    return anchor("player", episode, component)
+
+
+def anchor(kind: str, *parts: str) -> str:
+    """An anchor of letters, digits, dots and dashes, whatever the parts hold.
+
+    Two lists of parts that differ never have the same one: a short hash tells them apart, where
+    the readable text leaves anything out.
+    """
+    told = "-".join(part[:MAX_READABLE] for part in parts)
+    readable = re.sub(r"[^A-Za-z0-9._]+", "-", told).strip("-")[:MAX_READABLE]
+    if len(parts) == 1 and readable == parts[0]:
+        return f"{kind}-{readable}"
+    joined = "\0".join(parts).encode("utf-8", "surrogatepass")
+    return f"{kind}-{readable}-{hashlib.sha256(joined).hexdigest()[:10]}"
+
+
+Data = Mapping[str, Any]
+CaseKey = tuple[str, str]
+"""Id of a case, and the component's name."""
+
+MAX_PLAIN_CASES = 1000
+"""Cases of which there is nothing to tell that have rows of their own."""
+
+
+def folded_cases(record: SessionRecord) -> frozenset[CaseKey]:
+    """The cases that have no rows of their own, by id and component: the last of too many.
+
+    Those alone of which there is nothing to tell: each of their requirements is judged, and
+    supported at the first attempt without a waiver or any violation; every planned episode was run
+    and is valid, and none collided. Whatever else is there is shown, however much it is.
+    """
+    judged: dict[CaseKey, list[Data]] = defaultdict(list)
+    for verdict in record["verdicts"]:
+        judged[verdict["case"], verdict["component"]].append(verdict)
+    plain = [
+        key
+        for case in record["cases"]
+        if _is_plain(case, judged.get(key := (case["id"], case["component"]), []))
+    ]
+    return frozenset(plain[MAX_PLAIN_CASES:])
+
+
+def split_folded(
+    rows: Iterable[Data], folded: frozenset[CaseKey], case: str = "case"
+) -> tuple[Any, Any]:
+    """Rows that are shown, and those of folded cases.
+
+    Args:
+        rows: Each with its component, and its case under the key ``case``.
+        folded: Of :func:`folded_cases`.
+        case: That key.
+    """
+    shown: list[Data] = []
+    rest: list[Data] = []
+    for row in rows:
+        (rest if (row[case], row["component"]) in folded else shown).append(row)
+    return shown, rest
+
+
+def _is_plain(case: Data, verdicts: list[Data]) -> bool:
+    metrics = case["metrics"]
+    collided = metrics["collided"]
+    told = case["missing_runs_total"] or metrics["invalid"] or metrics["missing"]
+    if told or (collided and collided["run"]):
+        return False
+    if case["without"]:  # a reference arm, the verdicts stand on the case it belongs to
+        return not verdicts
+    names = {one["requirement"] for one in verdicts}
+    return bool(verdicts) and names.issuperset(case["requirements"]) and all(map(_passed, verdicts))
+
+
+def _passed(verdict: Data) -> bool:
+    against = (
+        "violations", "open", "without_effect", "invalid", "missing", "waiver", "attempts",
+        "counterexamples",
+    )  # fmt: skip
+    return verdict["verdict"] == "supported" and not any(verdict[key] for key in against)
+
+
+MAX_LISTED = 1000
+"""Episodes in the list."""
+MAX_DOTS = 200
+"""Runs of a case that are drawn one by one."""
+UNREMARKABLE = 4
+"""Rank of an episode of which there is nothing to tell."""
+MAX_CANDIDATES = 36
+"""Episodes among which those with a player are chosen; the traces of some may be damaged."""
+
+
+@dataclass
+class CaseTally:
+    """What the episodes of a case with one component come to.
+
+    Args:
+        words: Of all episodes, those chosen by hand included, how many are valid, invalid, missing.
+        times: Clearance times in s of the first valid planned runs that cleared.
+        cleared: How many there are of these.
+        outcomes: Of each fault, how many planned episodes came to which outcome.
+    """
+
+    words: Counter[str] = field(default_factory=Counter)
+    times: list[float] = field(default_factory=list)
+    cleared: int = 0
+    outcomes: dict[str, Counter[str]] = field(default_factory=lambda: defaultdict(Counter))
+
+    def add(self, episode: Data) -> None:
+        """Count one more episode."""
+        self.words[episode["validity"]] += 1
+        if not episode["planned"]:
+            return
+        for fault in episode["faults"]:
+            self.outcomes[fault["id"]][fault["outcome"] or "not followed"] += 1
+        time = episode["outcome"]["clearance_time"]
+        if episode["validity"] == "valid" and time is not None:
+            self.cleared += 1
+            if len(self.times) < MAX_DOTS:
+                self.times.append(time)
+
+
+@dataclass(frozen=True)
+class ListedEpisode:
+    """An episode that the report shows.
+
+    Args:
+        rank: 0 for violating ones, then missing, invalid, remarkable, and unremarkable ones.
+        index: Its place in the record.
+        episode: Its record without specification, metrics and all events but the critical one.
+        violates: Ids of the requirements that it violated.
+    """
+
+    rank: int
+    index: int
+    episode: Data
+    violates: tuple[str, ...]
+
+    @property
+    def key(self) -> CaseKey:
+        """Id and component."""
+        return self.episode["id"], self.episode["component"]
+
+
+@dataclass
+class ReportContents:
+    """All that the report says of single episodes, bounded whatever their number.
+
+    Args:
+        cases: By case id and component, in the order in which they were met.
+        listed: The first by rank, then in the record's order.
+        total: Episodes in the record.
+        candidates: Episodes with a trace, those that show most first.
+        folded: Cases that passed and have no rows of their own; see :func:`folded_cases`.
+    """
+
+    cases: dict[CaseKey, CaseTally]
+    listed: list[ListedEpisode]
+    total: int
+    candidates: list[ListedEpisode]
+    folded: frozenset[CaseKey]
+
+    @classmethod
+    def of(cls, record: SessionRecord) -> ReportContents:
+        """Read the record's episodes once."""
+        violating = violations_by_episode(record)
+        wanted = {key: place for place, key in enumerate(_worst_in_turn(record))}
+        cases: dict[CaseKey, CaseTally] = {}
+        listed: list[tuple[int, int, ListedEpisode]] = []
+        candidates: list[tuple[int, int, ListedEpisode]] = []
+        sampled: Counter[CaseKey] = Counter()
+        total = 0
+        for index, episode in enumerate(record.episodes()):
+            total += 1
+            cases.setdefault((episode["case"], episode["component"]), CaseTally()).add(episode)
+            # A verdict rests on planned episodes; one run by hand may bear the same id.
+            key = episode["id"], episode["component"]
+            violates = tuple(violating.get(key, ())) if episode["planned"] else ()
+            shown = ListedEpisode(_rank(episode, violates), index, _brief(episode), violates)
+            _keep_lowest(listed, shown.rank, shown, MAX_LISTED)
+            if episode["trace"] is not None:
+                turn = wanted.get(key)
+                if turn is None:
+                    # One of each case after all that violate something, then a second one...
+                    of_case = episode["case"], episode["component"]
+                    turn = len(wanted) + sampled[of_case]
+                    sampled[of_case] += 1
+                _keep_lowest(candidates, turn, shown, MAX_CANDIDATES)
+        return cls(cases, _in_order(listed), total, _in_order(candidates), folded_cases(record))
+
+
+def violations_by_episode(record: SessionRecord) -> dict[CaseKey, list[str]]:
+    """Requirements that each episode violated, by its id and component."""
+    found: dict[CaseKey, list[str]] = {}
+    for verdict in record["verdicts"]:
+        for one in verdict["counterexamples"]:
+            told = found.setdefault((one["episode"], verdict["component"]), [])
+            if verdict["requirement"] not in told:
+                told.append(verdict["requirement"])
+    return found
+
+
+def _worst_in_turn(record: SessionRecord) -> Iterator[CaseKey]:
+    """The worst counterexample of each verdict, then each one's second, and so on."""
+    seen: set[CaseKey] = set()
+    for place in range(MAX_CANDIDATES):
+        for verdict in record["verdicts"]:
+            if place < len(verdict["counterexamples"]):
+                key = verdict["counterexamples"][place]["episode"], verdict["component"]
+                if key not in seen:
+                    seen.add(key)
+                    yield key
+
+
+def _rank(episode: Data, violates: tuple[str, ...]) -> int:
+    if violates:
+        return 0
+    if episode["validity"] != "valid":
+        return 1 if episode["validity"] == "missing" else 2
+    outcome = episode["outcome"]
+    marked = outcome["flagged"] or outcome["collided"] or outcome["gridlock"]
+    return UNREMARKABLE - 1 if marked else UNREMARKABLE
+
+
+_SHOWN_KEYS = (
+    "id", "case", "component", "seed", "planned", "validity", "invalid_reason", "failure",
+    "termination", "digest", "trace", "outcome",
+)  # fmt: skip
+
+
+def _brief(episode: Data) -> Data:
+    """What is shown of an episode: a thousand whole records would take much memory."""
+    critical = [one["detail"] for one in episode["events"] if one["kind"] == "critical"]
+    kept = {key: episode[key] for key in _SHOWN_KEYS}
+    return {**kept, "run": episode["spec"]["run"], "critical": critical[0] if critical else ""}
+
+
+def _keep_lowest(
+    heap: list[tuple[int, int, ListedEpisode]], rank: int, shown: ListedEpisode, most: int
+) -> None:
+    """Keep the ``most`` lowest ranks, the earlier of equals."""
+    entry = -rank, -shown.index, shown
+    if len(heap) < most:
+        heapq.heappush(heap, entry)
+    elif entry[:2] > heap[0][:2]:
+        heapq.heapreplace(heap, entry)
+
+
+def _in_order(heap: list[tuple[int, int, ListedEpisode]]) -> list[ListedEpisode]:
+    return [shown for _, _, shown in sorted(heap, key=lambda entry: (-entry[0], -entry[1]))]
+
+
+@dataclass(frozen=True)
+class EpisodeLinks:
+    """Anchors of the episodes that are shown.
+
+    Args:
+        players: Of those with a player, by id and component.
+        listed: Of those in the list, by id and component.
+    """
+
+    players: dict[CaseKey, str]
+    listed: dict[CaseKey, str]
+
+    @classmethod
+    def of(cls, gathered: ReportContents, players: Collection[CaseKey]) -> EpisodeLinks:
+        """Of what was gathered, and of the episodes with a player."""
+        return cls(
+            {key: player_anchor(*key) for key in players},
+            {one.key: episode_anchor(*one.key) for one in gathered.listed},
+        )
+
+    def of_episode(self, episode: str, component: str) -> str | None:
+        """The anchor of its player or else of its row; ``None`` where it has neither."""
+        key = episode, component
+        return self.players.get(key) or self.listed.get(key)

@@ -1,0 +1,474 @@
+"""Sections of the report on runs: scenarios, coverage, faults, episodes, failure modes."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
+from math import floor, log10
+from typing import Any
+
+from pytest_dura.evidence.model import SessionRecord
+from pytest_dura.reports.html.contents import (
+    UNREMARKABLE,
+    CaseKey,
+    CaseTally,
+    EpisodeLinks,
+    ListedEpisode,
+    ReportContents,
+    case_anchor,
+    requirement_anchor,
+    split_folded,
+)
+from pytest_dura.reports.tables import (
+    FAILURE_MODE_HEADINGS,
+    NULL_NOTE,
+    cases_with_accounts,
+    decision_age_lines,
+    decision_time_lines,
+    failure_mode_text,
+    failure_modes_by_component,
+    measured_failure_modes,
+    percent_text,
+)
+
+Heading = Mapping[str, Any]
+"""``label``, ``below`` (a second line, or empty) and ``anchor`` (or ``None``)."""
+
+
+def heading(label: str, below: str = "", anchor: str | None = None) -> Heading:
+    """What a row or column is."""
+    return {"label": label, "below": below, "anchor": anchor}
+
+
+def matrix(
+    requirements: Sequence[Heading],
+    places: Sequence[Heading],
+    cell: Callable[[int, int], Any],
+    place: str,
+) -> Mapping[str, Any]:
+    """``corner``, ``columns`` and ``rows``; whichever there is less of stands in the columns.
+
+    Args:
+        requirements: Their headings.
+        places: Headings of what they are held against.
+        cell: What stands at the numbers of a requirement and a place.
+        place: What a place is called.
+    """
+    if len(places) <= len(requirements):
+        rows = [
+            {**one, "cells": [cell(i, j) for j in range(len(places))]}
+            for i, one in enumerate(requirements)
+        ]
+        return {"corner": "Requirement", "columns": places, "rows": rows}
+    rows = [
+        {**one, "cells": [cell(i, j) for i in range(len(requirements))]}
+        for j, one in enumerate(places)
+    ]
+    return {"corner": place, "columns": requirements, "rows": rows}
+
+
+CHART_LEFT, CHART_RIGHT, CHART_TOP = 8.0, 712.0, 8.0
+CHART_ROW = 46.0
+"""Height of a case: its name, and its runs below."""
+CHART_JITTER = (0.0, 4.0, -4.0, 2.0, -2.0)
+"""Runs of nearly the same time are shifted up and down in turn, so that each can be seen."""
+
+
+@dataclass(frozen=True)
+class ClearanceRow:
+    """A case of the plot.
+
+    Args:
+        case: Id of the case.
+        times: Of single runs, in s.
+        cleared: Runs that cleared, of which ``times`` may hold the first only.
+        mean: Over all of them, in s.
+        sd: Standard deviation, in s; ``None`` for a single run.
+    """
+
+    case: str
+    times: Sequence[float]
+    cleared: int
+    mean: float | None
+    sd: float | None
+
+
+def clearance_chart(rows: Sequence[ClearanceRow]) -> Mapping[str, Any]:
+    """The plot's lines, dots and labels, in its own coordinates.
+
+    Args:
+        rows: At least one, each with at least one run.
+    """
+    greatest = max(max(row.times) for row in rows)
+    greatest = max([greatest, *((row.mean or 0.0) + (row.sd or 0.0) for row in rows)])
+    step = tick_step(greatest)
+    end = step * (floor(greatest / step + 1e-9) + 1)
+    scale = (CHART_RIGHT - CHART_LEFT) / end
+    ticks = [
+        {"x": _chart_x(i * step, scale), "value": i * step} for i in range(round(end / step) + 1)
+    ]
+    height = CHART_TOP + CHART_ROW * len(rows)
+    return {
+        "width": CHART_RIGHT + 8.0,
+        "height": height + 40.0,
+        "left": CHART_LEFT,
+        "right": CHART_RIGHT,
+        "top": CHART_TOP,
+        "bottom": height,
+        "ticks": ticks,
+        "rows": [
+            _chart_row(row, CHART_TOP + CHART_ROW * place, scale) for place, row in enumerate(rows)
+        ],
+    }
+
+
+def tick_step(greatest: float) -> float:
+    """A step of 1, 2 or 5 times a power of ten that gives five to ten ticks up to ``greatest``."""
+    if greatest <= 0:
+        return 1.0
+    power = 10.0 ** floor(log10(greatest / 5))
+    return next(step for step in (power, 2 * power, 5 * power, 10 * power) if greatest / step < 10)
+
+
+def _chart_row(row: ClearanceRow, top: float, scale: float) -> Mapping[str, Any]:
+    y = top + 31.0
+    mean, sd = row.mean, row.sd or 0.0
+    return {
+        "case": row.case,
+        "y": y,
+        "label": top + 14.0,
+        "dots": [
+            {
+                "x": _chart_x(time, scale),
+                "y": y + CHART_JITTER[place % len(CHART_JITTER)],
+                "time": time,
+            }
+            for place, time in enumerate(row.times)
+        ],
+        "times": sorted(row.times),
+        "cleared": row.cleared,
+        "mean": mean,
+        "sd": row.sd,
+        "x": None if mean is None else _chart_x(mean, scale),
+        "low": None if mean is None else _chart_x(max(mean - sd, 0.0), scale),
+        "high": None if mean is None else _chart_x(mean + sd, scale),
+    }
+
+
+def _chart_x(value: float, scale: float) -> float:
+    return round(CHART_LEFT + value * scale, 1)
+
+
+Data = Mapping[str, Any]
+
+
+def scenario_section(record: SessionRecord, gathered: ReportContents, _links: EpisodeLinks) -> Data:
+    """One row for each case and component, and the chart where anything was cleared.
+
+    Arms that lack a role come last: they are there to be compared with.
+    """
+    cases = record["cases"]
+    rows = []
+    chart = []
+    anchors: set[str] = set()
+    shown, rest = split_folded(cases, gathered.folded, "id")
+    for case in shown:
+        anchor = case_anchor(case["id"])
+        tally = gathered.cases.get((case["id"], case["component"]), CaseTally())
+        rows.append({**case, "anchor": None if anchor in anchors else anchor})
+        anchors.add(anchor)
+        if tally.times and not case["without"]:
+            time = case["metrics"]["clearance_time"] or {"mean": None, "sd": None}
+            chart.append(
+                ClearanceRow(case["id"], tally.times, tally.cleared, time["mean"], time["sd"])
+            )
+    return {
+        "groups": [
+            {"arms": arms, "rows": found, "folded": _folded_sums(folded)}
+            for arms in (False, True)
+            if (found := [row for row in rows if bool(row["without"]) is arms])
+            + (folded := [row for row in rest if bool(row["without"]) is arms])
+        ],
+        "overall": [one for one in record["overall"] if one["cases"] > 1],
+        "several": len({case["component"] for case in cases}) > 1,
+        "users": sorted({name for case in cases for name in case["metrics"]["user"]}),
+        "chart": clearance_chart(chart) if chart else None,
+    }
+
+
+def _folded_sums(cases: list[Data]) -> Data:
+    """The sums of cases without rows."""
+    metrics = [case["metrics"] for case in cases]
+    shares = {
+        word: sum(one[word]["valid"] for one in metrics if one[word])
+        for word in ("flagged", "gridlock", "rescued", "comfort_failed")
+    }
+    sums = {
+        word: sum(one[word] for one in metrics)
+        for word in ("valid", "planned", "recoveries", "alerts")
+    }
+    return {"number": len(cases), **shares, **sums}
+
+
+BIN_WIDTH, BIN_HEIGHT = 12.0, 22.0
+MAX_BARS = 20
+"""A list of choices may be long."""
+
+
+def coverage_section(record: SessionRecord, gathered: ReportContents, _links: EpisodeLinks) -> Data:
+    """The matrix of cells, and the bars of each varied parameter."""
+    found = record["coverage"]
+    requirements = [one["id"] for one in record["requirements"]]
+    places: dict[tuple[str, str], dict[str, list[str | None]]] = {}
+    shown, rest = _split_folded_cells(found["cells"], gathered.folded)
+    for cell in shown:
+        row = places.setdefault((cell["scenario"], cell["faults"]), {})
+        row.setdefault(cell["requirement"], []).append(cell["verdict"])
+        if cell["requirement"] not in requirements:
+            requirements.append(cell["requirement"])
+    columns = sorted(places)
+    words = Counter(one["verdict"] for one in found["cells"])
+    judged = {_cell_key(one) for one in record["verdicts"] if one["run"]}
+    return {
+        "matrix": matrix(
+            [heading(name, anchor=requirement_anchor(name)) for name in requirements],
+            [
+                heading(scenario, f"+ {faults}" if faults else "no fault")
+                for scenario, faults in columns
+            ],
+            # No cell at all: the requirement does not apply to the scenario.
+            lambda i, j: places[columns[j]].get(requirements[i]),
+            "Scenario and faults",
+        ),
+        "tested": sum(one["verdict"] is not None for one in found["cells"]),
+        "words": {word: words[word] for word in ("supported", "violated", "undecided")},
+        "not_run": sum(
+            one["verdict"] is not None and _cell_key(one) not in judged for one in found["cells"]
+        ),
+        "cells": len(found["cells"]) + found["left_out"],
+        "left_out": found["left_out"],
+        "folded": len(set(map(_scenario_key, rest))),
+        "parameters": [_parameter_bars(one) for one in found["parameters"]],
+    }
+
+
+def _split_folded_cells(
+    cells: list[Data], folded: frozenset[CaseKey]
+) -> tuple[list[Data], list[Data]]:
+    """The cells of places that are shown, and of those of which all cells are of folded cases."""
+    untold = {
+        _scenario_key(cell) for cell in cells if (cell["case"], cell["component"]) not in folded
+    }
+    shown = [cell for cell in cells if _scenario_key(cell) in untold]
+    return shown, [cell for cell in cells if _scenario_key(cell) not in untold]
+
+
+def _scenario_key(cell: Data) -> tuple[str, str]:
+    return cell["scenario"], cell["faults"]
+
+
+def _cell_key(one: Data) -> tuple[str, str, str]:
+    """What a cell and the verdicts on it have in common."""
+    return one["requirement"], one["case"], one["component"]
+
+
+def _parameter_bars(one: Data) -> Data:
+    choices = one["choices"]
+    counts = one["bins"] if choices is None else [choice["count"] for choice in choices]
+    highest = max([*counts, 1])
+    bars = []
+    for place, count in enumerate(counts[:MAX_BARS]):
+        height = round(BIN_HEIGHT * count / highest, 1)
+        bars.append({"x": place * BIN_WIDTH, "y": BIN_HEIGHT - height, "height": height})
+    return {
+        **one,
+        "counts": counts,
+        "bars": bars,
+        "width": BIN_WIDTH * len(bars),
+        "hit": sum(count > 0 for count in counts),
+    }
+
+
+NO_FAULT = "no fault"
+HEAT_STEPS = (0.0, 0.05, 0.25, 0.5)
+"""Shares of violating episodes above which a cell of the map is a step darker."""
+
+
+def fault_section(record: SessionRecord, gathered: ReportContents, _links: EpisodeLinks) -> Data:
+    """The map of faults and requirements, and one row for each fault of each case."""
+    chains = []
+    shown, rest = split_folded(record["cases"], gathered.folded, "id")
+    for case in shown:
+        tally = gathered.cases.get((case["id"], case["component"]), CaseTally())
+        for fault in case["metrics"]["faults"]:
+            outcomes = sorted(tally.outcomes.get(fault["id"], Counter()).items())
+            chains.append({**fault, "case": case, "outcomes": outcomes})
+    named = {name for case in shown for name in _fault_names(case)}
+    left = {name for case in rest for name in _fault_names(case)} - named
+    return {
+        "heat": _heat_map(record, left),
+        "left_out": len(left),
+        "chains": chains,
+        "folded": sum(len(case["metrics"]["faults"]) for case in rest),
+    }
+
+
+def _fault_names(case: Data) -> list[str]:
+    return [fault["id"] for fault in case["faults"]] or [NO_FAULT]
+
+
+def _heat_map(record: SessionRecord, left_out: Collection[str]) -> Data:
+    """Violating among valid episodes, by fault and requirement, over all cases with that fault.
+
+    Runs in which a fault had no effect are no sample of runs with it, and stand in no cell.
+
+    Args:
+        record: The record.
+        left_out: Names of faults without a row; only folded cases have them.
+    """
+    faults_of = {
+        (case["id"], case["component"]): [fault["id"] for fault in case["faults"]]
+        for case in record["cases"]
+    }
+    cells: dict[tuple[str, str], list[Data]] = defaultdict(list)
+    names: dict[str, None] = {}
+    for ids in faults_of.values():
+        names.update(dict.fromkeys(ids or [NO_FAULT]))
+    for verdict in record["verdicts"]:
+        ids = faults_of.get((verdict["case"], verdict["component"])) or [NO_FAULT]
+        for one in ids:
+            names.setdefault(one)
+            cells[one, verdict["requirement"]].append(verdict)
+    order = sorted(names.keys() - left_out, key=lambda one: (one != NO_FAULT, one))
+    requirements = [one["id"] for one in record["requirements"]]
+    return matrix(
+        [heading(name, anchor=requirement_anchor(name)) for name in requirements],
+        [heading(name) for name in order],
+        lambda i, j: _heat_cell(cells.get((order[j], requirements[i]))),
+        "Fault",
+    )
+
+
+def _heat_cell(verdicts: list[Data] | None) -> Data:
+    if not verdicts:
+        return {"word": "untested"}
+    n = sum(one["episodes"] for one in verdicts)
+    violations = sum(one["violations"] for one in verdicts)
+    if not n:
+        return {"word": "no valid episode"}
+    step = sum(violations / n > bound for bound in HEAT_STEPS)
+    doubt = not violations and any(one["verdict"] == "undecided" for one in verdicts)
+    also = sum(one["also_without"] or 0 for one in verdicts)
+    counts = {"n": n, "violations": violations, "also_without": also}
+    return {"word": "", "step": step, "doubt": doubt, **counts}
+
+
+def episode_section(record: SessionRecord, gathered: ReportContents, links: EpisodeLinks) -> Data:
+    """Rows of counts, which together count each episode once, and rows of single episodes."""
+    left = dict(gathered.cases)
+    counts = []
+    folded: list[tuple[Data, int]] = []
+    for case in record["cases"]:
+        key = case["id"], case["component"]
+        tally = left.pop(key, CaseTally())
+        if key in gathered.folded and tally.words["valid"] == tally.words.total():
+            folded.append((case, tally.words.total()))
+        else:
+            counts.append(_case_counts(key, tally, case))
+    # Episodes of a case that the record does not list are counted all the same.
+    counts += [_case_counts(key, tally, None) for key, tally in left.items()]
+    anchors: set[str] = set()
+    return {
+        "counts": counts,
+        "folded": {
+            "number": len(folded),
+            "planned": sum(case["planned"] for case, _ in folded),
+            "run": sum(run for _, run in folded),
+        },
+        "several": len({key[1] for key in gathered.cases}) > 1,
+        "total": gathered.total,
+        "shown": len(gathered.listed),
+        "rows": [
+            _episode_row(one, links, anchors) for one in gathered.listed if one.rank < UNREMARKABLE
+        ],
+        "others": [
+            _episode_row(one, links, anchors) for one in gathered.listed if one.rank == UNREMARKABLE
+        ],
+        "left_out": gathered.total - len(gathered.listed),
+    }
+
+
+def _case_counts(key: CaseKey, tally: CaseTally, case: Data | None) -> Data:
+    return {
+        "case": key[0],
+        "component": key[1],
+        "listed": case is not None,
+        "anchor": case_anchor(key[0]),
+        "planned": None if case is None else case["planned"],
+        "never": [] if case is None else case["missing_runs"],
+        "never_total": 0 if case is None else case["missing_runs_total"],
+        "run": tally.words.total(),
+        **{word: tally.words[word] for word in ("valid", "invalid", "missing")},
+    }
+
+
+def _episode_row(one: ListedEpisode, links: EpisodeLinks, anchors: set[str]) -> Data:
+    own = links.listed[one.key]
+    anchor = None if own in anchors else own
+    anchors.add(own)
+    return {
+        **one.episode,
+        "anchor": anchor,
+        "violates": [{"id": name, "anchor": requirement_anchor(name)} for name in one.violates],
+        "player": links.players.get(one.key),
+        "why": one.episode["failure"] or one.episode["invalid_reason"] or one.episode["critical"],
+    }
+
+
+MAX_MODE_ROWS = 500
+"""Of single cases; the record has all."""
+
+
+def failure_mode_section(
+    record: SessionRecord, _gathered: ReportContents, _links: EpisodeLinks
+) -> Data:
+    """A table over all cases for each component that gave accounts, and one of single cases."""
+    cases = record["cases"]
+    rows = [
+        {"case": case, **_failure_mode_row(one)}
+        for case in cases_with_accounts(cases)
+        for one in measured_failure_modes(case["metrics"]["failure_modes"])
+    ]
+    return {
+        "components": [
+            {
+                "component": component,
+                "groups": _failure_mode_groups([_failure_mode_row(one) for one in modes]),
+            }
+            for component, modes in failure_modes_by_component(cases).items()
+        ],
+        "answers": list(decision_time_lines(cases)),
+        "ages": list(decision_age_lines(cases)),
+        "null": NULL_NOTE,
+        "rows": rows[:MAX_MODE_ROWS],
+        "left_out": len(rows[MAX_MODE_ROWS:]),
+    }
+
+
+def _failure_mode_row(one: Data) -> dict[str, Any]:
+    return {
+        **one,
+        "words": failure_mode_text(one["name"]),
+        "percent": percent_text(one["share"]),
+        "null_percent": percent_text(one["null_share"]),
+        "at_most": percent_text(one.get("upper")),
+    }
+
+
+def _failure_mode_groups(rows: list[dict[str, Any]]) -> list[Data]:
+    return [
+        {"heading": heading, "rows": found}
+        for kind, heading in FAILURE_MODE_HEADINGS.items()
+        if (found := [row for row in rows if row["kind"] == kind])
+    ]

@@ -1,0 +1,489 @@
+"""The report's page: sections and players put into the templates, and its counts read back."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pytest_dura.core.errors import describe_error
+from pytest_dura.core.roles import STANDARD_ROLES
+from pytest_dura.evidence.files import file_entry
+from pytest_dura.evidence.model import Counts, SessionRecord
+from pytest_dura.evidence.text import LINE, name, one_line, visible
+from pytest_dura.reports.html import episode_sections, verdict_sections
+from pytest_dura.reports.html.contents import (
+    CaseKey,
+    EpisodeLinks,
+    ListedEpisode,
+    ReportContents,
+    player_anchor,
+)
+from pytest_dura.reports.html.player import content_hash
+from pytest_dura.reports.wording import model_options, replay_command
+from pytest_dura.requirements.verdicts.campaigns import CAMPAIGN_STATUSES
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
+    from markupsafe import Markup
+
+
+NO_VALUE = "\N{EN DASH}"
+
+
+def number_text(value: float | None, digits: int = 3) -> str:
+    """With so many significant digits; an integer as it is."""
+    if value is None:
+        return NO_VALUE
+    if isinstance(value, int) or float(value).is_integer():
+        return f"{value:.0f}" if abs(value) < 1e15 else f"{value:.{digits}g}"
+    shown = f"{value:.{digits}g}"
+    return f"{value:.0f}" if "e+" in shown and abs(value) < 1e9 else shown
+
+
+def percent_text(value: float | None) -> str:
+    """A share as a percentage with three significant digits: ``18.1 %``."""
+    return NO_VALUE if value is None else f"{100 * value:.3g}\N{NO-BREAK SPACE}%"
+
+
+def seconds_text(value: float | None, digits: int = 2) -> str:
+    """``6.50 s``."""
+    return NO_VALUE if value is None else f"{value:.{digits}f}\N{NO-BREAK SPACE}s"
+
+
+def share_text(part: int, whole: int) -> str:
+    """``3/15``: a rate never stands without its n."""
+    return f"{part}/{whole}"
+
+
+def size_text(count: int) -> str:
+    """Of a file: ``12 kB``."""
+    if count < 1000:
+        return f"{count} B"
+    return f"{count / 1000:.0f} kB" if count < 1_000_000 else f"{count / 1e6:.1f} MB"
+
+
+def time_text(text: str) -> str:
+    """A point in time as it is read: ``2026-01-02 03:04:05 UTC``."""
+    if not re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\+00:00", text):
+        return one_line(text)
+    return text.replace("T", " ").replace("+00:00", " UTC")
+
+
+def line_text(text: str, limit: int = LINE) -> str:
+    """On one line; of a very long text only the beginning is looked at."""
+    return one_line(text, limit) if len(text) < 50_000 else visible(text, limit)
+
+
+def _replay_text(episode: str, session: str) -> str:
+    """What runs one episode again, with ``DIR`` for the folder that holds the evidence."""
+    return replay_command(episode, "DIR", model_options(session))
+
+
+def role_name(role: str) -> str:
+    """A standard role's name as in the paper, such as ``SafetyMonitor``; any other one as it is."""
+    return STANDARD_ROLES[role].__name__ if role in STANDARD_ROLES else name(role)
+
+
+FILTERS: Mapping[str, Any] = {
+    "name": name,
+    "line": line_text,
+    "prose": visible,
+    "number": number_text,
+    "percent": percent_text,
+    "seconds": seconds_text,
+    "moment": time_text,
+    "size": size_text,
+    "replay": _replay_text,
+    "role": role_name,
+}
+"""What templates may call."""
+
+
+Data = Mapping[str, Any]
+
+MAX_PLAYERS = 12
+MAX_CHARACTERS = 6_000_000
+
+
+@dataclass
+class Players:
+    """What is embedded of traces, and what could not be.
+
+    Args:
+        rows: In the page's order: the episode with ``anchor``, ``packed`` (the player's text, or
+            ``None``) and ``problem``.
+        shown: Id and component of those with a player.
+        script: The player's own.
+        style: The player's own.
+    """
+
+    rows: list[Data] = field(default_factory=list)
+    shown: list[CaseKey] = field(default_factory=list)
+    script: str = ""
+    style: str = ""
+
+
+def embed_players(record: SessionRecord, candidates: Sequence[ListedEpisode]) -> Players:
+    """Players of the first episodes whose traces can be read, up to the bounds.
+
+    Args:
+        record: The record, in whose directory the traces lie.
+        candidates: Episodes with a trace, those that show most first.
+    """
+    players = Players()
+    room = MAX_CHARACTERS
+    for one in candidates:
+        if len(players.shown) == MAX_PLAYERS:
+            break
+        if one.key in players.shown:
+            continue
+        packed, problem = None, ""
+        try:
+            packed = _packed_trace(record, one)
+        except Exception as error:  # told in the trace's place
+            problem = describe_error(error)
+        if packed is not None and len(packed) > room:
+            continue
+        told = {**one.episode, "violates": one.violates, "problem": problem}
+        told["packed"] = None if packed is None else _plain_base64(packed)
+        players.rows.append({**told, "anchor": player_anchor(*one.key)})
+        if packed is not None:
+            room -= len(packed)
+            players.shown.append(one.key)
+    if players.shown:
+        from pytest_dura.reports.html.player import player_assets
+
+        players.script, players.style = player_assets()
+    return players
+
+
+def _packed_trace(record: SessionRecord, one: ListedEpisode) -> str:
+    """The player's text of an episode's trace.
+
+    Raises:
+        ValueError: If the file is not the one that was written, or lies outside the bundle.
+    """
+    from pytest_dura.evidence.mcap import read_trace
+    from pytest_dura.reports.html.player import pack_data, player_data
+
+    file = _file_inside(record.directory, one.episode["trace"]["file"])
+    digest = file_entry(file)["sha256"]
+    if digest != one.episode["trace"]["sha256"]:
+        raise ValueError(f"its SHA-256 is {digest[:12]}..., and the record says another")
+    return pack_data(player_data(read_trace(file), _verdicts_on_episode(record, one)))
+
+
+def _verdicts_on_episode(record: SessionRecord, one: ListedEpisode) -> list[Data]:
+    """What the record says of this very episode, its violations first."""
+    violated: list[Data] = []
+    others: list[Data] = []
+    for verdict in record["verdicts"]:
+        case = verdict["case"], verdict["component"]
+        if case != (one.episode["case"], one.episode["component"]):
+            continue
+        told = {"requirement": verdict["requirement"], "check": verdict["check"]}
+        against = [
+            found for found in verdict["counterexamples"] if found["episode"] == one.episode["id"]
+        ]
+        if against and one.violates:
+            told |= {"time": against[0]["time"], "margin": against[0]["margin"]}
+            note = "" if against[0]["valid"] else "without effect of the fault"
+            violated.append({**told, "verdict": "violated", "note": note})
+        else:
+            word, note = _satisfied_verdict(verdict, one.episode)
+            others.append({**told, "verdict": word, "note": note})
+    return violated + others
+
+
+def _satisfied_verdict(verdict: Data, episode: Data) -> tuple[str, str]:
+    """What a verdict says of an episode that is none of its counterexamples, and a note on it.
+
+    The record names single episodes where they violate; of others it tells the sum.
+    """
+    # Another requirement on the case may have needed more runs than this one looked at.
+    beyond = verdict["check"] and episode["run"] >= verdict["run"]
+    if not episode["planned"] or beyond:
+        return "not judged", "the verdict rests on other runs"
+    if episode["validity"] != "valid":
+        return episode["validity"], ""
+    if episode["id"] in verdict["open"]:
+        return "open", "the episode ended before it was decided"
+    if verdict["pairs"] is not None:
+        return "not violated", "judged on pairs of runs"
+    if verdict["invalid"] or verdict["missing"] or verdict["saved"]:
+        return "not violated", "or not decided: of some of its runs the verdict knows no more"
+    return "satisfied", ""
+
+
+def _plain_base64(text: str) -> Markup:
+    """The player's text for a script element, which is not escaped.
+
+    Raises:
+        ValueError: If it holds anything but letters, digits and ``+/=``.
+    """
+    from markupsafe import Markup
+
+    if not re.fullmatch(r"[A-Za-z0-9+/=]*", text):
+        raise ValueError("the player's text is not base64")
+    return Markup(text)  # noqa: S704 - it was just looked at
+
+
+def _file_inside(directory: Path, name: str) -> Path:
+    file = (directory / name).resolve()
+    if not file.is_relative_to(directory.resolve()):
+        raise ValueError("the file lies outside the evidence")
+    return file
+
+
+FILE = "report.html"
+DIRECTORY = Path(__file__).parent
+
+Section = Callable[[SessionRecord, ReportContents, EpisodeLinks], Mapping[str, Any]]
+SECTIONS: Mapping[str, Section] = {
+    "gate": verdict_sections.gate_section,
+    "requirements": verdict_sections.requirement_section,
+    "searches": verdict_sections.search_section,
+    "scenarios": episode_sections.scenario_section,
+    "failure_modes": episode_sections.failure_mode_section,
+    "faults": episode_sections.fault_section,
+    "coverage": episode_sections.coverage_section,
+    "traceability": verdict_sections.traceability_section,
+    "monitors": verdict_sections.monitor_section,
+    "episodes": episode_sections.episode_section,
+    "provenance": verdict_sections.provenance_section,
+}
+"""By the name of their template, in the order of the page."""
+
+
+def render(record: SessionRecord) -> str:
+    """The page as a text. It reads the bundle's traces, and tells of those it cannot read."""
+    gathered = ReportContents.of(record)
+    players = embed_players(record, gathered.candidates)
+    links = EpisodeLinks.of(gathered, players.shown)
+    scripts = [_asset("report.js")]
+    styles = [_asset("report.css")]
+    if players.shown:
+        scripts.insert(0, players.script)
+        styles.insert(0, players.style)
+    told = {name: section(record, gathered, links) for name, section in SECTIONS.items()}
+    template = _environment().get_template("report.html")
+    return template.render(
+        record=record.head,
+        links=links,
+        players=players,
+        gathered=gathered,
+        scripts=_inline(scripts),
+        styles=_inline(styles),
+        policy=_content_policy(scripts, styles),
+        **told,
+    )
+
+
+@cache
+def _environment() -> Environment:
+    """Templates in which every value is made visible, bounded and escaped."""
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+    environment = Environment(
+        loader=FileSystemLoader(DIRECTORY / "templates"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        finalize=_finalized,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters.update(FILTERS)
+    return environment
+
+
+def _finalized(value: Any) -> Any:
+    """What a template writes of a value; markup that a template made stays as it is."""
+    if value is None:
+        return ""
+    if type(value) is str:
+        return visible(value)
+    return value
+
+
+def _asset(file: str) -> str:
+    return (DIRECTORY / file).read_text(encoding="utf-8")
+
+
+def _inline(texts: list[str]) -> list[Any]:
+    """Our own scripts and styles, which are no values and must not be escaped.
+
+    Raises:
+        ValueError: If one of them could end the element that holds it.
+    """
+    from markupsafe import Markup
+
+    for text in texts:
+        if "</" in text or "<!--" in text:
+            raise ValueError("a script or style of the report holds what ends its element")
+    return [Markup(text) for text in texts]  # noqa: S704 - files of this package, never a value
+
+
+def _content_policy(scripts: list[str], styles: list[str]) -> str:
+    """A Content-Security-Policy under which nothing but our own scripts runs, and nothing loads."""
+    return "; ".join(
+        [
+            "default-src 'none'",
+            f"script-src {' '.join(map(content_hash, scripts))}",
+            f"style-src {' '.join(map(content_hash, styles))}",
+            "img-src data:",
+            "base-uri 'none'",
+            "form-action 'none'",
+        ]
+    )
+
+
+GATE_RESULTS = ("passed", "failed", "incomplete")
+_CELL_CLASSES = ("gate-word", "word", "waived", "folded-supported", "folded-cases")
+COUNTED = ("run", "valid", "invalid", "missing")
+
+
+def read_counts(text: str) -> Counts:
+    """The counts of a report, each from the rows of the table that it stands for.
+
+    Args:
+        text: The file as a text.
+
+    Raises:
+        ValueError: If it is no such report, or its rows are not as they were written.
+    """
+    page = _PageParser()
+    page.feed(text)
+    page.close()
+    if not page.seen >= {"verdicts", "case-counts"}:
+        raise ValueError("the table of verdicts or that of episodes by case is not there")
+    episodes = page.episodes
+    if episodes["run"] < episodes["valid"] + episodes["invalid"] + episodes["missing"]:
+        raise ValueError("there are more valid, invalid and missing episodes than were run")
+    return Counts(
+        gate=_read_gate(page.gates),
+        requirements=page.requirements,
+        cases=page.cases,
+        episodes=episodes["run"],
+        valid=episodes["valid"],
+        invalid=episodes["invalid"],
+        missing=episodes["missing"],
+        **{word: page.words[word] for word in CAMPAIGN_STATUSES},
+        waived=page.waived,
+    )
+
+
+def _read_gate(found: list[str]) -> str:
+    if len(set(found)) != 1 or found[0] not in GATE_RESULTS:
+        raise ValueError(f"the gate's result is {' and '.join(found) or 'missing'}")
+    return found[0]
+
+
+@dataclass
+class _TableRow:
+    """A row of a table while it is read."""
+
+    kinds: list[str]
+    cells: list[str] = field(default_factory=list)
+    words: list[str] = field(default_factory=list)
+    waived: bool = False
+    folded: int = 0
+    """What the row stands for that has none."""
+
+
+class _PageParser(HTMLParser):
+    """The rows of the two tables that count, and the words for the gate."""
+
+    def __init__(self) -> None:
+        super().__init__(convert_charrefs=True)
+        self.seen: set[str] = set()
+        self.gates: list[str] = []
+        self.requirements = 0
+        self.cases = 0
+        self.waived = 0
+        self.words: Counter[str] = Counter()
+        self.episodes: Counter[str] = Counter()
+        self._table = ""
+        self._columns: list[str] = []
+        self._row: _TableRow | None = None
+        self._text: list[str] = []
+        self._marked = ""
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        found = dict(attrs)
+        kinds = (found.get("class") or "").split()
+        if tag == "table":
+            self._table = found.get("id") or ""
+            self.seen.add(self._table)
+            self._columns = []
+        elif tag == "tbody":
+            self.requirements += self._table == "verdicts" and "requirement" in kinds
+        elif tag == "tr":
+            self._row = _TableRow(kinds)
+        elif tag in ("td", "th"):
+            self._text = []
+        elif tag in ("b", "strong") and len(kinds) == 1 and kinds[0] in _CELL_CLASSES:
+            self._marked = kinds[0]
+            self._text = []
+
+    def handle_data(self, data: str) -> None:
+        self._text.append(data)
+
+    def handle_endtag(self, tag: str) -> None:
+        told = "".join(self._text).strip()
+        if tag in ("b", "strong") and self._marked:
+            self._mark(told)
+            self._marked = ""
+        elif tag in ("td", "th") and self._row is not None:
+            self._row.cells.append(told)
+        elif tag == "tr" and self._row is not None:
+            self._end_row(self._row)
+            self._row = None
+        elif tag == "table":
+            self._table = ""
+
+    def _mark(self, told: str) -> None:
+        if self._marked == "gate-word":
+            self.gates.append(told)
+        elif self._row is not None and self._marked == "word":
+            self._row.words.append(told)
+        elif self._row is not None and self._marked.startswith("folded-"):
+            if not told.isdecimal():
+                raise ValueError(f"what is not shown is counted as {told!r}")
+            self._row.folded = int(told)
+        elif self._row is not None:
+            self._row.waived = True
+
+    def _end_row(self, row: _TableRow) -> None:
+        if self._table == "verdicts" and "verdict" in row.kinds:
+            if len(row.words) != 1 or row.words[0] not in CAMPAIGN_STATUSES:
+                raise ValueError(f"a verdict reads {row.words}")
+            self.words[row.words[0]] += 1
+            self.waived += row.waived
+        elif self._table == "verdicts" and "folded" in row.kinds:
+            self.words["supported"] += row.folded
+        elif self._table == "case-counts":
+            self._count(row)
+
+    def _count(self, row: _TableRow) -> None:
+        if not self._columns:
+            self._columns = [cell.lower() for cell in row.cells]
+            if not set(COUNTED) <= set(self._columns):
+                raise ValueError(f"episodes by case are told in the columns {self._columns}")
+            return
+        if not {"case", "unlisted", "folded"} & set(row.kinds):
+            return
+        self.cases += row.folded + ("case" in row.kinds)
+        for word in COUNTED:
+            self.episodes[word] += _read_number(row.cells, self._columns.index(word))
+
+
+def _read_number(cells: list[str], place: int) -> int:
+    if place >= len(cells) or not cells[place].isdecimal():
+        raise ValueError(f"a count of episodes is missing, or no number, in {cells}")
+    return int(cells[place])

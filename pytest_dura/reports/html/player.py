@@ -1,0 +1,345 @@
+"""Player: an episode in a browser, from above and over time, without a network.
+
+A page takes both texts of :func:`player_assets` and calls, for each episode,
+``DuraPlayer.mount(element, text, options)`` with the text of ``pack_data(player_data(trace))``, or
+a function that returns it. The element then holds a button, and nothing is unpacked until it is
+pressed, or at once with ``{open: true}``. ``label`` is the button's text; ``page: true`` says that
+the page is this player's alone, whose keys then work wherever the focus is. ``mount`` returns
+``{open(), play(), pause(), seek(tick), state}``; ``open()`` is a promise, ``state`` a copy.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import math
+import zlib
+from bisect import bisect_left
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_dura.core.simulator import Line, Scene, Tracks
+from pytest_dura.evidence.text import name, visible
+from pytest_dura.evidence.traces import Trace
+from pytest_dura.reports.episode_view import margin_over_time
+
+_FARTHEST = 1e6
+"""Metres; what is reported farther away, as absurd percepts may be, stands here."""
+
+Ints = NDArray[np.int64]
+
+
+def scene_data(scene: Scene, text: Callable[[object], str]) -> dict[str, Any]:
+    """A scene in cm, mrad and cm/s.
+
+    Args:
+        scene: The scene.
+        text: What makes an id fit to be shown; two that differ stay different.
+
+    Returns:
+        ``ego``; ``lines`` of ``[kind, x, y]``; ``truth`` and ``percept``, a list of things
+        ``{id, runs, same}``. A run is ``[tick, length, width, x, y, heading, speed]``, the last
+        four as lists of differences, one per tick; it ends where the thing is absent or its size
+        changes. ``same`` has ``[tick, ticks]`` in which a percept is what the truth is.
+    """
+    truth = {one: _rounded_poses(scene.truth, column) for column, one in enumerate(scene.truth.ids)}
+    return {
+        "ego": text(scene.ego),
+        "lines": [_line_data(one, text) for one in scene.lines],
+        "truth": [_object_data(text(one), *found, None) for one, found in truth.items()],
+        "percept": [
+            _object_data(text(one), *_rounded_poses(scene.percept, column), truth.get(one))
+            for column, one in enumerate(scene.percept.ids)
+        ],
+    }
+
+
+def _line_data(line: Line, text: Callable[[object], str]) -> list[Any]:
+    points = line.points[np.isnan(line.points).sum(axis=1) == 0].astype(np.float64)
+    points = np.rint(np.clip(points, -_FARTHEST, _FARTHEST) * 100.0).astype(np.int64)
+    return [text(line.kind), _differences(points[:, 0]), _differences(points[:, 1])]
+
+
+def _rounded_poses(tracks: Tracks, column: int) -> tuple[NDArray[np.bool_], Ints]:
+    """Where a thing is present, and its poses in cm and mrad."""
+    poses = tracks.poses[:, column].astype(np.float64)
+    present = np.isnan(poses[:, :2]).sum(axis=1) == 0
+    poses = np.clip(np.nan_to_num(poses, nan=0.0), -_FARTHEST, _FARTHEST)
+    poses[:, 2] = np.remainder(poses[:, 2] + np.pi, 2.0 * np.pi) - np.pi
+    scaled = poses * (100.0, 100.0, 1000.0, 100.0, 100.0, 100.0)
+    return present, np.rint(scaled).astype(np.int64)
+
+
+def _object_data(
+    name: str,
+    present: NDArray[np.bool_],
+    poses: Ints,
+    truth: tuple[NDArray[np.bool_], Ints] | None,
+) -> dict[str, Any]:
+    same = np.zeros_like(present)
+    if truth is not None and truth[1].shape == poses.shape:
+        same = present & truth[0] & (truth[1] == poses).all(axis=1)
+    sizes = poses[:, 4:]
+    changes = np.zeros_like(present)
+    changes[1:] = (sizes[1:] != sizes[:-1]).any(axis=1)
+    runs = []
+    for start, stop in _stretches(present & ~same, changes):
+        part = poses[start:stop]
+        columns = [_differences(part[:, index]) for index in range(4)]
+        runs.append([start, int(part[0, 4]), int(part[0, 5]), *columns])
+    equal = [[start, stop - start] for start, stop in _stretches(same, np.zeros_like(same))]
+    return {"id": name, "runs": runs, "same": equal}
+
+
+def _stretches(mask: NDArray[np.bool_], cuts: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Half-open intervals in which the mask holds, cut in two where ``cuts`` says so."""
+    found: list[tuple[int, int]] = []
+    start: int | None = None
+    for index, (held, cut) in enumerate(zip(mask.tolist(), cuts.tolist(), strict=True)):
+        if start is not None and (not held or cut):
+            found.append((start, index))
+            start = None
+        if held and start is None:
+            start = index
+    return found if start is None else [*found, (start, len(mask))]
+
+
+def _differences(values: Ints) -> list[int]:
+    """The first value, then by how much each differs from the one before."""
+    return np.diff(values, prepend=0).tolist()  # type: ignore[no-any-return]
+
+
+_MAX_WHOLE_NUMBER = 1e15
+_TIME_TOLERANCE = 1e-6
+"""Seconds within which a time of violation is that of a tick."""
+MAX_MARGINS = 24
+"""Curves of margins, those of violated requirements first."""
+
+
+def player_data(trace: Trace, verdicts: Sequence[Mapping[str, Any]] = ()) -> dict[str, Any]:
+    """An episode for the player; the trace keeps what is rounded here.
+
+    Args:
+        trace: The episode.
+        verdicts: What was found of it, each with ``requirement``, ``verdict``, and if known
+            ``time`` of the violation in s, ``margin`` and ``check``; with a ``note`` where there is
+            more to say.
+
+    Returns:
+        JSON data. Columns of texts are ``{words, at}``, where ``at`` holds an index into
+        ``words`` for each decision. Signals have six significant digits; ``None`` is NaN, and
+        infinities are texts. ``margins`` are the checks' robustness over time, each with the
+        ``formula`` that it is of and the ``requirements`` that it decides. For the scene see
+        :func:`~pytest_dura.reports.html.player.scene_data`.
+    """
+    recording, decisions = trace.recording, trace.decisions
+    return {
+        "about": {key: _plain(value) for key, value in trace.about.items()},
+        "time": [_number(one) for one in trace.time.tolist()],
+        "signals": {
+            _name(signal): [_number(one) for one in column.tolist()]
+            for signal, column in trace.signals.items()
+        },
+        "verdicts": [_verdict(one, trace.time.tolist()) for one in verdicts],
+        "margins": _margins(trace, verdicts),
+        "decisions": {
+            one: _flag_texts(decisions[one].tolist() if one in decisions else ())
+            for one in ("proposed", "executed", "source")
+        },
+        "attempts": [_number(one) for one in decisions.get("attempts", ())],
+        "explanations": _flag_texts(recording.explanations),
+        "reasons": _flag_texts(recording.reasons),
+        "recoveries": _flag_texts(recording.recoveries),
+        "accounts": _flag_texts([_account(one) for one in recording.accounts]),
+        "flags": {
+            _name(monitor): [_number(one) for one in column.tolist()]
+            for monitor, column in recording.flags.items()
+        },
+        "events": _events(trace),
+        "faults": _faults(trace.events, len(trace.time)),
+        "scene": None if recording.scene is None else scene_data(recording.scene, _name),
+        "problem": None if recording.problem is None else _text(recording.problem),
+    }
+
+
+def _text(value: object) -> str:
+    return visible(str(value))
+
+
+def _name(value: object) -> str:
+    return name(str(value))
+
+
+def _plain(value: Any) -> Any:
+    return value if value is None or isinstance(value, (bool, int)) else _text(value)
+
+
+def _number(value: float) -> float | int | str | None:
+    """Six significant digits, whole numbers without a point."""
+    if math.isnan(value):
+        return None
+    if math.isinf(value):
+        return "inf" if value > 0 else "-inf"
+    rounded = float(f"{value:.6g}")
+    return int(rounded) if abs(rounded) < _MAX_WHOLE_NUMBER and rounded.is_integer() else rounded
+
+
+def _flag_texts(texts: Sequence[object]) -> dict[str, list[Any]]:
+    known: dict[str, int] = {}
+    at = [known.setdefault(_text(one), len(known)) for one in texts]
+    return {"words": list(known), "at": at}
+
+
+def _account(account: Mapping[str, Any]) -> str:
+    """One line for each key, values as JSON."""
+    return "\n".join(
+        f"{key}: {json.dumps(value, ensure_ascii=False)}" for key, value in account.items()
+    )
+
+
+def _verdict(one: Mapping[str, Any], time: Sequence[float]) -> dict[str, Any]:
+    """A verdict, with the tick of its violation if its time is known."""
+    at, margin, check = one.get("time"), one.get("margin"), one.get("check")
+    tick = None
+    if at is not None and time and math.isfinite(at):
+        tick = min(bisect_left(time, at - _TIME_TOLERANCE), len(time) - 1)
+    return {
+        "requirement": _name(one["requirement"]),
+        "verdict": _text(one["verdict"]),
+        "time": None if at is None else _number(float(at)),
+        "margin": None if margin is None else _number(float(margin)),
+        "check": "" if check is None else _text(check),
+        "note": _text(one.get("note") or ""),
+        "tick": tick,
+    }
+
+
+def _margins(trace: Trace, verdicts: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """The margin over time of each check that is a formula, once for those of the same one."""
+    found: dict[str, dict[str, Any]] = {}
+    for one in sorted(verdicts, key=lambda one: one["verdict"] != "violated"):
+        check = one.get("check") or ""
+        if check not in found:
+            if len(found) == MAX_MARGINS:
+                continue
+            margin = margin_over_time(check, trace)
+            if margin is None:
+                continue
+            formula, column = margin
+            values = [_number(value) for value in column.tolist()]
+            found[check] = {"formula": _text(formula), "requirements": [], "values": values}
+            found[check]["violated"] = one["verdict"] == "violated"
+        found[check]["requirements"].append(_name(one["requirement"]))
+    return list(found.values())
+
+
+def _events(trace: Trace) -> list[list[Any]]:
+    """Rows of tick, kind, subject and detail, with the collision that a signal tells of."""
+    last = max(len(trace.time) - 1, 0)
+    rows = [
+        [min(max(int(one["tick"]), 0), last), _name(one["kind"]),
+         _name(one["subject"]), _text(one.get("detail", ""))]
+        for one in trace.events
+    ]  # fmt: skip
+    collided = trace.signals.get("collided")
+    told = any(row[1] == "collision" for row in rows)
+    if not told and collided is not None and (collided > 0.5).any():
+        first = int((collided > 0.5).argmax())
+        rows.append([first, "collision", "collided", "the signal collided was raised"])
+    return sorted(rows, key=lambda row: row[0])
+
+
+def _faults(events: Sequence[Mapping[str, Any]], ticks: int) -> list[dict[str, Any]]:
+    """When each fault was active, in ticks, and when it changed what the component read."""
+    found: list[dict[str, Any]] = []
+    active: dict[str, dict[str, Any]] = {}
+    last = max(ticks - 1, 0)
+    for event in events:
+        subject, tick = event["subject"], min(max(int(event["tick"]), 0), last)
+        if event["kind"] == "fault_activated":
+            one = {"id": _name(subject), "from": tick, "to": last, "manifested": []}
+            active[subject] = one
+            found.append(one)
+        elif event["kind"] == "fault_manifested" and subject in active:
+            active[subject]["manifested"].append(tick)
+        elif event["kind"] == "fault_deactivated" and subject in active:
+            active.pop(subject)["to"] = tick
+    return found
+
+
+_ASSETS = Path(__file__).parent / "assets"
+_PARTS = ("basics", "episode", "view", "lanes", "plots", "panels", "keys", "player")
+_START = """
+DuraPlayer.mount(document.getElementById("player"),
+  document.getElementById("episode").textContent, {open: true, page: true});
+"""
+_PAGE = """<!doctype html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta http-equiv="Content-Security-Policy" content="{policy}">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<meta name="color-scheme" content="light dark">
+<title>{title}</title>
+<style>{style}</style>
+</head>
+<body class="dura-page">
+<main id="player"></main>
+<noscript>This page plays an episode and needs JavaScript.</noscript>
+<script type="application/octet-stream" id="episode">{data}</script>
+<script>{script}</script>
+</body>
+</html>
+"""
+
+
+def pack_data(data: Mapping[str, Any]) -> str:
+    """Data as zlib's deflate in base64, safe inside a script element or an attribute."""
+    plain = json.dumps(data, separators=(",", ":"), allow_nan=False).encode("ascii")
+    return base64.b64encode(zlib.compress(plain, 9)).decode("ascii")
+
+
+@cache
+def player_assets() -> tuple[str, str]:
+    """The player's script, which defines ``DuraPlayer``, and its style; neither ends an element."""
+    parts = [(_ASSETS / f"{name}.js").read_text(encoding="utf-8") for name in _PARTS]
+    script = '"use strict";\nconst DuraPlayer = (() => {\n' + "\n".join(parts)
+    script += "\nreturn {mount};\n})();\n"
+    style = (_ASSETS / "player.css").read_text(encoding="utf-8")
+    return script, style
+
+
+def content_hash(text: str) -> str:
+    """How a content security policy names an inline script or style of this very text."""
+    digest = base64.b64encode(hashlib.sha256(text.encode()).digest()).decode("ascii")
+    return f"'sha256-{digest}'"
+
+
+def player_page(trace: Trace, verdicts: Sequence[Mapping[str, Any]] = ()) -> str:
+    """A page of its own that plays an episode; it needs no network, and runs no other script.
+
+    Args:
+        trace: The episode.
+        verdicts: As for :func:`~pytest_dura.reports.html.player.player_data`.
+    """
+    data = player_data(trace, verdicts)
+    script, style = player_assets()
+    script += _START
+    policy = (
+        f"default-src 'none'; script-src {content_hash(script)}; "
+        f"style-src {content_hash(style)}; img-src data:; base-uri 'none'; form-action 'none'"
+    )
+    return _PAGE.format(
+        policy=policy,
+        title=escape(f"{data['about'].get('id', 'episode')} - episode player"),
+        style=style,
+        data=pack_data(data),
+        script=script,
+    )

@@ -1,0 +1,339 @@
+"""Sections of the report on verdicts: from gate and requirements to searches and provenance."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from pytest_dura.evidence.gate import OBJECTIONABLE_OUTCOMES, outcome_status
+from pytest_dura.evidence.model import SessionRecord
+from pytest_dura.reports.html.contents import (
+    CaseTally,
+    EpisodeLinks,
+    ReportContents,
+    case_anchor,
+    requirement_anchor,
+    split_folded,
+    verdict_anchor,
+)
+from pytest_dura.reports.tables import (
+    NOTHING_SUPPORTED,
+    counterexample_text,
+    is_notable_outcome,
+    outcome_headline,
+    parameter_changes,
+    search_coverage_text,
+    searcher_rows,
+    shrinking_text,
+    simulations_text,
+)
+from pytest_dura.reports.wording import (
+    assertion_sentences,
+    conclusion_sentences,
+    limitation_sentences,
+    merge_text,
+    selection_text,
+    shard_text,
+)
+from pytest_dura.requirements.model import FAULTS
+from pytest_dura.requirements.verdicts.campaigns import SITUATIONS
+
+Data = Mapping[str, Any]
+
+
+def gate_section(record: SessionRecord, _gathered: ReportContents, _links: EpisodeLinks) -> Data:
+    """Sentences, and the verdicts that the gate's reasons speak of, by the words of the reason."""
+    anchors = {}
+    for one in record["verdicts"]:
+        requirement, case = one["requirement"], one["case"]
+        reason = f"{requirement} on {case} is {one['verdict']}"
+        anchors[reason] = verdict_anchor(requirement, case)
+    return {
+        "anchors": anchors,
+        "shown": list(conclusion_sentences(record)),
+        "not_shown": list(limitation_sentences(record)),
+        "part": shard_text(record),
+        "merged": merge_text(record),
+        "selected": selection_text(record),
+    }
+
+
+WORST_FIRST = ("violated", "undecided", "supported")
+MAX_COUNTEREXAMPLES = 5
+"""Counterexamples of a verdict that are named; the list of episodes has more."""
+SEQUENTIAL_METHODS = ("sprt", "e-process")
+"""Methods for which McNemar's p does not hold: their number of pairs depends on what they show."""
+
+
+def requirement_section(
+    record: SessionRecord, gathered: ReportContents, links: EpisodeLinks
+) -> Data:
+    """The requirements with their verdicts, the worst first, or else in the record's order."""
+    several = len({one["component"] for one in record["cases"]}) > 1
+    rows: dict[str, list[Data]] = {}
+    anchors: set[str] = set()
+    methods: dict[tuple[str, str], int] = {}
+    shown, rest = split_folded(record["verdicts"], gathered.folded)
+    folded: dict[str, list[Data]] = {}
+    for verdict in rest:
+        folded.setdefault(verdict["requirement"], []).append(verdict)
+    for verdict in sorted(shown, key=_verdict_rank):
+        found = verdict_anchor(verdict["requirement"], verdict["case"])
+        own = None if found in anchors else found
+        anchors.add(found)
+        note = methods.setdefault((verdict["bound"]["method"], verdict["method"]), len(methods) + 1)
+        row = {**_verdict_row(verdict, links), "anchor": own, "note": note}
+        rows.setdefault(verdict["requirement"], []).append(row)
+    groups = [
+        {
+            "declared": True,
+            **_requirement_entry(one),
+            "rows": rows.pop(one["id"], []),
+            "folded": _folded_verdicts(folded.pop(one["id"], [])),
+        }
+        for one in record["requirements"]
+    ]
+    others = [
+        {
+            "declared": False,
+            **_requirement_entry({"id": name}),
+            "rows": rows.get(name, []),
+            "folded": _folded_verdicts(folded.get(name, [])),
+        }
+        for name in dict.fromkeys([*rows, *folded])
+    ]
+    groups.sort(key=lambda group: min(map(_verdict_rank, group["rows"]), default=len(WORST_FIRST)))
+    return {"groups": groups + others, "several": several, "methods": list(methods)}
+
+
+def _verdict_rank(verdict: Data) -> int:
+    return WORST_FIRST.index(verdict["verdict"])
+
+
+def _folded_verdicts(verdicts: list[Data]) -> Data:
+    """What is told of verdicts without rows: all of them are supported, by valid episodes."""
+    margins = [one["margin"] for one in verdicts if one["margin"] is not None]
+    bounds = [one["bound"]["upper"] for one in verdicts if one["bound"]["upper"] is not None]
+    return {
+        "number": len(verdicts),
+        "episodes": sum(one["episodes"] for one in verdicts),
+        "vacuous": sum(one["vacuous"] for one in verdicts),
+        "margin": min(margins, default=None),
+        "upper": max(bounds, default=None),
+    }
+
+
+def _requirement_entry(requirement: Data) -> Data:
+    keys = ("text", "kind", "source", "check", "reason")
+    return {
+        "id": requirement["id"],
+        "anchor": requirement_anchor(requirement["id"]),
+        **{key: requirement.get(key, "") for key in keys},
+    }
+
+
+def _verdict_row(verdict: Data, links: EpisodeLinks) -> Data:
+    shown = verdict["counterexamples"][:MAX_COUNTEREXAMPLES]
+    pairs = verdict["pairs"]
+    return {
+        **verdict,
+        "worst": [
+            {**one, "link": links.of_episode(one["episode"], verdict["component"])} for one in shown
+        ],
+        "by_assertion": assertion_sentences(verdict),
+        "more": len(verdict["counterexamples"]) - len(shown),
+        "pairs": pairs if pairs and "only_with" in pairs else None,
+        "no_rate": SITUATIONS.get(verdict.get("situation") or "", ""),
+        "fixed_n": verdict["method"] not in SEQUENTIAL_METHODS,
+    }
+
+
+def traceability_section(
+    record: SessionRecord, gathered: ReportContents, links: EpisodeLinks
+) -> Data:
+    """Rows of both directions."""
+    by_requirement: dict[str, list[Data]] = {}
+    by_case: dict[tuple[str, str], list[Data]] = {}
+    shown, rest = split_folded(record["verdicts"], gathered.folded)
+    folded = Counter(verdict["requirement"] for verdict in rest)
+    cases, folded_cases = split_folded(record["cases"], gathered.folded, "id")
+    for verdict in shown:
+        told = _trace_step(verdict, links)
+        by_requirement.setdefault(verdict["requirement"], []).append(told)
+        by_case.setdefault((verdict["case"], verdict["component"]), []).append(told)
+    named = {one["id"] for one in record["requirements"]}
+    return {
+        "several": len({case["component"] for case in record["cases"]}) > 1,
+        "forward": [
+            {
+                **one,
+                "anchor": requirement_anchor(one["id"]),
+                "steps": by_requirement.get(one["id"], []),
+                "folded": folded[one["id"]],
+            }
+            for one in record["requirements"]
+        ],
+        "backward": [_case_trace(case, by_case, gathered) for case in cases],
+        "folded": len(folded_cases),
+        "unlisted": sorted({*by_requirement, *folded} - named),
+    }
+
+
+def _trace_step(verdict: Data, links: EpisodeLinks) -> Data:
+    shown = verdict["counterexamples"][:MAX_COUNTEREXAMPLES]
+    return {
+        "requirement": verdict["requirement"],
+        "requirement_anchor": requirement_anchor(verdict["requirement"]),
+        "case": verdict["case"],
+        "component": verdict["component"],
+        "case_anchor": case_anchor(verdict["case"]),
+        "verdict": verdict["verdict"],
+        "verdict_anchor": verdict_anchor(verdict["requirement"], verdict["case"]),
+        "item": verdict["item"],
+        "waiver": verdict["waiver"],
+        "episodes": [
+            {
+                "id": one["episode"],
+                "link": links.of_episode(one["episode"], verdict["component"]),
+            }
+            for one in shown
+        ],
+        "more": len(verdict["counterexamples"]) - len(shown),
+    }
+
+
+def _case_trace(
+    case: Data, by_case: Mapping[tuple[str, str], list[Data]], gathered: ReportContents
+) -> Data:
+    key = case["id"], case["component"]
+    steps = by_case.get(key, [])
+    judged = {one["requirement"] for one in steps}
+    return {
+        **case,
+        "anchor": case_anchor(case["id"]),
+        "steps": steps,
+        # An arm without a role is there for pairs: the verdicts stand on the case it belongs to.
+        "unjudged": [] if case["without"] else sorted(set(case["requirements"]) - judged),
+        "run": gathered.cases.get(key, CaseTally()).words.total(),
+    }
+
+
+def monitor_section(record: SessionRecord, _gathered: ReportContents, _links: EpisodeLinks) -> Data:
+    """Monitors that had anything to see or to say, how many had not, and the pairs of recovery."""
+    told = [
+        one
+        for one in record["monitors"]
+        if one["true_positives"] + one["false_negatives"] + one["false_positives"]
+    ]
+    switching = {
+        (case["id"], case["component"]): case["metrics"]["switching"] for case in record["cases"]
+    }
+    paired = [
+        {
+            **one,
+            "anchor": verdict_anchor(one["requirement"], one["case"]),
+            "switching": switching.get((one["case"], one["component"])),
+            "fixed_n": one["method"] not in SEQUENTIAL_METHODS,
+        }
+        for one in record["verdicts"]
+        if one["pairs"] and ("only_with" in one["pairs"] or "change" in one["pairs"])
+    ]
+    attacks = [one for one in paired if one["pairs"]["without"] == FAULTS]
+    pairs = [one for one in paired if one not in attacks and "only_with" in one["pairs"]]
+    horizons = sorted({one["horizon"] for one in told if one["horizon"] is not None})
+    return {
+        "rows": _joined_targets(told),
+        "horizons": horizons,
+        "silent": len(record["monitors"]) - len(told),
+        "pairs": pairs,
+        "attacks": attacks,
+        "effectiveness": record["effectiveness"],
+        "several": len({one["component"] for one in record["effectiveness"]}) > 1,
+    }
+
+
+def _joined_targets(found: list[Data]) -> list[Data]:
+    """Rows that differ in nothing but their target as one."""
+    same: dict[str, dict[str, Any]] = {}
+    for one in found:
+        figures = json.dumps({key: value for key, value in one.items() if key != "target"})
+        row = same.setdefault(figures, {**one, "targets": []})
+        row["targets"].append(one["target"])
+    return list(same.values())
+
+
+MAX_SEARCHES = 200
+"""Searches that are shown; the record has all."""
+MOST_CHANGES = 50
+OUTCOME_RANK = {word: rank for rank, word in enumerate(OBJECTIONABLE_OUTCOMES)}
+
+
+def search_section(record: SessionRecord, _gathered: ReportContents, _links: EpisodeLinks) -> Data:
+    """The searches, the worst first, with a row for each of their requirements."""
+    ordered = sorted(record["searches"], key=_search_rank)
+    return {
+        "found": [
+            {
+                **one,
+                "searched": simulations_text(one),
+                "coverage": search_coverage_text(one),
+                "rows": list(_outcome_rows(one)),
+            }
+            for one in ordered[:MAX_SEARCHES]
+        ],
+        "left_out": len(ordered[MAX_SEARCHES:]),
+        "note": NOTHING_SUPPORTED,
+    }
+
+
+def _search_rank(search: Data) -> int:
+    return min(
+        OUTCOME_RANK.get(outcome_status(search, one), len(OUTCOME_RANK))
+        for one in search["outcomes"]
+    )
+
+
+def _outcome_rows(search: Data) -> Iterator[Data]:
+    for outcome in search["outcomes"]:
+        name, found = outcome["requirement"], outcome["counterexample"]
+        met = is_notable_outcome(search, outcome)
+        yield {
+            **outcome,
+            "headline": outcome_headline(search, outcome),
+            "baseline_alone": outcome_status(search, outcome) == "baseline",
+            "own": list(searcher_rows(search, name, "searchers")) if met else [],
+            "alone": list(searcher_rows(search, name, "baselines")) if met else [],
+            "worst": "" if found is None else counterexample_text(found, outcome["check"]),
+            "simpler": "" if found is None else shrinking_text(found),
+            "changes": [] if found is None else parameter_changes(found, MOST_CHANGES),
+            "more": 0 if found is None else len(found["changes"][MOST_CHANGES:]),
+        }
+
+
+UNKNOWN_COMPONENT: dict[str, Any] = {
+    "name": None, "path": "", "params": {}, "version": None, "digest": None, "opaque": False,
+    "file_count": 0,
+}  # fmt: skip
+"""A component of which nothing was heard."""
+
+
+def provenance_section(
+    record: SessionRecord, _gathered: ReportContents, _links: EpisodeLinks
+) -> Data:
+    """Components, packages, inputs and timings, and the comparisons with the baseline."""
+    under_test = record["component_under_test"]
+    return {
+        "components": [
+            UNKNOWN_COMPONENT | one for one in (under_test, *under_test.get("others", ()))
+        ],
+        "models": record["models"],
+        "packages": sorted(record["environment"]["packages"].items()),
+        "redacted": sorted(record["redacted"].items()),
+        "inputs": record["inputs"],
+        "argument": record["argument"],
+        "timings": record["timings"],
+        "processing": sorted(record["timings"]["processing_seconds"].items()),
+        "baseline": record["baseline"],
+    }

@@ -1,0 +1,232 @@
+"""``test-result.intoto.json``: an in-toto Statement with the test-result predicate, version 0.1.
+
+What a policy may conclude, and what not:
+
+- The subjects are the components under test that have a digest, and always ``evidence.json``: the
+  statement stands for what that record holds. A component without a digest is named among the
+  annotations of the campaign only, because a statement on it could not be tied to anything.
+- ``PASSED``: the gate passed and every verdict is supported, none of them waived. ``WARNED``: the
+  gate passed, without any verdict, with waivers, or with undecided verdicts that it was told to let
+  through; and at best that of a shard, which is a part of a session, whatever it came to.
+  ``FAILED``: all else, an incomplete session included.
+- What a search found is no test: unless it is waived, its gate has failed. A waived one is a
+  warning.
+- Each verdict is one test, ``case::requirement``. Supported ones passed, waived ones are warned,
+  and violated and undecided ones failed, whatever the gate lets through.
+- The campaign is the first configuration. Its digest is that of the plan: cases, faults, number of
+  runs, requirements and base seed. Sessions of one plan have the same one.
+- There is no ``url``: the record knows no address of the session.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections import Counter
+from collections.abc import Mapping
+from typing import Any
+
+from pytest_dura.evidence.bundle import RECORD_FILE
+from pytest_dura.evidence.files import file_entry
+from pytest_dura.evidence.gate import NOTHING_FOUND, outcome_status
+from pytest_dura.evidence.model import Counts, SessionRecord, components_under_test, plain_data
+from pytest_dura.evidence.text import name, visible
+from pytest_dura.reports.wording import UNREVIEWED, shard_text, valid_sha256
+
+FILE = "test-result.intoto.json"
+STATEMENT = "https://in-toto.io/Statement/v1"
+PREDICATE = "https://in-toto.io/attestation/test-result/v0.1"
+NAME_LIMIT = 400
+MAX_REASONS = 20
+"""Reasons of the gate that are annotated; the record has all of them."""
+JsonObject = dict[str, Any]
+_PLANNED = ("id", "scenario", "faults", "component", "without", "requirements", "planned")
+_LISTS = ("passedTests", "warnedTests", "failedTests")
+
+
+def render(record: SessionRecord) -> str:
+    """The statement as text. Its record lies in the bundle already, and its digest is taken.
+
+    Raises:
+        ValueError: If ``evidence.json`` is not in the record's directory.
+    """
+    names = _test_names(record["verdicts"])
+    lists: dict[str, list[str]] = {key: [] for key in _LISTS}
+    for test, verdict in zip(names, record["verdicts"], strict=True):
+        lists[_test_list(verdict)].append(test)
+    statement = {
+        "_type": STATEMENT,
+        "subject": _subjects(record),
+        "predicateType": PREDICATE,
+        "predicate": {
+            "result": _result(record),
+            "configuration": [_campaign(record, names), *map(_input_entry, record["inputs"])],
+            **lists,
+        },
+    }
+    return json.dumps(statement, indent=1) + "\n"
+
+
+def read_counts(text: str) -> Counts:
+    """What the statement states: verdicts counted in its lists of tests, the rest annotated.
+
+    Raises:
+        ValueError: If the text is no such statement, or it contradicts itself.
+    """
+    try:
+        statement = json.loads(text)
+        if (statement["_type"], statement["predicateType"]) != (STATEMENT, PREDICATE):
+            raise ValueError("not an in-toto statement of a test result")
+        predicate = statement["predicate"]
+        return _counts(predicate, predicate["configuration"][0]["annotations"])
+    except (LookupError, TypeError, AttributeError) as error:
+        problem = f"{type(error).__name__}: {error}"
+        raise ValueError(f"not the test result of a session ({problem})") from None
+
+
+def broken_references(text: str, record: SessionRecord) -> list[str]:
+    """Digests of the statement that are not those of the bundle's record and of its inputs."""
+    statement = json.loads(text)
+    told = []
+    if statement["subject"] != _subjects(record):
+        told.append(
+            f"its subjects are not {RECORD_FILE} and the components under test of the record"
+        )
+    if statement["predicate"]["configuration"][1:] != [
+        _input_entry(one) for one in record["inputs"]
+    ]:
+        told.append("its configuration is not the inputs of the record")
+    return told
+
+
+def _counts(predicate: Mapping[str, Any], told: Mapping[str, Any]) -> Counts:
+    lists = {key: Counter(predicate[key]) for key in _LISTS}
+    tests = sum(lists.values(), Counter())
+    gate, result = told["gate"], predicate["result"]
+    if result not in ("PASSED", "WARNED", "FAILED"):
+        raise ValueError(f"{result!r} is no result of a test")
+    if (result != "FAILED") and (
+        gate != "passed" or (result == "PASSED" and +lists["failedTests"])
+    ):
+        raise ValueError(f"the result is {result}, the gate {gate}, and some tests have failed")
+    if repeated := [test for test, count in tests.items() if count > 1]:
+        raise ValueError(f"the test {repeated[0]} is listed twice")
+    named = {word: set(told[word]) for word in ("violated", "undecided")}
+    if strangers := (named["violated"] | named["undecided"]) - set(tests):
+        raise ValueError(f"{min(strangers)} is annotated, and is none of the tests")
+    words = Counter({word: len(found) for word, found in named.items()})
+    if not set(lists["failedTests"]) <= named["violated"] | named["undecided"]:
+        raise ValueError("a test has failed that is neither violated nor undecided")
+    if set(lists["passedTests"]) & (named["violated"] | named["undecided"]):
+        raise ValueError("a test has passed that is violated or undecided")
+    numbers = ("requirements", "cases", "episodes", "valid", "invalid", "missing")
+    return Counts(
+        gate=gate,
+        **{key: int(told[key]) for key in numbers},
+        supported=len(tests) - words.total(),
+        violated=words["violated"],
+        undecided=words["undecided"],
+        waived=len(lists["warnedTests"]),
+    )
+
+
+def _test_list(verdict: JsonObject) -> str:
+    if verdict["waiver"] is not None:
+        return "warnedTests"
+    return "passedTests" if verdict["verdict"] == "supported" else "failedTests"
+
+
+def _result(record: SessionRecord) -> str:
+    if record["gate"]["result"] != "passed" or record["status"] != "complete":
+        return "FAILED"
+    # Without a verdict nothing was shown, and by one shard nothing of the whole.
+    clean = bool(record["verdicts"]) and not shard_text(record)
+    for verdict in record["verdicts"]:
+        if verdict["verdict"] == "violated" and verdict["waiver"] is None:
+            return "FAILED"  # no gate lets it through; what says so is damaged
+        clean &= _test_list(verdict) == "passedTests"
+    for search in record["searches"]:
+        words = {outcome_status(search, one) for one in search["outcomes"]} - {NOTHING_FOUND}
+        if words - {"undecided"} and search["waiver"] is None:
+            return "FAILED"  # likewise
+        clean &= not words
+    return "PASSED" if clean else "WARNED"
+
+
+def _test_names(verdicts: list[JsonObject]) -> list[str]:
+    """``case::requirement`` of each verdict, with as much more as tells it from the others."""
+    parts = [
+        [f"{one['case']}::{one['requirement']}", f" [{one['component']}]", f" ({one['item']})"]
+        for one in verdicts
+    ]
+    full = ["".join(one[:1]) for one in parts]
+    for more in (2, 3):
+        often = Counter(full)
+        full = [
+            "".join(part[:more]) if often[known] > 1 else known
+            for known, part in zip(full, parts, strict=True)
+        ]
+    found: list[str] = []
+    taken: set[str] = set()
+    again: Counter[str] = Counter()
+    for one in (name(text, NAME_LIMIT) for text in full):
+        unique = one
+        while unique in taken:
+            again[one] += 1
+            unique = f"{one} #{again[one] + 1}"
+        taken.add(unique)
+        found.append(unique)
+    return found
+
+
+def _subjects(record: SessionRecord) -> list[JsonObject]:
+    file = record.directory / RECORD_FILE
+    if not file.is_file():
+        raise ValueError(f"{RECORD_FILE} has to be written before the statement on it")
+    found = [
+        {"name": name(one["name"] or "unknown", NAME_LIMIT), "digest": {"sha256": digest}}
+        for one in components_under_test(record)
+        if (digest := valid_sha256(one.get("digest")))
+    ]
+    return [*found, {"name": RECORD_FILE, "digest": {"sha256": file_entry(file)["sha256"]}}]
+
+
+def _campaign(record: SessionRecord, names: list[str]) -> JsonObject:
+    plan = {
+        "base_seed": record["base_seed"],
+        "requirements": record["requirements"],
+        "cases": [{key: one.get(key) for key in _PLANNED} for one in record["cases"]],
+    }
+    canonical = json.dumps(plain_data(plan), sort_keys=True, separators=(",", ":"))
+    counts = Counts.of(record).to_json()
+    words = [one["verdict"] for one in record["verdicts"]]
+    for word in ("supported", "violated", "undecided"):
+        counts[word] = [test for test, one in zip(names, words, strict=True) if one == word]
+    del counts["supported"], counts["waived"]  # those that passed, and those that are warned
+    return {
+        "name": "campaign",
+        "digest": {"sha256": hashlib.sha256(canonical.encode()).hexdigest()},
+        "annotations": {
+            **counts,
+            "status": record["status"],
+            "part": shard_text(record) or "whole",
+            "reasons": [visible(one) for one in record["gate"]["reasons"][:MAX_REASONS]],
+            "components": [
+                name(one["name"] or "unknown", NAME_LIMIT) for one in components_under_test(record)
+            ],
+            "command": visible(record["command"]),
+            "base_seed": str(record["base_seed"]),  # as a number, JSON readers would round it
+            "created": record["created"],
+            "review": UNREVIEWED,
+        },
+    }
+
+
+def _input_entry(one: JsonObject) -> JsonObject:
+    found: JsonObject = {
+        "name": name(one["path"], NAME_LIMIT),
+        "annotations": {"kind": visible(one["kind"])},
+    }
+    if digest := valid_sha256(one["sha256"]):
+        found["digest"] = {"sha256": digest}
+    return found

@@ -1,0 +1,428 @@
+"""Wording that reports share: figures, replay commands, and what a session shows or does not.
+
+A rate never stands without its n and its confidence.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from functools import lru_cache
+from typing import Any
+
+from pytest_dura.core.state import NOTHING
+from pytest_dura.evidence.gate import NOTHING_FOUND, VIOLATED_OUTCOMES, not_repeatable_lines
+from pytest_dura.evidence.model import SessionRecord
+from pytest_dura.evidence.sessions import outdated_reason
+from pytest_dura.evidence.text import name
+from pytest_dura.reports.tables import NOTHING_SUPPORTED
+from pytest_dura.requirements.verdicts.campaigns import SITUATIONS
+
+Data = Mapping[str, Any]
+UNREVIEWED = "generated, unreviewed"
+MAX_OBSERVED_NAMES = 8
+"""Names of what a test looked at, in a sentence."""
+_SHA256 = re.compile(r"[0-9a-f]{64}")
+
+
+def sample_text(verdict: Data) -> str:
+    """What a verdict rests on: ``12 valid of 15 run, 15 planned; 0 violations``."""
+    told = (
+        f"{verdict['episodes']} valid of {verdict['run']} run, {verdict['planned']} planned; "
+        f"{verdict['violations']} violation{'' if verdict['violations'] == 1 else 's'}"
+        f"{fault_free_violations_text(verdict)}"
+    )
+    return ", ".join([told, *other_run_counts(verdict)])
+
+
+def other_run_counts(verdict: Data) -> list[str]:
+    """What else there is to say of a verdict's runs: ``2 ended before it was decided``."""
+    counts = {
+        "ended before it was decided": len(verdict["open"]),
+        "violated without effect of the fault": verdict["without_effect"],
+        **{word: verdict[word] for word in ("invalid", "missing", "vacuous")},
+    }
+    return [f"{count} {what}" for what, count in counts.items() if count]
+
+
+def fault_free_violations_text(verdict: Data) -> str:
+    """How many of a verdict's violations are not the faults' doing; empty if none is known."""
+    count = verdict["also_without"]
+    return f" ({count} of them also without the faults)" if count else ""
+
+
+def rate_bound(verdict: Data) -> str:
+    """The bound on the rate of violations with its confidence, or that there is none."""
+    told = verdict["bound"]
+    if told["upper"] is None:
+        return f"no bound{no_rate_reason(verdict)}"
+    return f"rate <= {told['upper']:.3g} at {told['confidence']:g} confidence"
+
+
+def no_rate_reason(verdict: Data) -> str:
+    """That its runs are all equal, after a colon; empty where they differ, or there is one."""
+    situation = verdict.get("situation")
+    return "" if situation is None else f": {SITUATIONS[situation]}"
+
+
+def assertion_sentences(verdict: Data) -> list[str]:
+    """What a verdict rests on that assertions of a test decided, sentence by sentence.
+
+    There is none for a verdict by checks alone. Names in it are a user's, and have to be escaped.
+    """
+    found = verdict["assertion"]
+    if found is None:
+        return []
+    seen = ", ".join(found["observed"][:MAX_OBSERVED_NAMES]) or "nothing"
+    if len(found["observed"]) > MAX_OBSERVED_NAMES:
+        seen += f" and {len(found['observed']) - MAX_OBSERVED_NAMES} more"
+    told = [f"failed: {one['message']}, in {one['episode']}" for one in found["failed"][:1]]
+    if found["alone"]:
+        told.append(f"by assertion: the test looked at {seen}")
+    elif found["observed"]:
+        told.append(f"by its check, and by assertion: the test looked at {seen}")
+    for one in found["false"]:
+        count = f"{one['episodes']} episode{'' if one['episodes'] == 1 else 's'}"
+        told.append(f"false in {count} with which the test passed: {one['check']}")
+    return told
+
+
+def event_text(event: Data) -> str:
+    """What ended an episode: ``at t = 6.50 s the ego ran into VICTIM``."""
+    return f"at t = {event['time']:.2f} s {event['detail']}"
+
+
+def selection_text(record: SessionRecord) -> str:
+    """What the session was asked for of its plan; empty where it was the whole plan.
+
+    Such as ``1 of 2 planned verdicts asked for, 5 runs instead of 15``.
+    """
+    told = record["selection"]
+    parts = []
+    if told["asked"] < told["planned"]:
+        parts.append(f"{told['asked']} of {told['planned']} planned verdicts asked for")
+    if told["runs"] is not None:
+        declared = " to ".join(map(str, dict.fromkeys(told["declared_runs"])))
+        runs = f"{told['runs']} run{'' if told['runs'] == 1 else 's'}"
+        parts.append(f"{runs} instead of {declared}")
+    return ", ".join(parts)
+
+
+def roles_off_lines(record: SessionRecord) -> list[str]:
+    """Which roles are switched off, and in how many of the cases."""
+    cases = [one for one in record["cases"] if not one["without"]]
+    counts = Counter(role for one in cases for role in one["off"])
+    several = "s" if len(cases) > 1 else ""
+    return [
+        f"{role} is OFF in {counts[role]} of {len(cases)} case{several}" for role in sorted(counts)
+    ]
+
+
+def shard_text(record: SessionRecord) -> str:
+    """Which part of a session the record is, such as ``shard 2 of 5``; empty for a whole one."""
+    shard = record["shard"]
+    return "" if shard is None else f"shard {shard['index']} of {shard['count']}"
+
+
+def merge_text(record: SessionRecord) -> str:
+    """How many shards the record was merged from, and where they ran; empty for a session's own."""
+    shards = record["merged_from"]
+    if shards is None:
+        return ""
+    # Which shards have property tests says nothing of where they ran.
+    places = [{**one["environment"], "hypothesis": None} for one in shards]
+    several = len({json.dumps(one, sort_keys=True) for one in places}) > 1
+    count = f"{len(shards)} shard{'' if len(shards) == 1 else 's'}"
+    return f"{count}, in environments that differ" if several else f"{count}, in one environment"
+
+
+def valid_sha256(text: object) -> str | None:
+    """The digest, if it is a SHA-256 in hexadecimal."""
+    return text if isinstance(text, str) and _SHA256.fullmatch(text) else None
+
+
+_EVIDENCE, _LLM, _CASSETTE = "--dura-evidence", "--dura-llm", "--dura-cassette"
+_MAX_COMMAND = 100_000
+"""Characters of a session's command; no shell takes many more."""
+
+
+def replay_command(
+    episode: str, evidence: str | None = None, models: Mapping[str, str] = NOTHING
+) -> str:
+    """``pytest --dura-replay='case#run'``, each value quoted for a shell.
+
+    Args:
+        episode: Its id.
+        evidence: The evidence directory, unless it is the default one.
+        models: Of :func:`model_options`.
+    """
+    told = {"--dura-replay": episode}
+    if evidence is not None:
+        told[_EVIDENCE] = evidence
+    told.update(models)
+    return " ".join(["pytest", *(f"{key}={shlex.quote(value)}" for key, value in told.items())])
+
+
+def evidence_option(command: str) -> str | None:
+    """The evidence directory that a session's command names, if it does; the last one counts."""
+    return _option_values(command).get(_EVIDENCE)
+
+
+def model_options(command: str) -> dict[str, str]:
+    """The options with which the cassette of a session answers again, by the session's command."""
+    given = _option_values(command)
+    if given.get(_LLM) not in ("record", "replay"):
+        return {}
+    found = {_LLM: "replay"}
+    if _CASSETTE in given:
+        found[_CASSETTE] = given[_CASSETTE]
+    return found
+
+
+@lru_cache(maxsize=1)
+def _option_values(command: str) -> Mapping[str, str]:
+    """The values of those options in a command."""
+    if len(command) > _MAX_COMMAND:
+        return NOTHING
+    try:
+        words = shlex.split(command)
+    except ValueError:  # no shell reads such a command
+        return NOTHING
+    found: dict[str, str] = {}
+    for word, following in zip(words, [*words[1:], None], strict=False):
+        option, equals, value = word.partition("=")
+        given = value if equals else following
+        if option in (_EVIDENCE, _LLM, _CASSETTE) and given is not None:
+            found[option] = given
+    return found
+
+
+MOST_NAMES = 8
+"""Requirements that a sentence names."""
+
+
+def conclusion_sentences(record: SessionRecord) -> Iterator[str]:
+    """What the verdicts come to. Names in it are a user's, and have to be escaped."""
+    verdicts = record["verdicts"]
+    if not verdicts:
+        yield "No requirement led to a verdict."
+        yield from _search_violations(record)
+        return
+    violated = [one for one in verdicts if one["verdict"] == "violated"]
+    if violated:
+        ids = list(dict.fromkeys(one["requirement"] for one in violated))
+        names = ", ".join(map(name, ids[:MOST_NAMES]))
+        more = f" and {len(ids) - MOST_NAMES} more" if len(ids) > MOST_NAMES else ""
+        yield (
+            f"{_share(violated, verdicts)} violated ({names}{more}): the episodes "
+            "are named and can be replayed."
+        )
+    supported = [one for one in verdicts if one["verdict"] == "supported"]
+    if supported:
+        yield f"{_share(supported, verdicts)} supported.{_weakest_bound(supported)}"
+    else:
+        yield f"None of {len(verdicts)} verdicts is supported."
+    yield from _search_violations(record)
+
+
+def limitation_sentences(record: SessionRecord) -> Iterator[str]:
+    """What nobody may conclude from this session."""
+    if record["status"] != "complete" or record["gate"]["result"] == "incomplete":
+        yield "The session did not come to its end: what it would have shown is not known."
+    if which := shard_text(record):
+        yield (
+            f"This is {which}: of what the others hold it says nothing. `python -m pytest_dura "
+            "merge` joins them all, and gates on the whole."
+        )
+    yield from _left_out(record)
+    verdicts, totals = record["verdicts"], record["totals"]
+    undecided = [one for one in verdicts if one["verdict"] == "undecided"]
+    if undecided:
+        blind = sum(one["episodes"] == 0 for one in undecided)
+        rest = f", {blind} of them without a single valid episode" if blind else ""
+        yield f"{_share(undecided, verdicts)} undecided{rest}: they show neither."
+    yield from _one_situation(verdicts)
+    waived = [one for one in verdicts if one["waiver"] is not None]
+    if waived:
+        yield f"{_share(waived, verdicts)} waived: let through by name, not by evidence."
+    yield from _searches_without_violation(record)
+    yield from _untested(record)
+    early = sum(one["metrics"]["ended_early"] for one in record["cases"])
+    if early:
+        yield (
+            f"{early} of {totals['episodes']} episodes ended early, once every requirement of "
+            "their case was decided: the margin of what one satisfies is the least that was still "
+            "possible, that of a violation as it was by then; clearance, gridlock, recoveries, "
+            "alerts, valid proposals and all other figures are of what was seen by then, and what "
+            "would have failed later is not known."
+        )
+    yield from _not_repeatable(record)
+    yield from _taken_over(record)
+    spoilt = totals["invalid"] + totals["missing"]
+    if spoilt:
+        yield (
+            f"{totals['invalid']} of {totals['episodes']} episodes are invalid and "
+            f"{totals['missing']} missing: they support nothing and enter no n. What one of them "
+            "violates fails the gate all the same."
+        )
+    supported = sum(one["verdict"] == "supported" for one in verdicts)
+    if supported:
+        yield (
+            "That no violation was seen does not mean that there can be none: the bound says how "
+            "frequent they may still be."
+        )
+    yield from _by_assertion(verdicts)
+    if supported > 1:
+        yield "Each bound holds by itself with its confidence; that all hold at once is less sure."
+    recoveries = sum(one["metrics"]["recoveries"] for one in record["cases"] if not one["without"])
+    if recoveries:
+        yield (
+            f"Recovery acted {recoveries} times in valid episodes: what is judged is the component "
+            "together with its monitors and its recovery, not the component alone."
+        )
+    yield (
+        "All of it is simulated: nothing is said of conditions that the scenarios and their ranges "
+        "do not contain."
+    )
+
+
+def _left_out(record: SessionRecord) -> Iterator[str]:
+    """Roles that are switched off, and what was planned and not asked for."""
+    for line in roles_off_lines(record):
+        yield f"{name(line)}: what it would have seen or done is in no verdict."
+    told, which = record["selection"], selection_text(record)
+    if not which:
+        return
+    left = told["planned"] - told["asked"]
+    names = ", ".join(map(name, told["left_out"][:MOST_NAMES]))
+    more = f" and {left - MOST_NAMES} more" if left > MOST_NAMES else ""
+    yield f"Of its plan the session was asked for a part: {which}." + (
+        f" Left out: {names}{more}." if names else ""
+    )
+
+
+def _by_assertion(verdicts: list[Data]) -> Iterator[str]:
+    """Verdicts that rest on nothing but what tests assert."""
+    found = [
+        one
+        for one in verdicts
+        if one["verdict"] == "supported" and one["assertion"] and one["assertion"]["alone"]
+    ]
+    if found:
+        yield (
+            f"{_share(found, verdicts)} supported by assertions of tests alone: what holds is what "
+            "a test asserts of what it looked at, and whether that is the requirement is not shown."
+        )
+
+
+def _search_outcomes(record: SessionRecord, words: tuple[str, ...]) -> list[tuple[Data, Data]]:
+    """Searches and their outcomes of these words."""
+    return [
+        (search, outcome)
+        for search in record["searches"]
+        for outcome in search["outcomes"]
+        if outcome["word"] in words
+    ]
+
+
+def _search_violations(record: SessionRecord) -> Iterator[str]:
+    """What searches violated, confirmed or not."""
+    for word, how in zip(
+        VIOLATED_OUTCOMES, ("confirmed by replay", "and not each time again"), strict=True
+    ):
+        found = _search_outcomes(record, (word,))
+        if found:
+            told = [f"{name(one['requirement'])} on {name(by['case'])}" for by, one in found]
+            names = ", ".join(dict.fromkeys(told[:MOST_NAMES]))
+            more = f" and {len(told) - MOST_NAMES} more" if len(told) > MOST_NAMES else ""
+            yield f"Violated in a search, {how}: {names}{more}. It is part of no rate."
+
+
+def _searches_without_violation(record: SessionRecord) -> Iterator[str]:
+    found = _search_outcomes(record, (NOTHING_FOUND, "undecided"))
+    if found:
+        several = "" if len(found) == 1 else "s"
+        most = max(search["simulations"] for search, _ in found)
+        yield (
+            f"Searches found nothing against {len(found)} requirement{several} on a case, in up to "
+            f"{most} simulations each: that supports none of them. {NOTHING_SUPPORTED}"
+        )
+
+
+def _one_situation(verdicts: list[Data]) -> Iterator[str]:
+    equal = [one for one in verdicts if one.get("situation") is not None]
+    if equal:
+        rests = "rests" if len(equal) == 1 else "rest"
+        yield (
+            f"{len(equal)} of {len(verdicts)} verdicts {rests} on runs that are all equal: however "
+            "many they are, they show one situation, and no rate."
+        )
+
+
+def _not_repeatable(record: SessionRecord) -> Iterator[str]:
+    found = [name(one["id"]) for one in record["cases"] if any(not_repeatable_lines([one]))]
+    if found:
+        names = ", ".join(dict.fromkeys(found[:MOST_NAMES]))
+        more = f" and {len(found) - MOST_NAMES} more" if len(found) > MOST_NAMES else ""
+        yield (
+            f"Not repeatable: {names}{more}. An episode of each, run twice in this session, came "
+            "out differently: what is said of them may come out differently, too."
+        )
+
+
+def _taken_over(record: SessionRecord) -> Iterator[str]:
+    """What this session did not simulate itself."""
+    reuse, run = record["reuse"], record["totals"]["episodes"]
+    if reuse["mode"] == "none":
+        return
+    several = len(reuse["sessions"])
+    whose = f" from {several} earlier session{'' if several == 1 else 's'}" if several else ""
+    yield (
+        f"{reuse['taken_over']} of {run} episodes were taken over{whose}, since nothing that they "
+        "are known to rest on had changed: what their code reads or imports unseen is not known."
+    )
+    for one in reuse["outdated"][:MOST_NAMES]:
+        yield (
+            f"{one['episodes']} of {run} episodes were simulated again: "
+            f"{outdated_reason(map(name, one['changed']))}."
+        )
+    searched = reuse["searched"]
+    if searched is not None and searched["taken_over"]:
+        yield (
+            f"{searched['taken_over']} of {searched['simulations']} simulations of searches were "
+            "taken over from earlier sessions, under the same conditions; replays never are."
+        )
+
+
+def _untested(record: SessionRecord) -> Iterator[str]:
+    cells, left_out = record["coverage"]["cells"], record["coverage"]["left_out"]
+    untested = left_out + sum(one["verdict"] is None for one in cells)
+    if untested:
+        yield (
+            f"{untested} of {len(cells) + left_out} combinations of requirement, scenario and "
+            "faults were not tried."
+        )
+    unheard = sum(one["missing_runs_total"] for one in record["cases"])
+    if unheard:
+        yield f"{unheard} planned episodes were not run."
+
+
+def _share(part: list[Data], whole: list[Data]) -> str:
+    return f"{len(part)} of {len(whole)} verdicts {'is' if len(part) == 1 else 'are'}"
+
+
+def _weakest_bound(supported: list[Data]) -> str:
+    """The greatest bound of them, with its confidence and its n."""
+    known = [one for one in supported if one["bound"]["upper"] is not None]
+    if not known:
+        return ""
+    worst = max(known, key=lambda one: float(one["bound"]["upper"]))
+    told = worst["bound"]
+    return (
+        f" The weakest bound among them: at most {100 * told['upper']:.3g} % of such episodes "
+        f"violate the requirement, with {100 * told['confidence']:.3g} % confidence "
+        f"(n = {worst['episodes']})."
+    )

@@ -1,0 +1,546 @@
+"""Pairs of episodes of equal seeds, with something and without it: verdicts, counts, changes.
+
+The twin has the same seed and lacks a role, such as the recovery planner, or the faults. The table
+is neutral: which runs violated the requirement. What its cells mean depends on what the twins lack.
+"""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Literal
+
+from pytest_dura.core.boundary import Boundary
+from pytest_dura.core.episode import Episode
+from pytest_dura.core.errors import ConfigurationError, describe_error
+from pytest_dura.requirements.checks import check_name, load_function
+from pytest_dura.requirements.model import Requirement
+from pytest_dura.requirements.verdicts.episodes import EpisodeStatus, EpisodeVerdict
+
+_ROUNDING = 1e-9
+"""Share of the greatest value by which a growth may miss the bound and still equals it: times are
+multiples of a time step that has no exact float, such as 8.3 s and 6.3 s."""
+
+
+def check_comparison(requirement: Requirement) -> None:
+    """Refuse a requirement on pairs that does not say, or says twice, what is compared.
+
+    Raises:
+        ConfigurationError: Without a check and a measure, with both, and for a measure without a
+            bound on its change or such a bound without a measure.
+    """
+    paired = requirement.paired
+    if paired is None:
+        return
+    measure, bound = paired.measure, paired.change_at_most
+    given = {"check": requirement.check, "measure": measure}
+    named = [f"{key} {value}" for key, value in given.items() if value]
+    if len(named) != 1:
+        raise ConfigurationError(
+            "pairs are compared by a check or by a measure",
+            key="paired.measure" if named else "check",
+            found=" and ".join(named) or "neither",
+            expected="one of them",
+            remedy="leave one out" if named else "add `check`, or `measure` and `change_at_most`",
+        )
+    if bool(measure) != (bound is not None):
+        raise ConfigurationError(
+            "`measure` and `change_at_most` go together",
+            key="paired.change_at_most",
+            found=measure or bound,
+            expected="both or neither",
+            remedy="add the other one" if measure else "add `measure`, or leave the bound out",
+        )
+
+
+def pair_verdict(with_it: EpisodeVerdict, without: EpisodeVerdict) -> EpisodeVerdict:
+    """Whether something made an episode violate a check: violated with it, satisfied without it.
+
+    The margin is that of the implication "satisfied without it implies satisfied with it". A pair
+    of which one run is missing or invalid is so itself: there is nothing to compare. One in which
+    the check's condition held in neither run is vacuous.
+
+    Args:
+        with_it: Verdict on the episode.
+        without: Verdict on its twin of the same seed.
+    """
+    words = with_it.verdict, without.verdict
+    spoilt = next((one for one in ("missing", "invalid") if one in words), None)
+    if spoilt is not None:
+        return _as_side(with_it, with_it if with_it.verdict == spoilt else without, spoilt)
+    if "open" in words and words[0] != "satisfied" and words[1] != "violated":
+        return _as_side(with_it, with_it if words[0] == "open" else without, "open")
+    if (with_it.without_effect or without.without_effect) and words != ("violated", "satisfied"):
+        # Nothing was violated only with it, and the runs are no sample of runs with the fault.
+        side = with_it if with_it.without_effect else without
+        return _as_side(with_it, side, "invalid")
+    margins = with_it.margin, without.margin
+    margin = None
+    if margins[0] is not None and margins[1] is not None:
+        margin = max(margins[0], -margins[1])
+    if words == ("violated", "satisfied"):
+        detail = f"violated only with it: {with_it.detail}"
+        return replace(with_it, margin=margin, detail=detail)
+    detail = f"{words[0]} with it, {words[1]} without it"
+    vacuous = with_it.vacuous and without.vacuous
+    return replace(
+        with_it, verdict="satisfied", margin=margin, time=None, detail=detail, vacuous=vacuous
+    )
+
+
+def _as_side(
+    with_it: EpisodeVerdict, side: EpisodeVerdict, verdict: EpisodeStatus
+) -> EpisodeVerdict:
+    """The pair as invalid, missing or open as one of its runs is."""
+    twin = "" if side is with_it else f", in {side.episode}"
+    return replace(
+        with_it,
+        verdict=verdict,
+        margin=None,
+        time=None,
+        detail=f"{side.detail}{twin}",
+        without_effect=False,
+        ended=side.ended,
+    )
+
+
+def change_verdict(
+    requirement: Requirement,
+    episode: Episode,
+    twin: Episode,
+    values: tuple[float | None, float | None],
+) -> EpisodeVerdict:
+    """Whether a measure grew by more than is acceptable.
+
+    A value that is not finite stands for "never", which is more than any number: an episode
+    without a value whose twin has one violates the requirement, and a pair without any says
+    nothing.
+
+    Args:
+        requirement: A requirement on pairs with a bound on the change.
+        episode: The episode.
+        twin: The episode of the same seed without something.
+        values: The measure of both; ``None`` of a run that is invalid or missing, or not whole.
+    """
+    assert requirement.paired is not None
+    bound = requirement.paired.change_at_most
+    assert bound is not None
+    word, margin, detail = _compared(episode, twin, values, bound)
+    return EpisodeVerdict(
+        requirement=requirement.id,
+        episode=episode.id,
+        component=episode.spec.component,
+        verdict=word,
+        margin=margin,
+        time=None,
+        detail=detail,
+        proposals=episode.metrics.proposals,
+        valid_proposals=episode.metrics.valid_proposals,
+        idle=episode.idle_faults,
+    )
+
+
+def _compared(
+    episode: Episode, twin: Episode, values: tuple[float | None, float | None], bound: float
+) -> tuple[EpisodeStatus, float | None, str]:
+    own, other = values
+    if own is None or other is None:
+        pair = (episode, twin)
+        spoilt = [one for one in pair if one.validity != "valid" or one.termination == "decided"]
+        missing = [one for one in spoilt if one.failure is not None]
+        side = [*missing, *spoilt][0]
+        why = side.failure or side.invalid_reason or "ended before its time, once all was decided"
+        detail = f"{why}, in {side.id}"
+        return ("missing" if missing else "invalid"), None, detail
+    if not math.isfinite(own):
+        if not math.isfinite(other):
+            return "invalid", None, "the measure has no value in either run"
+        return "violated", None, f"the measure has no value, and {other:.4g} without"
+    if not math.isfinite(other):
+        return "satisfied", None, f"the measure is {own:.4g}, and has no value without"
+    detail = f"the measure is {own:.4g}, and {other:.4g} without: {own - other:+.4g}"
+    margin = bound - (own - other)
+    if abs(margin) <= _ROUNDING * max(abs(own), abs(other), abs(bound)):
+        margin = 0.0
+    return ("satisfied" if margin >= 0 else "violated"), margin, detail
+
+
+def measured(measure: str | Callable[[Episode], float], episode: Episode) -> float:
+    """The measure of an episode; NaN for none.
+
+    Raises:
+        ConfigurationError: If the function cannot be imported, fails, or returns no number.
+    """
+    function = load_function(measure) if isinstance(measure, str) else measure
+    try:
+        with Boundary() as boundary:
+            return float(function(episode))
+    except ConfigurationError:
+        raise
+    except BaseException as error:
+        boundary.let_pass(error)
+        name = check_name(measure)
+        raise ConfigurationError(
+            f"the measure {name} failed on {episode.id}: {describe_error(error)}",
+            key="paired.measure",
+            found=name,
+            expected="a function of an episode to a number",
+            remedy="mend the function; let it return NaN where there is no value",
+        ) from error
+
+
+PairStatus = Literal["only_with", "only_without", "both", "neither", "incomplete"]
+
+
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """The verdicts on an episode and on its twin.
+
+    Args:
+        with_it: Verdict on the episode that has what the twin lacks.
+        without: Verdict on the twin.
+        acted: Whether recovery acted in the episode that has it.
+
+    Raises:
+        ConfigurationError: If the two are not about the same requirement, component and run.
+    """
+
+    with_it: EpisodeVerdict
+    without: EpisodeVerdict
+    acted: bool = False
+
+    def __post_init__(self) -> None:
+        for what, own, twin in (
+            ("requirement", self.with_it.requirement, self.without.requirement),
+            ("component", self.with_it.component, self.without.component),
+            ("run", _run(self.with_it), _run(self.without)),
+        ):
+            if own != twin:
+                raise ConfigurationError(
+                    f"the two verdicts of a pair are about one {what}",
+                    key=what,
+                    found=f"{own} and {twin}",
+                    remedy="pair each episode with its twin of the same run and seed",
+                )
+
+    @property
+    def word(self) -> PairStatus:
+        """Which runs violated it; ``incomplete`` if one of them is not known to."""
+        words = self.with_it.verdict, self.without.verdict
+        if not {"satisfied", "violated"}.issuperset(words) or (
+            self.with_it.without_effect or self.without.without_effect
+        ):
+            return "incomplete"
+        return _STATUSES[words[0] == "violated", words[1] == "violated"]
+
+
+_STATUSES: dict[tuple[bool, bool], PairStatus] = {
+    (True, False): "only_with",
+    (False, True): "only_without",
+    (True, True): "both",
+    (False, False): "neither",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class PairCounts:
+    """How many pairs violated a requirement in which of their runs.
+
+    The first five counts add up to ``pairs``. A pair with an invalid, missing or open run is
+    incomplete, as what the other run came to cannot be compared; a violation in it stands in
+    ``violated_with`` or ``violated_without`` all the same.
+
+    Args:
+        pairs: All pairs.
+        only_with: Violated only with what the twins lack.
+        only_without: Violated only without it.
+        both: Violated in both runs.
+        neither: Violated in neither.
+        incomplete: One run is invalid, missing or open.
+        acted_only_with: Those of ``only_with`` in which recovery acted; and so on.
+        acted_only_without: As above.
+        acted_both: As above.
+        acted_neither: As above.
+        violated_with: Violations with it, incomplete pairs included.
+        violated_without: Violations without it, incomplete pairs included.
+        p_value: Two-sided p-value of the exact McNemar test on the discordant pairs, against "it
+            makes no difference to the rate of violations"; 1 if no pair is discordant. It holds
+            for a number of pairs that did not depend on what they came to: of pairs that were run
+            until a requirement was decided it may be too small.
+    """
+
+    pairs: int
+    only_with: int
+    only_without: int
+    both: int
+    neither: int
+    incomplete: int
+    acted_only_with: int
+    acted_only_without: int
+    acted_both: int
+    acted_neither: int
+    violated_with: int
+    violated_without: int
+    p_value: float
+
+    @property
+    def complete(self) -> int:
+        """Pairs of which both runs were judged."""
+        return self.pairs - self.incomplete
+
+    @property
+    def difference(self) -> float | None:
+        """Rate of violations with it less that without it; ``None`` without a complete pair."""
+        return (self.only_with - self.only_without) / self.complete if self.complete else None
+
+    @property
+    def prevented(self) -> int:
+        """If the twins lack the recovery: violations that it prevented."""
+        return self.only_without
+
+    @property
+    def introduced(self) -> int:
+        """If the twins lack the recovery: violations that there are only because of it."""
+        return self.only_with
+
+    @property
+    def futile(self) -> int:
+        """If the twins lack the recovery: violations in both runs although it acted."""
+        return self.acted_both
+
+    @property
+    def success_rate(self) -> float | None:
+        """If the twins lack the recovery: how often it succeeded where it acted and had to.
+
+        The share of violations that it prevented, of those that it prevented and those that it met
+        in vain; ``None`` without any.
+        """
+        tried = self.acted_only_without + self.acted_both
+        return self.acted_only_without / tried if tried else None
+
+    @property
+    def unheeded(self) -> int:
+        """If the twins lack the recovery: violations in both runs in which it never acted."""
+        return self.both - self.acted_both
+
+    @property
+    def unnecessary(self) -> int:
+        """If the twins lack the recovery: it acted, and nothing happens without it either."""
+        return self.acted_neither
+
+    @property
+    def unneeded(self) -> int:
+        """If the twins lack the recovery: it never acted, and nothing happens in either run."""
+        return self.neither - self.acted_neither
+
+    @property
+    def unexplained(self) -> int:
+        """If the twins lack the recovery: runs that differ although it never acted.
+
+        Equal seeds make such runs equal, so anything but 0 means that something besides the seed
+        decides what happens, and that the whole table cannot be trusted.
+        """
+        discordant = self.only_with + self.only_without
+        return discordant - self.acted_only_with - self.acted_only_without
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data for the evidence record, with what follows from it."""
+        return {**asdict(self), "success_rate": self.success_rate}
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> PairCounts:
+        """The inverse of :meth:`to_json`; it passes over keys of others."""
+        return cls(**{name: data[name] for name in cls.__dataclass_fields__})
+
+
+def judge_pairs(pairs: Iterable[Pair]) -> PairCounts:
+    """Count what the pairs came to.
+
+    Raises:
+        ConfigurationError: If a run stands in two pairs, or the pairs are about different
+            requirements or components.
+    """
+    found = list(pairs)
+    _check_one_claim(found)
+    words = Counter(pair.word for pair in found)
+    acted = Counter(pair.word for pair in found if pair.acted)
+    return PairCounts(
+        pairs=len(found),
+        only_with=words["only_with"],
+        only_without=words["only_without"],
+        both=words["both"],
+        neither=words["neither"],
+        incomplete=words["incomplete"],
+        acted_only_with=acted["only_with"],
+        acted_only_without=acted["only_without"],
+        acted_both=acted["both"],
+        acted_neither=acted["neither"],
+        violated_with=sum(pair.with_it.verdict == "violated" for pair in found),
+        violated_without=sum(pair.without.verdict == "violated" for pair in found),
+        p_value=_p_value(words["only_with"], words["only_without"]),
+    )
+
+
+def _p_value(only_with: int, only_without: int) -> float:
+    from pytest_dura.requirements.statistics.comparison import mcnemar
+
+    return mcnemar(only_with, only_without)
+
+
+def _check_one_claim(pairs: list[Pair]) -> None:
+    claims = sorted({(one.with_it.requirement, one.with_it.component) for one in pairs})
+    if len(claims) > 1:
+        raise ConfigurationError(
+            "pairs are counted for one requirement and one component",
+            found=" and ".join(f"{requirement} of {who}" for requirement, who in claims),
+            remedy="count the pairs of each apart",
+        )
+    for side in ("with_it", "without"):
+        times = Counter(getattr(pair, side).episode for pair in pairs)
+        twice = sorted(episode for episode, count in times.items() if count > 1)
+        if twice:
+            # The same run twice would count as independent evidence in the test.
+            raise ConfigurationError(
+                "an episode stands in one pair only",
+                found=", ".join(twice),
+                remedy="keep one verdict per episode",
+            )
+
+
+def _run(verdict: EpisodeVerdict) -> str:
+    """The number of the run, from the episode's id ``case#run``."""
+    return verdict.episode.rpartition("#")[2]
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """The change of a measure in each pair: its value with it less its value without it.
+
+    A pair has a change only if both of its runs have a finite value. Which pairs do not, and why,
+    is kept: an attack after which the car never clears the junction gives no clearance time, and a
+    mean over the other pairs alone would hide exactly that.
+
+    Args:
+        measure: Name of the measure.
+        pairs: Id of each pair.
+        values: The change in each pair, in the measure's unit; ``None`` where there is none.
+        lost: Ids of pairs with a value only without it.
+        gained: Ids of pairs with a value only with it.
+        valueless: Ids of pairs that were measured and have no value in either run.
+        incomplete: Ids of pairs of which a run is invalid or missing.
+    """
+
+    measure: str
+    pairs: tuple[str, ...]
+    values: tuple[float | None, ...]
+    lost: tuple[str, ...] = ()
+    gained: tuple[str, ...] = ()
+    valueless: tuple[str, ...] = ()
+    incomplete: tuple[str, ...] = ()
+
+    @classmethod
+    def between(
+        cls, measure: str, sides: Mapping[str, tuple[float | None, float | None]]
+    ) -> Change:
+        """From the values with it and without it, by id of the pair.
+
+        Args:
+            measure: Name of the measure.
+            sides: ``(with it, without it)``. ``None`` is a run that was not measured: it is
+                invalid or missing. NaN, or an infinite number, is a run that has no value.
+        """
+        kinds: dict[str, list[str]] = {}
+        values: list[float | None] = []
+        for pair, (own, twin) in sides.items():
+            kind, value = _compare(own, twin)
+            kinds.setdefault(kind, []).append(pair)
+            values.append(value)
+        groups = {kind: tuple(ids) for kind, ids in kinds.items() if kind != "changed"}
+        return cls(measure, tuple(sides), tuple(values), **groups)
+
+    @property
+    def changes(self) -> list[float]:
+        """The changes there are."""
+        return [value for value in self.values if value is not None]
+
+    @property
+    def n(self) -> int:
+        """Pairs that have a change."""
+        return len(self.changes)
+
+    @property
+    def mean(self) -> float | None:
+        """Over the pairs that have one."""
+        return statistics.fmean(self.changes) if self.n else None
+
+    @property
+    def median(self) -> float | None:
+        """Over the pairs that have one."""
+        return statistics.median(self.changes) if self.n else None
+
+    @property
+    def greatest(self) -> tuple[str, float] | None:
+        """The pair in which the measure grew most, the first of equals, and by how much."""
+        return max(self._changed(), key=_by_change, default=None)
+
+    @property
+    def least(self) -> tuple[str, float] | None:
+        """The pair in which it grew least or shrank most; the worst for, say, a smallest gap."""
+        return min(self._changed(), key=_by_change, default=None)
+
+    @property
+    def p_value(self) -> float:
+        """Two-sided p-value of the exact sign test, against "growing is as likely as shrinking".
+
+        Pairs without a change, and those in which nothing changed, do not count; 1 without others.
+        """
+        from pytest_dura.requirements.statistics.comparison import mcnemar
+
+        # The same binomial distribution with probability 1/2.
+        return mcnemar(sum(one > 0 for one in self.changes), sum(one < 0 for one in self.changes))
+
+    def _changed(self) -> list[tuple[str, float]]:
+        found = zip(self.pairs, self.values, strict=True)
+        return [(pair, value) for pair, value in found if value is not None]
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data for the evidence record: the changes, and the summary."""
+        greatest, least = self.greatest, self.least
+        data: dict[str, Any] = {
+            key: list(value) if isinstance(value, tuple) else value
+            for key, value in asdict(self).items()
+        }
+        return data | {
+            "n": self.n,
+            "mean": self.mean,
+            "median": self.median,
+            "max": greatest[1] if greatest else None,
+            "max_pair": greatest[0] if greatest else None,
+            "min": least[1] if least else None,
+            "min_pair": least[0] if least else None,
+            "p_value": self.p_value,
+        }
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> Change:
+        """The inverse of :meth:`to_json`."""
+        ids = {name: tuple(data[name]) for name in ("lost", "gained", "valueless", "incomplete")}
+        return cls(data["measure"], tuple(data["pairs"]), tuple(data["values"]), **ids)
+
+
+def _by_change(changed: tuple[str, float]) -> float:
+    return changed[1]
+
+
+def _compare(own: float | None, twin: float | None) -> tuple[str, float | None]:
+    if own is None or twin is None:
+        return "incomplete", None
+    has_own, has_twin = math.isfinite(own), math.isfinite(twin)
+    if has_own and has_twin:
+        return "changed", own - twin
+    if has_twin:
+        return "lost", None
+    return ("gained" if has_own else "valueless"), None

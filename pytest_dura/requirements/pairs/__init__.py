@@ -1,1 +1,0 @@
-"""Pairs: episodes of equal seeds, with something and without it."""

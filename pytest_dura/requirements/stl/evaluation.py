@@ -1,0 +1,333 @@
+"""Evaluation of a formula on a trace: verdict, margin, vacuity, and what could still change it."""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal, TypeAlias, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.requirements.stl import windows
+from pytest_dura.requirements.stl.formula import FUTURE, Boolean, Formula, Node, Temporal
+from pytest_dura.requirements.stl.program import (
+    TRUNCATED,
+    Conjunct,
+    Mode,
+    Plan,
+    Program,
+    Values,
+    plan_of,
+)
+from pytest_dura.requirements.stl.windows import Array, Frame, arrays, empty_trace, other_length
+
+_Samples: TypeAlias = NDArray[np.bool_]
+"""True at the samples at which something is evaluated or holds, shape ``(n,)``."""
+
+
+def vacuous(node: Node, program: Program, values: Values, *, complete: bool = True) -> bool:
+    """Whether the verdict of a satisfied formula rests on conditions that never held.
+
+    An implication is vacuous if its condition held at no sample at which it was evaluated, or if
+    what it demands there, where its condition held, is vacuous itself: ``a implies (b implies c)``
+    is as vacuous as ``(a and b) implies c``. Windows are vacuous if what they range over is, a
+    conjunction if both parts are, and a disjunction if both are or the other part held nowhere.
+    Nothing else is. What may still hold behind the end of the trace does not count as held.
+
+    Args:
+        node: The formula.
+        program: The program that its values belong to.
+        values: The values on the trace.
+        complete: Whether the trace is the whole episode.
+    """
+    start = np.zeros(values.frame.shape[-1], dtype=bool)
+    start[0] = True
+    return _Vacuity(program, values, complete).of(node, start)
+
+
+class _Vacuity:
+    def __init__(self, program: Program, values: Values, complete: bool) -> None:
+        self.program, self.values = program, values
+        self.open_end = not complete
+
+    def of(self, node: Node, at: _Samples) -> bool:
+        """Whether it is vacuous, evaluated at these samples."""
+        if isinstance(node, Temporal):
+            return self.of(node.operand, self._reached(node, at))
+        if not isinstance(node, Boolean):
+            return False
+        if node.operator == "implies":
+            held = self._held(node.left, at)
+            return not held.any() or self.of(node.right, held)
+        left, right = (self.of(side, at) for side in (node.left, node.right))
+        if node.operator == "and":
+            return left and right
+        if node.operator == "or":
+            return (left and (right or not self._held(node.right, at).any())) or (
+                right and not self._held(node.left, at).any()
+            )
+        return False
+
+    def _held(self, node: Node, at: _Samples) -> _Samples:
+        """Those of the samples at which it held."""
+        mode = Mode(-np.inf, self.open_end)
+        margins = self.values[self.program.slot(node, mode)]
+        held = at & (margins > 0)
+        open_ = at & (margins == 0)
+        if open_.any():  # only there the margin does not tell the truth
+            truth = self.values[self.program.slot(node, mode._replace(truth=True))]
+            held |= open_ & (truth > 0)
+        return held
+
+    def _reached(self, node: Temporal, at: _Samples) -> _Samples:
+        """The samples at which the operand of a temporal operator is evaluated."""
+        ahead = node.operator in FUTURE
+        marks = at.astype(float)
+        # Seen from a sample that is reached, the operator lies on the other side.
+        if node.window is None:
+            spread = windows.running_past if ahead else windows.running
+            return spread(np.maximum, marks) > 0
+        slide = windows.sliding_past if ahead else windows.sliding
+        return slide(np.maximum, marks, *self.program.samples(node.window)) > 0
+
+
+Status = Literal["satisfied", "violated", "undecided"]
+Ending = Literal["time", "goal", "stopped", "open"]
+"""How a trace ended, which says what its last sample decides:
+
+- ``time``: at its time limit. Operators without a window range over the trace; a window that leaves
+  it sees unknown samples there.
+- ``goal``: at the component's goal. The trace is judged as it stands, windows are cut at its end.
+- ``stopped``: nothing happens any more, after a crash or a halt. What was to happen eventually does
+  not; what was to hold always is known for the trace alone.
+- ``open``: it is a prefix, and anything may follow.
+"""
+
+UNIFORM = 0.01
+"""Share of the time step by which the distance of two samples may differ from it."""
+
+
+def _modes(ending: Ending, truth: bool) -> tuple[Mode, Mode]:
+    """Modes of the least and of the greatest value that the ending leaves possible.
+
+    A cut window is the greatest value of a trace that was stopped: in negation normal form, cutting
+    takes from ``eventually`` and ``until`` what would have to happen, and from ``always`` what
+    could go wrong. Where a formula is negated, the two modes change places and the two operators as
+    well.
+    """
+    cut = Mode(truth=truth)
+    least, greatest = (Mode(unknown, ending != "time", truth) for unknown in (-np.inf, np.inf))
+    if ending == "goal":
+        return cut, cut
+    return (least, cut) if ending == "stopped" else (least, greatest)
+
+
+_MODES = {
+    (ending, truth): _modes(ending, truth) for ending in get_args(Ending) for truth in (True, False)
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Evaluation:
+    """What a formula says of a trace.
+
+    Args:
+        status: The verdict, Boolean unless the trace ends too early.
+        margin: Robustness at the first sample as far as the trace goes. In a conjunction that is
+            violated, the worst of the violated parts.
+        lower: No longer trace could give less; see ``robustness_interval``.
+        upper: None could give more. Both equal ``margin`` where the whole trace is judged.
+        time: Seconds of the first sample that decided a violation.
+        worst_time: Seconds at which an ``always`` or ``eventually`` at the root reached its
+            margin; for other formulas ``time``, or the start.
+        detail: Which part decided, or what is missing.
+        vacuous: Whether it is satisfied only because conditions never held.
+    """
+
+    status: Status
+    margin: float
+    lower: float
+    upper: float
+    time: float | None
+    worst_time: float
+    detail: str
+    vacuous: bool = False
+
+    @property
+    def robustness(self) -> float:
+        """The margin, or for an undecided formula the least robustness that is possible."""
+        return self.lower if self.status == "undecided" else self.margin
+
+
+@dataclass(slots=True)
+class _Part:
+    """A conjunct judged; ``index`` is where its margin was reached, ``decided`` its violation."""
+
+    conjunct: Conjunct
+    status: Status
+    margin: float
+    lower: float
+    upper: float
+    index: int | None
+    decided: int | None
+
+
+def evaluate(
+    formula: Formula,
+    time: ArrayLike,
+    signals: Mapping[str, ArrayLike],
+    *,
+    ending: Ending = "time",
+    time_step: float | None = None,
+) -> Evaluation:
+    """Judge one trace.
+
+    Args:
+        formula: What to judge by.
+        time: Seconds of each sample, at even distances, shape ``(n,)`` with ``n`` of at least 1.
+        signals: Columns of shape ``(n,)`` by name.
+        ending: How the trace ended, see :data:`Ending`.
+        time_step: Seconds from sample to sample, by default their median distance.
+
+    Raises:
+        ConfigurationError: For an empty trace, uneven sampling, an unknown signal, columns of
+            other lengths, a sample or an expression that is not finite, or a window that is no
+            multiple of the time step.
+    """
+    times = np.asarray(time, dtype=float)
+    if times.ndim != 1 or len(times) == 0:
+        raise empty_trace(f"{times.size} samples")
+    step = _time_step(times, time_step)
+    plan = plan_of(formula, step)
+    columns = arrays(plan.signals, signals, formula)
+    for name, column in columns.items():
+        if column.shape != times.shape:
+            raise other_length(name, column.shape, times.shape)
+    frame = Frame(columns, times.shape, step or 0.0, times)
+    frame.refuse_not_finite()
+    with np.errstate(all="ignore"):
+        values = Values(plan.program, frame)
+        return _evaluation(plan, values, ending)
+
+
+def _evaluation(plan: Plan, values: Values, ending: Ending) -> Evaluation:
+    parts = [_judged(conjunct, values, ending) for conjunct in plan.conjuncts]
+    violated = [part for part in parts if part.status == "violated"]
+    undecided = [part for part in parts if part.status == "undecided"]
+    status = (violated or undecided or parts)[0].status
+    # One violation decides, whatever is still open; the margin is that of the violation.
+    worst = min(violated or parts, key=lambda part: part.margin)
+    times = values.frame.times
+    assert times is not None
+    decided = min((part.decided for part in violated if part.decided is not None), default=None)
+    index = worst.index if worst.index is not None else decided or 0
+    return Evaluation(
+        status=status,
+        margin=worst.margin,
+        lower=min(part.lower for part in parts),
+        upper=min(part.upper for part in parts),
+        time=None if decided is None else float(times[decided]),
+        worst_time=float(times[index]),
+        detail=_detail(violated, undecided, worst, float(times[-1])),
+        vacuous=status == "satisfied" and _vacuous(plan, values, ending, worst.margin),
+    )
+
+
+def _vacuous(plan: Plan, values: Values, ending: Ending, margin: float) -> bool:
+    """Whether no condition ever held, or every window lies behind the end that was cut."""
+    if ending == "goal" and margin == np.inf:
+        return True
+    complete = ending in ("time", "goal")
+    return plan.has_implication and vacuous(
+        plan.formula.root, plan.program, values, complete=complete
+    )
+
+
+def _judged(conjunct: Conjunct, values: Values, ending: Ending) -> _Part:
+    least, greatest = _MODES[ending, False]
+    lower, at_lower = conjunct.at_start(values, least)
+    upper, at_upper = conjunct.at_start(values, greatest)
+    if lower == upper:
+        # Where the greatest possible values have their minimum, the values themselves have it too.
+        margin, index = lower, at_upper if conjunct.is_minimum else at_lower
+    else:
+        margin, index = conjunct.at_start(values, TRUNCATED)
+    status = _status(conjunct, values, ending, lower, upper)
+    decided = _violation(conjunct, values) if status == "violated" else None
+    return _Part(conjunct, status, margin, lower, upper, index, decided)
+
+
+def _status(
+    conjunct: Conjunct, values: Values, ending: Ending, lower: float, upper: float
+) -> Status:
+    """The verdict. Only a margin of zero does not tell it: that satisfies >= and violates >."""
+    least, greatest = _MODES[ending, True]
+    if lower > 0 or (lower == 0 and conjunct.at_start(values, least)[0] > 0):
+        return "satisfied"
+    if upper < 0 or (upper == 0 and conjunct.at_start(values, greatest)[0] < 0):
+        return "violated"
+    return "undecided"
+
+
+def _violation(conjunct: Conjunct, values: Values) -> int:
+    """The last sample of the shortest prefix that decides the violation.
+
+    A prefix that decides it has none but such continuations, so that bisection finds the first.
+    """
+    greatest = _MODES["open", True][1]
+    last: int = values.frame.shape[-1] - 1
+    if conjunct.at_start(values, greatest)[0] >= 0:
+        return last  # no prefix decides it, but the end of the episode
+    prefix = values.prefixes()
+
+    def decides(size: int) -> bool:
+        return conjunct.at_start(prefix(size), greatest)[0] < 0
+
+    return bisect_left(range(1, last + 1), True, key=decides)
+
+
+def _detail(violated: list[_Part], undecided: list[_Part], worst: _Part, end: float) -> str:
+    if violated:
+        return "; ".join(part.conjunct.text for part in violated)
+    if undecided:
+        names = " and ".join(f"`{part.conjunct.text}`" for part in undecided)
+        return f"the trace ends at {end:g} s, which does not decide {names}"
+    return worst.conjunct.text
+
+
+def _time_step(times: Array, declared: float | None) -> float | None:
+    """The distance of samples, ``None`` for a single one, refused where it is uneven."""
+    if len(times) == 1 and np.isfinite(times[0]):
+        return declared
+    distances = np.sort(times[1:] - times[:-1])
+    half = len(distances) // 2
+    median = (distances[half] + distances[-1 - half]) / 2
+    # To nine digits, so that sums of float steps give the same step each time.
+    step = float(f"{median:.9g}") if declared is None else declared
+    tolerance = UNIFORM * step
+    # Also False where a time is not finite.
+    if not (step > 0 and distances[0] >= step - tolerance and distances[-1] <= step + tolerance):
+        raise _uneven(times, step, declared)
+    return step
+
+
+def _uneven(times: Array, step: float, declared: float | None) -> ConfigurationError:
+    if not np.isfinite(times).all():
+        return ConfigurationError(
+            "a time is not finite",
+            found=float(times[~np.isfinite(times)][0]),
+            expected="seconds of each sample",
+        )
+    distances = np.diff(times)
+    worst = int(np.argmax(np.abs(distances - step)))
+    origin = "the median" if declared is None else "the declared time step"
+    return ConfigurationError(
+        f"the samples are not at even distances: {distances[worst]:g} s after "
+        f"t = {times[worst]:.2f} s",
+        found=float(distances[worst]),
+        expected=f"{step:g} s ({origin}), to within {UNIFORM:.0%}",
+        remedy="sample the episode at each tick",
+    )

@@ -1,1 +1,0 @@
-"""The language: from a formula's text to its nodes, and the messages that point into it."""

@@ -1,1 +1,0 @@
-"""A formula on a whole trace: robustness, verdict, margin and vacuity, on NumPy columns."""

@@ -1,1 +1,0 @@
-"""A formula that looks back, sample by sample while an episode runs."""

@@ -1,0 +1,1 @@
+"""Search for counterexamples: spaces, searchers, confirmation, and shrinking."""

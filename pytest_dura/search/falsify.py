@@ -1,0 +1,464 @@
+"""Falsify: search a case for violations, and tell what came of it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, cast
+
+from pytest_dura.campaign.falsification import (
+    Falsification,
+    FoundCounterexample,
+    Limits,
+    ParameterChange,
+    SearcherReport,
+    SearchOutcome,
+    SearchStatus,
+)
+from pytest_dura.campaign.progress import RunningCampaign
+from pytest_dura.core.error_messages import did_you_mean
+from pytest_dura.core.errors import ConfigurationError, DuraError
+from pytest_dura.core.seeding import derive_seed
+from pytest_dura.library.cases import Case, SearchedCase
+from pytest_dura.library.fault_campaigns import FaultCampaign
+from pytest_dura.library.requirements import check_formula
+from pytest_dura.requirements.checks import check_name, is_function_path
+from pytest_dura.requirements.model import Requirement
+from pytest_dura.requirements.verdicts.judging import MAX_INVALID_SHARE
+from pytest_dura.search.counterexamples import (
+    CounterexampleStore,
+    confirm_violation,
+    store_counterexample,
+)
+from pytest_dura.search.portfolio import (
+    Batch,
+    Outcome,
+    Portfolio,
+    SearchLog,
+    Trial,
+    finite_or_none,
+    parameter_report,
+    search,
+    searcher_report,
+    trivial_names,
+)
+from pytest_dura.search.space import CoverageCount, SearchSpace
+from pytest_dura.search.trials import Baseline, Objective, Trials, run_baselines
+
+if TYPE_CHECKING:
+    from pytest_dura.campaign.campaign import Campaign
+    from pytest_dura.runner import Runner
+
+
+MAX_PARAMETERS = 12
+"""Parameters that are told one by one."""
+
+
+def describe_falsification(found: Falsification) -> list[str]:
+    """All that a test is told that fails, line by line."""
+    return [line for outcome in found.outcomes for line in _outcome(found, outcome)]
+
+
+def describe_no_violation(found: Falsification, outcome: SearchOutcome) -> str:
+    """What a search that found nothing may say."""
+    least = "none was measured" if outcome.best is None else f"{outcome.best:.4g}"
+    shares = list(found.coverage.parameters.values())
+    covered = f"{sum(shares) / len(shares):.0%} of each range on average"
+    if found.coverage.pairs is not None:
+        covered += f", {found.coverage.pairs:.0%} of their pairs"
+    idle = f"; in {found.idle} of them no added fault came to act" if found.idle else ""
+    return (
+        f"nothing found in {found.simulations} simulations{idle}; least robustness {least}; "
+        f"simulated: {covered}"
+    )
+
+
+def _outcome(found: Falsification, outcome: SearchOutcome) -> Iterator[str]:
+    name = outcome.requirement
+    on = f"{name} on {found.case} ({found.component})"
+    counterexample = outcome.counterexample
+    if counterexample is None:
+        if outcome.word == "undecided":
+            yield (
+                f"undecided: {on}: {found.unknown} of {found.simulations} simulations said nothing"
+            )
+        else:
+            yield f"{on}: {describe_no_violation(found, outcome)}"
+        return
+    repeats = counterexample.repeats
+    after = f"after {outcome.simulations} of {found.budget} simulations ({outcome.searcher})"
+    if outcome.word == "falsified":
+        yield f"falsified: {on}: violated {after}, confirmed by replay with an equal digest"
+    else:
+        yield (
+            f"not repeatable: {on}: violated {after}, and again in {repeats.violated} of "
+            f"{repeats.runs} replays, {repeats.equal} of them with an equal digest"
+        )
+    if outcome.check != name:
+        yield f"check:    {outcome.check}"
+    yield f"worst:    {_worst(counterexample)}"
+    if found.baselines:
+        alone = "; ".join(_alone(one, name) for one in found.baselines)
+        yield f"baselines by themselves: {alone}"
+    yield from _changes(counterexample)
+    if counterexample.file is not None:
+        yield f"kept in:  {counterexample.file}, which --dura-scenarios runs from now on"
+
+
+def _worst(one: FoundCounterexample) -> str:
+    margin = "no margin" if one.margin is None else f"margin {one.margin:.4g}"
+    when = "" if one.time is None else f" at t = {one.time:g} s"
+    return f"{one.case}: {margin}{when}"
+
+
+def _alone(one: SearcherReport, requirement: str) -> str:
+    first = one.first[requirement]
+    if first is None:
+        return f"{one.name}: none in {one.simulations}"
+    return f"{one.name}: after {first}"
+
+
+def _changes(one: FoundCounterexample) -> Iterator[str]:
+    if one.shrinking is not None:
+        how = one.shrinking
+        more = "" if how.finished else ", which was all it was allowed"
+        yield (
+            f"simpler:  {how.after} parameters differ from the case, {how.before} before "
+            f"({how.simulations} simulations{more})"
+        )
+    for change in one.changes[:MAX_PARAMETERS]:
+        yield f"          {_change(change)}"
+    if len(one.changes) > MAX_PARAMETERS:
+        yield f"          and {len(one.changes) - MAX_PARAMETERS} more"
+
+
+def _change(change: ParameterChange) -> str:
+    if change.value is None:
+        return f"{change.path}: left out"
+    if change.nominal is None:
+        return f"{change.path}: {_value(change.value)}, which the case has not"
+    return f"{change.path}: {_value(change.value)} instead of {_value(change.nominal)}"
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return ", ".join(f"{key} {_value(one)}" for key, one in value.items())
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def falsify(
+    bench: Runner,
+    case: Case,
+    asked: Sequence[Objective],
+    *,
+    limits: Limits | None = None,
+    faults: Sequence[FaultCampaign] = (),
+    seed: int | None = None,
+    keep: CounterexampleStore | None = None,
+    unkept: Callable[[ConfigurationError], None] | None = None,
+) -> Falsification:
+    """Search a case for episodes that violate requirements.
+
+    Args:
+        bench: Runs the episodes, and is told what came of the search.
+        case: The case.
+        asked: The requirements; the search ends once each of them is violated.
+        limits: What it may use.
+        faults: Faults that the search may add to those of the case.
+        seed: From which its draws follow; by default from the bench's seed and the case.
+        keep: Keeps a confirmed counterexample; ``None`` keeps it nowhere.
+        unkept: Told why a counterexample could not be kept, which is found all the same; without
+            one that is raised.
+
+    Raises:
+        ConfigurationError: If nothing can differ, or something cannot be built or judged.
+    """
+    limits = limits or Limits()
+    space = SearchSpace.of(
+        case,
+        faults,
+        at_most=limits.at_most,
+        simulator=bench.simulator,
+        lasting=_nominal_duration(bench, case) if faults else None,
+    )
+    if faults and "fault_injector" not in case.roles(bench.roles):
+        raise ConfigurationError(
+            f"no fault can be added to the case {case.id!r}, for no role injects any",
+            file=case.scenario.file or None,
+            key="roles.fault_injector",
+            found="none",
+            expected="the role fault_injector",
+            remedy='add `fault_injector: "pytest_dura.faults.injector:CampaignInjector"`',
+        )
+    names = [one.requirement.id for one in asked]
+    seed = derive_seed(bench.base_seed, "search", case.id, *names) if seed is None else seed
+    trials = Trials(bench, space, asked)
+    portfolio = Portfolio(space.layout, seed, limits.budget, len(asked))
+    log, coverage = _run_search(trials, portfolio, limits.budget)
+    baselines: tuple[Baseline, ...] = ()
+    if limits.baselines and len(log.open) < len(asked):
+        baselines = run_baselines(trials, seed, log.simulations)
+    judging = _Outcomes(trials, log, baselines, limits, keep, unkept)
+    outcomes = tuple(judging.of(number) for number in range(len(asked)))
+    found = Falsification(
+        case=case.id,
+        component=case.roles(bench.roles)["generator"].label,
+        seed=seed,
+        budget=limits.budget,
+        simulations=log.simulations,
+        refused=log.refused,
+        unknown=log.silent,
+        idle=log.idle,
+        rule=portfolio.RULE,
+        parameters=tuple(parameter_report(one) for one in space.parameters),
+        searchers=tuple(
+            searcher_report(name, count, names, trivial=name in trivial_names())
+            for name, count in log.searchers.items()
+        ),
+        baselines=tuple(
+            searcher_report(one.name, count, names, trivial=True)
+            for one in baselines
+            for count in one.log.searchers.values()
+        ),
+        coverage=coverage.coverage(),
+        outcomes=outcomes,
+    )
+    bench.on_search(case, found)
+    return found
+
+
+def _nominal_duration(bench: Runner, case: Case) -> float | None:
+    """Seconds that the campaign's first run lasts: a fault that begins later meets nobody."""
+    episode = bench.searched(case)
+    return float(episode.time[-1]) if episode.ticks > 1 and episode.failure is None else None
+
+
+def _run_search(
+    trials: Trials, portfolio: Portfolio, budget: int
+) -> tuple[SearchLog, CoverageCount]:
+    bench, coverage = trials.bench, CoverageCount(trials.space.layout)
+    subject = "search " + ", ".join(one.requirement.id for one in trials.asked)
+    running = RunningCampaign(trials.space.case.id, subject, budget)
+    done = 0
+    bench.on_progress(running.reach(done, budget, bench.store.simulated))
+
+    def evaluate(batch: Batch) -> Iterable[Outcome]:
+        nonlocal done
+        for point, outcome in zip(batch.points, trials.evaluate(batch), strict=True):
+            if outcome.simulated:
+                coverage.add(point)
+                done += 1
+                bench.on_progress(running.reach(done, budget, bench.store.simulated))
+            yield outcome
+
+    try:
+        log = search(portfolio, evaluate, budget, len(trials.asked))
+    finally:
+        bench.on_progress(running.end())
+    if not log.simulations:
+        # Every point contradicts itself; the first one tells how.
+        batch = portfolio.ask()
+        bench.search_task(trials.case(batch.points[0].tolist(), batch.worlds[0]))
+        raise ConfigurationError(
+            f"nearly every point contradicts itself in {trials.space.case.id!r}",
+            key="variation",
+            found=f"{log.refused} points, all of them refused",
+            expected="ranges of which most combinations are possible",
+            remedy="narrow the ranges under `variation`",
+        )
+    return log, coverage
+
+
+@dataclass(frozen=True)
+class _Outcomes:
+    """Makes an outcome of what a search and its baselines saw."""
+
+    trials: Trials
+    log: SearchLog
+    baselines: tuple[Baseline, ...]
+    limits: Limits
+    keep: CounterexampleStore | None
+    unkept: Callable[[ConfigurationError], None] | None
+
+    def of(self, number: int) -> SearchOutcome:
+        """That of the requirement of this number."""
+        asked, best = self.trials.asked[number], self.log.best[number]
+        name, least = asked.requirement.id, None if best is None else finite_or_none(best.margin)
+        first = self.log.first[number]
+        if first is not None:
+            case = self.trials.case(first.point.tolist(), first.world)
+            return self._claimed(asked, case, first, least)
+        for baseline in self.baselines:
+            # A violation counts, whoever meets it.
+            seen, met = baseline.case(self.trials, number), baseline.log.first[number]
+            if seen is not None and met is not None:
+                return self._claimed(asked, seen, met, least)
+        silent = self.log.silent / self.log.simulations
+        word: SearchStatus = "undecided" if silent > MAX_INVALID_SHARE else "nothing found"
+        return SearchOutcome(name, asked.name, word, self.log.simulations, None, least)
+
+    def _claimed(
+        self, asked: Objective, case: SearchedCase, first: Trial, least: float | None
+    ) -> SearchOutcome:
+        confirmed = confirm_violation(self.trials, asked, case, self.limits.shrink)
+        found = confirmed.found
+        word: SearchStatus = "falsified" if found.repeats.confirmed else "not repeatable"
+        if self.keep is not None and word == "falsified":
+            how = f"simulation {first.number} of a search ({first.searcher})"
+            try:
+                found = store_counterexample(self.trials, asked, confirmed, self.keep, how)
+            except ConfigurationError as error:
+                if self.unkept is None:
+                    raise
+                self.unkept(error)
+        return SearchOutcome(
+            asked.requirement.id, asked.name, word, first.number, first.searcher, least, found
+        )
+
+
+_ID = re.compile(r"[A-Za-z][A-Za-z0-9_.]*-[A-Za-z0-9_.-]+")
+"""What looks like the id of a requirement rather than like a formula."""
+
+
+class Falsified(DuraError):  # noqa: N818 - it is an outcome, not an error
+    """A search found a violation, or learned too little. ``falsification`` says what it did."""
+
+    def __init__(self, message: str, falsification: Falsification) -> None:
+        self.falsification = falsification
+        super().__init__(message)
+
+
+def falsify_campaign(
+    campaign: Campaign,
+    wanted: Any,
+    *,
+    faults: FaultCampaign | Sequence[FaultCampaign],
+    budget: int,
+    at_most: int,
+    shrink: int,
+    seed: int | None,
+) -> Falsification:
+    """See :meth:`pytest_dura.campaign.campaign.Campaign.falsify`."""
+    __tracebackhide__ = True
+    bench = campaign.bench
+    limits = Limits(budget, shrink, at_most)
+    asked = [_objective(campaign, one) for one in _as_list(wanted)]
+    unkept: list[ConfigurationError] = []
+    found = falsify(
+        bench,
+        campaign.case,
+        asked,
+        limits=limits,
+        faults=_faults(faults),
+        seed=_seed(seed),
+        keep=bench.keep,
+        unkept=unkept.append,
+    )
+    if any(one.word != "nothing found" for one in found.outcomes):
+        lost = [f"not kept: {error}" for error in unkept]
+        raise Falsified("\n".join([*describe_falsification(found), *lost]), found)
+    return found
+
+
+def _faults(given: Any) -> Sequence[FaultCampaign]:
+    if isinstance(given, (str, Mapping)):
+        return [given]
+    if not isinstance(given, Sequence):
+        raise ConfigurationError(
+            "this names no faults",
+            key="faults",
+            found=given,
+            expected="a fault's name or data, or a list of them",
+            remedy='for example faults=["delay"]',
+        )
+    return given
+
+
+def _seed(given: Any) -> int | None:
+    whole = isinstance(given, int) and not isinstance(given, bool)
+    if given is None or (whole and given >= 0):
+        return cast("int | None", given)
+    raise ConfigurationError(
+        "the seed of a search is a whole number of at least 0",
+        key="seed",
+        found=given,
+        expected="0 or more",
+    )
+
+
+def _as_list(wanted: Any) -> list[Any]:
+    if isinstance(wanted, Sequence) and not isinstance(wanted, str):
+        if not wanted:
+            raise ConfigurationError(
+                "the search is asked for nothing",
+                key="requirement",
+                found="an empty list",
+                expected="ids of requirements, or formulas",
+            )
+        return list(wanted)
+    return [wanted]
+
+
+def _objective(campaign: Campaign, wanted: Any) -> Objective:
+    """One requirement that the search tries to violate, and which can be judged in this case."""
+    requirement, check = _requirement(campaign, wanted)
+    if requirement.paired is not None:
+        raise ConfigurationError(
+            f"the requirement {requirement.id!r} is about pairs, and a search runs none",
+            key=requirement.id,
+            expected="a requirement with a check on one episode",
+            remedy="search for a violation of its check: campaign.falsify('always (...)')",
+        )
+    if not (check or requirement.check):
+        raise ConfigurationError(
+            f"requirement {requirement.id!r} has no check to violate",
+            key="check",
+            found=requirement.id,
+            expected="a check, or a requirement with one in its file",
+            remedy="call campaign.falsify('always (gap > 0)'), or add a `check` to the file",
+        )
+    if campaign.bench.simulator is None:  # another simulator than the scenario's tells by running
+        check_formula(campaign.case.scenario, check or requirement.check)
+    return Objective(requirement, check)
+
+
+def is_formula(text: str) -> bool:
+    """Whether a text that is no known requirement is a formula, and no id or import path."""
+    return _ID.fullmatch(text) is None and not is_function_path(text)
+
+
+def _requirement(campaign: Campaign, wanted: Any) -> tuple[Requirement, Any]:
+    known = campaign.bench.library().requirements
+    if wanted is None:
+        if campaign.requirement is None:
+            raise ConfigurationError(
+                "there is no requirement to search a violation of",
+                key="requirement",
+                found="a test without a marker `requirement`",
+                expected="a requirement's id or a formula",
+                remedy="call campaign.falsify('SAF-1'), or add the marker",
+            )
+        return campaign.requirement, None
+    if isinstance(wanted, Requirement):
+        return wanted, None
+    if isinstance(wanted, str) and wanted in known:
+        return known[wanted], None
+    if isinstance(wanted, str) and _ID.fullmatch(wanted) and not is_function_path(wanted):
+        raise ConfigurationError(
+            f"unknown requirement {wanted!r}",
+            key="requirement",
+            found=wanted,
+            expected="one of " + ", ".join(known) + ", or a formula",
+            remedy=did_you_mean(wanted, known),
+        )
+    if not (isinstance(wanted, str) or callable(wanted)):
+        raise ConfigurationError(
+            "this is nothing that an episode could violate",
+            key="requirement",
+            found=wanted,
+            expected="a requirement's id, a formula, or a function of the episode",
+        )
+    if isinstance(wanted, str):
+        return Requirement(check_name(wanted), check=wanted), None
+    return Requirement(check_name(wanted)), wanted

@@ -1,0 +1,481 @@
+"""SearchSpace: what may differ in a case, as points in [0, 1], and how much was tried."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_dura.campaign.falsification import SpaceCoverage
+from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.role_spec import RoleSpec
+from pytest_dura.domains import simulator_spec
+from pytest_dura.faults.catalogue import fault_class
+from pytest_dura.faults.parameters import Choices, spans_of
+from pytest_dura.library import variation
+from pytest_dura.library.cases import Case, SearchedCase, make_searched_case
+from pytest_dura.library.fault_campaigns import FaultCampaign, Faults, expand_campaign
+from pytest_dura.library.planned_faults import parse_scenario_fault
+from pytest_dura.library.scenario import Choice, Range, Scenario, check_world
+
+STEPS = 1000
+"""At least so many steps of the grid lie in an interval."""
+
+
+def digits_of(low: float, high: float) -> int:
+    """Decimal places (negative: before the point) of the grid over an interval."""
+    span = high - low
+    if span <= 0.0 or not math.isfinite(span):
+        return 0
+    return -math.floor(math.log10(span / STEPS) + 1e-9)
+
+
+def on_grid(value: float, low: float, high: float) -> float:
+    """The value of the grid that is next to a number, within the interval."""
+    rounded = round(value, digits_of(low, high))
+    # The ends belong to the grid, however odd they are.
+    return float(min(max(rounded, low), high))
+
+
+@dataclass(frozen=True, slots=True)
+class Group:
+    """Coordinates that belong together, each in [0, 1].
+
+    Args:
+        name: What they are decoded to, for reports.
+        size: 1 for a single value; more for an input over time, one coordinate per piece, in the
+            order of time.
+        options: Number of values that are chosen among, of no order; 0 for an interval.
+    """
+
+    name: str
+    size: int = 1
+    options: int = 0
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The groups of a search point, one after the other."""
+
+    groups: tuple[Group, ...]
+
+    @cached_property
+    def size(self) -> int:
+        """Coordinates of a point."""
+        return sum(group.size for group in self.groups)
+
+    def slices(self) -> Iterator[tuple[Group, slice]]:
+        """Each group, and where its coordinates are."""
+        ends = itertools.accumulate(group.size for group in self.groups)
+        for group, end in zip(self.groups, ends, strict=True):
+            yield group, slice(end - group.size, end)
+
+
+PARTS = 10
+"""Of the range of a coordinate."""
+PAIR_PARTS = 5
+"""Of each of two coordinates that are looked at together."""
+
+
+class CoverageCount:
+    """Counts points; memory does not grow with them.
+
+    Args:
+        layout: What their coordinates mean.
+    """
+
+    def __init__(self, layout: Layout) -> None:
+        owners = [group for group in layout.groups for _ in range(group.size)]
+        self._layout = layout
+        self._parts = np.array([group.options or PARTS for group in owners])
+        self._coarse = np.array([group.options or PAIR_PARTS for group in owners])
+        self._hit = [np.zeros(parts, bool) for parts in self._parts]
+        # The parts of all coordinates one after the other: a table of each with each.
+        self._first = np.cumsum(self._coarse) - self._coarse
+        self._pairs = np.zeros((self._coarse.sum(),) * 2, bool)
+
+    def add(self, point: NDArray[np.float64]) -> None:
+        """Take in a point that was simulated, coordinates in [0, 1]."""
+        fine, coarse = _parts_of(point, self._parts), _parts_of(point, self._coarse)
+        for hit, part in zip(self._hit, fine, strict=True):
+            hit[part] = True
+        places = self._first + coarse
+        self._pairs[np.ix_(places, places)] = True
+
+    def coverage(self) -> SpaceCoverage:
+        """What has been covered by now."""
+        shares = {
+            group.name: float(np.mean([self._hit[i].mean() for i in range(*where.indices(10**9))]))
+            for group, where in self._layout.slices()
+        }
+        blocks = np.add.reduceat(self._pairs, self._first, axis=0, dtype=float)
+        blocks = np.add.reduceat(blocks, self._first, axis=1)
+        blocks /= np.outer(self._coarse, self._coarse)
+        pairs = blocks[np.triu_indices(len(blocks), 1)]
+        return SpaceCoverage(shares, float(pairs.mean()) if len(pairs) else None)
+
+
+def _parts_of(point: NDArray[np.float64], parts: NDArray[np.int_]) -> NDArray[np.int_]:
+    found: NDArray[np.int_] = np.minimum((np.asarray(point) * parts).astype(int), parts - 1)
+    return np.maximum(found, 0)
+
+
+Data = Mapping[str, Any]
+
+
+class Parameter(ABC):
+    """One value of a case, or one fault, that a search chooses.
+
+    ``path`` names it, such as ``world.ego.speed`` or ``faults.search-1``.
+    """
+
+    path: str
+
+    @property
+    @abstractmethod
+    def groups(self) -> tuple[Group, ...]:
+        """The coordinates it is decoded from."""
+
+    @abstractmethod
+    def value(self, coordinates: Sequence[float]) -> Any:
+        """The value at these coordinates, one after the other for all groups; plain data."""
+
+
+@dataclass(frozen=True)
+class Interval(Parameter):
+    """A number between two others, on a grid that people can read; or a list of such numbers.
+
+    Args:
+        path: Its name.
+        low: Least value.
+        high: Greatest value.
+        nominal: The simplest value, from which the others are told apart.
+        pieces: Numbers of the list; ``None`` for a single number.
+    """
+
+    path: str
+    low: float
+    high: float
+    nominal: Any = None
+    pieces: int | None = None
+
+    @property
+    def groups(self) -> tuple[Group, ...]:
+        """One, with a coordinate for each piece."""
+        return (Group(self.path, self.pieces or 1),)
+
+    def value(self, coordinates: Sequence[float]) -> Any:
+        """From ``low`` at 0 to ``high`` at 1."""
+        found = [
+            on_grid(self.low + float(one) * (self.high - self.low), self.low, self.high)
+            for one in coordinates
+        ]
+        return found[0] if self.pieces is None else found
+
+
+@dataclass(frozen=True)
+class OneOf(Parameter):
+    """One of several values.
+
+    Args:
+        path: Its name.
+        values: The values.
+        nominal: The simplest value.
+    """
+
+    path: str
+    values: tuple[Any, ...]
+    nominal: Any = None
+
+    @property
+    def groups(self) -> tuple[Group, ...]:
+        """One, of one coordinate."""
+        return (Group(self.path, options=len(self.values)),)
+
+    def value(self, coordinates: Sequence[float]) -> Any:
+        """Equal parts of [0, 1], one for each value."""
+        return self.values[_part(coordinates[0], len(self.values))]
+
+
+@dataclass(frozen=True)
+class FaultChoice:
+    """A fault that may be added to a case, and what may differ in it.
+
+    Args:
+        fault: The fault as plain data, defaults filled in.
+        inner: Its parameters; their paths are within the fault, such as ``activation.at``.
+    """
+
+    fault: Data
+    inner: tuple[Parameter, ...]
+
+    def made(self, values: Data) -> dict[str, Any]:
+        """The fault with values of its parameters by path."""
+        made: Any = dict(self.fault)
+        for one in self.inner:
+            if one.path in values:
+                made = variation.replace_value(made, one.path, values[one.path], create=True)
+        return dict(made)
+
+
+@dataclass(frozen=True)
+class FaultSlot(Parameter):
+    """Room for one fault more: none, or one of several, each with parameters of its own.
+
+    The parameters of all choices share coordinates, the first of one with the first of another.
+
+    Args:
+        path: Its name.
+        choices: The faults.
+    """
+
+    path: str
+    choices: tuple[FaultChoice, ...]
+
+    @property
+    def groups(self) -> tuple[Group, ...]:
+        """Which fault, and as many coordinates as the fault with the most parameters has."""
+        most = max((_size(choice) for choice in self.choices), default=0)
+        inner = tuple(Group(f"{self.path}.{number}") for number in range(1, most + 1))
+        return (Group(self.path, options=len(self.choices) + 1), *inner)
+
+    def value(self, coordinates: Sequence[float]) -> Any:
+        """The fault as plain data; ``None`` in the first part of the first coordinate."""
+        which = _part(coordinates[0], len(self.choices) + 1)
+        if which == 0:
+            return None
+        choice, rest, values = self.choices[which - 1], list(coordinates[1:]), {}
+        for one in choice.inner:
+            size = sum(group.size for group in one.groups)
+            values[one.path] = one.value(rest[:size])
+            rest = rest[size:]
+        return choice.made(values)
+
+
+def parameter_of(path: str, spread: Range | Choice, nominal: Any) -> Parameter:
+    """The parameter that a scenario declares as varied.
+
+    Args:
+        path: Such as ``world.ego.speed``.
+        spread: What the scenario says of it.
+        nominal: The value that the scenario itself has there, ``None`` if it has none.
+    """
+    if isinstance(spread, Range):
+        return Interval(path, spread.min, spread.max, nominal, spread.pieces)
+    return OneOf(path, spread.choice, nominal)
+
+
+def _size(choice: FaultChoice) -> int:
+    return sum(group.size for one in choice.inner for group in one.groups)
+
+
+def _part(coordinate: float, parts: int) -> int:
+    return min(max(int(float(coordinate) * parts), 0), parts - 1)
+
+
+MAX_DURATION_SHARE = 0.5
+"""Share of the time in which faults begin for which an added fault acts at most."""
+
+
+def fault_choices(
+    scenario: Scenario, faults: Iterable[FaultCampaign], lasting: float | None = None
+) -> tuple[FaultChoice, ...]:
+    """Each of these faults, with what a search may change of it.
+
+    Args:
+        scenario: To whose domain and duration the faults belong.
+        faults: Names of the catalogue or of the scenario's own faults, globs, ``catalogue``, and
+            faults as data; see :mod:`pytest_dura.library.fault_campaigns`.
+        lasting: Simulated seconds within which they begin; by default all of the scenario's.
+
+    Raises:
+        ConfigurationError: For an unknown fault, one that cannot be used, and several together.
+    """
+    own: Faults = tuple(
+        parse_scenario_fault(scenario, index) for index in range(len(scenario.faults))
+    )
+    lasting = scenario.lasts if lasting is None else lasting
+    found: dict[str, FaultChoice] = {}
+    for entry in faults:
+        for planned in expand_campaign(scenario, own, entry):
+            if len(planned) > 1:
+                raise ConfigurationError(
+                    "a search adds faults one by one",
+                    key="faults",
+                    found="+".join(one["id"] for one in planned),
+                    expected="single faults, and `at_most` for how many may act together",
+                    remedy="name each of them as an entry of its own",
+                )
+            for one in planned:
+                given = entry if isinstance(entry, Mapping) else {}
+                choice = FaultChoice(one, tuple(_inner(scenario.time_step, lasting, one, given)))
+                _add(found, choice)
+    return tuple(found.values())
+
+
+def _add(found: dict[str, FaultChoice], choice: FaultChoice) -> None:
+    """Take in what may be added, once; another fault of the same id has a number behind it."""
+    own, number = choice.fault["id"].replace(":", "-").replace(".", "-"), 2
+    while (known := found.get(choice.fault["id"])) is not None:
+        if known == choice:
+            return
+        choice = replace(choice, fault={**choice.fault, "id": f"{own}-{number}"})
+        number += 1
+    found[choice.fault["id"]] = choice
+
+
+def _inner(
+    step: float, lasting: float, fault: Mapping[str, Any], given: Mapping[str, Any]
+) -> Iterable[Parameter]:
+    """What may differ, in the order in which it is made simpler."""
+    latest = max(lasting - step, step)
+    activation = fault["activation"]
+    if activation.get("at") is not None and "activation" not in given:
+        yield Interval("activation.at", 0.0, latest, latest)
+    if isinstance(fault["duration"], (int, float)) and "duration" not in given:
+        longest = max(MAX_DURATION_SHARE * lasting, 2 * step)
+        yield Interval("duration", step, longest, step)
+    fixed = given.get("parameters", {})
+    for path, span in spans_of(fault_class(fault["type"])).items():
+        if path.rpartition(".")[2] in fixed:
+            continue
+        if isinstance(span, Choices):
+            yield OneOf(path, span.values, span.values[0])
+        else:
+            yield Interval(path, span.low, span.high, span.mildest)
+
+
+SLOT = "faults.search-"
+"""Before the number of a fault that a search adds."""
+
+
+@dataclass(frozen=True)
+class SearchSpace:
+    """What a search may change of a case.
+
+    Args:
+        case: The case.
+        parameters: What may differ, and how.
+        world: The scenario's world, defaults filled in.
+    """
+
+    case: Case
+    parameters: tuple[Parameter, ...]
+    world: Mapping[str, Any]
+
+    @classmethod
+    def of(
+        cls,
+        case: Case,
+        faults: Sequence[FaultCampaign] = (),
+        *,
+        at_most: int = 1,
+        simulator: RoleSpec | None = None,
+        lasting: float | None = None,
+    ) -> SearchSpace:
+        """What the case's scenario varies, and faults that may be added.
+
+        Args:
+            case: The case.
+            faults: Faults that may be added to those of the case; see :func:`fault_choices`.
+            at_most: How many of them may act together.
+            simulator: In place of the scenario's.
+            lasting: Simulated seconds within which added faults begin; by default all of the
+                scenario's duration.
+
+        Raises:
+            ConfigurationError: For faults that cannot be used, and if nothing may differ.
+        """
+        scenario = case.scenario
+        simulator = simulator or simulator_spec(scenario.simulator.path, scenario.simulator.params)
+        world = check_world(scenario, simulator, scenario.world)
+        planned = {fault["id"]: fault for fault in case.faults}
+        found: list[Parameter] = []
+        for path, spread in scenario.variation.items():
+            fault, inner = variation.split_path(path)
+            if not fault:
+                found.append(parameter_of(path, spread, _nominal(world, inner)))
+            elif fault in planned:
+                found.append(parameter_of(path, spread, _nominal(planned[fault], inner)))
+        choices = fault_choices(scenario, faults, lasting)
+        if choices:
+            found += [FaultSlot(f"{SLOT}{number}", choices) for number in range(1, at_most + 1)]
+        if not found:
+            raise ConfigurationError(
+                f"there is nothing to search in the case {case.id!r}",
+                file=scenario.file or None,
+                key="variation",
+                expected="a scenario with `variation`, or faults that may be added",
+                remedy="declare what may differ under `variation`, or name `faults`",
+            )
+        return cls(case, tuple(found), world)
+
+    @cached_property
+    def layout(self) -> Layout:
+        """What the coordinates of a point mean."""
+        return Layout(tuple(group for one in self.parameters for group in one.groups))
+
+    def values(self, point: Sequence[float] | NDArray[np.float64]) -> dict[str, Any]:
+        """The values at a point, by the names of the parameters; plain data.
+
+        Args:
+            point: Coordinates in [0, 1], shape ``(layout.size,)``.
+        """
+        found, start = {}, 0
+        for one in self.parameters:
+            end = start + sum(group.size for group in one.groups)
+            found[one.path] = one.value([float(value) for value in point[start:end]])
+            start = end
+        return found
+
+    def made(self, values: Mapping[str, Any], seed: int) -> SearchedCase:
+        """The case with these values.
+
+        Args:
+            values: By the names of the parameters; one that is left out stays as the case has it.
+            seed: Of the episode.
+
+        Raises:
+            ConfigurationError: If the values contradict each other.
+        """
+        world: Any = self.world
+        planned: dict[str, Any] = {fault["id"]: dict(fault) for fault in self.case.faults}
+        added: list[dict[str, Any]] = []
+        for path, value in values.items():
+            if _is_room(path):
+                added += [] if value is None else [dict(value)]
+                continue
+            fault, inner = variation.split_path(path)
+            if not fault:
+                world = variation.replace_value(world, inner, value, create=True)
+            else:
+                planned[fault] = variation.replace_value(planned[fault], inner, value)
+        for one in added:
+            own, number = one["id"].replace(":", "-").replace(".", "-"), 2
+            while one["id"] in planned:
+                one["id"], number = f"{own}-{number}", number + 1
+            planned[one["id"]] = one
+        return make_searched_case(self.case, world, planned.values(), seed)
+
+
+def _is_room(path: str) -> bool:
+    """Whether it names room for a fault, and nothing within a fault of such an id."""
+    return path.startswith(SLOT) and "." not in path.removeprefix(SLOT)
+
+
+def _nominal(data: Any, path: str) -> Any:
+    for key in path.split("."):
+        if isinstance(data, Mapping) and key in data:
+            data = data[key]
+        elif isinstance(data, (list, tuple)) and key.isdecimal() and int(key) < len(data):
+            data = data[int(key)]
+        else:
+            return None
+    return data
