@@ -9,9 +9,10 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from pytest_dura.campaign.campaign import Campaign, RequirementViolated
+    from pytest_dura.campaign.campaign import Campaign
     from pytest_dura.campaign.falsification import Falsification
     from pytest_dura.campaign.pairs import PairedCampaign
+    from pytest_dura.campaign.runs import RequirementViolated
     from pytest_dura.core.conformance import check_role
     from pytest_dura.core.episode import Episode, EpisodeSpec, Policy, Termination
     from pytest_dura.core.errors import (
@@ -144,7 +145,8 @@ __all__ = [
 ]
 
 _HOMES = {
-    "pytest_dura.campaign.campaign": "Campaign RequirementViolated",
+    "pytest_dura.campaign.campaign": "Campaign",
+    "pytest_dura.campaign.runs": "RequirementViolated",
     "pytest_dura.campaign.falsification": "Falsification",
     "pytest_dura.campaign.pairs": "PairedCampaign",
     "pytest_dura.core.conformance": "check_role",

@@ -1,285 +1,47 @@
-"""Runner: runs cases by name, each episode once, and makes campaigns of them."""
+"""Runner: what the ``orchestrator`` fixture returns; joins campaigns and searches."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import partial
 
 from pytest_dura.campaign.campaign import Campaign
 from pytest_dura.campaign.causal_chains import CausalChain
-from pytest_dura.campaign.falsification import Falsification
 from pytest_dura.campaign.fault_tracing import FaultTracer
-from pytest_dura.campaign.progress import RunningCampaign
-from pytest_dura.core.boundary import ROLE_TIMEOUT
-from pytest_dura.core.episode import Episode, EpisodeSpec
+from pytest_dura.campaign.runner import EpisodeRunner
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.core.role_spec import RoleSpec
-from pytest_dura.core.state import NOTHING
-from pytest_dura.execution.store import EpisodeKey, EpisodeStore, key_of
-from pytest_dura.execution.task import EpisodeTask, Metrics
-from pytest_dura.library.cases import (
-    SWITCHED_OFF_MARK,
-    Case,
-    SearchedCase,
-    case_with_faults,
-    expand_cases,
-    no_match_error,
-)
-from pytest_dura.library.fault_campaigns import NO_FAULTS, FaultCampaign
-from pytest_dura.library.loading import Library
-from pytest_dura.library.roles import ParameterResolver
-from pytest_dura.library.scenario import Scenario
+from pytest_dura.library.cases import Case, SearchedCase
 from pytest_dura.requirements.model import Requirement
-from pytest_dura.requirements.monitoring.quality import MonitorQuality
-from pytest_dura.requirements.verdicts.campaigns import CampaignVerdict
-from pytest_dura.requirements.verdicts.episodes import JudgedEpisode, SearchedEpisode
-
-if TYPE_CHECKING:
-    from pytest_dura.search.counterexamples import CounterexampleStore
-
-
-def _ignore_event(*_: object) -> None:
-    """What a bench tells when nobody asked."""
+from pytest_dura.requirements.verdicts.episodes import JudgedEpisode
+from pytest_dura.search.counterexamples import CounterexampleStore
+from pytest_dura.search.falsify import falsify_campaign
 
 
 @dataclass(repr=False)
-class Runner:
-    """What the ``orchestrator`` fixture returns.
+class Runner(EpisodeRunner):
+    """Runs cases by name, makes campaigns of them, and searches them.
 
     Args:
-        library: All scenarios and requirements, read at the first call.
-        base_seed: From which the seed of each run follows.
-        roles: Roles that replace those of the scenarios and domains; ``None`` switches one off.
-        simulator: Replaces the scenarios' simulators.
-        runs: Replaces the planned runs of every campaign.
-        faults: Fault campaigns that replace those of the scenarios, if given.
-        time_budget: Replaces the seconds that scenarios give the component for one proposal.
-        end_when_decided: Replaces what scenarios say of whether episodes end once all is decided.
-        metrics: User-defined metrics by name.
-        on_episode: Told of every use of an episode: the case, the episode, and how many were
-            planned of this case; 0 if the episode's seed was chosen by hand.
-        on_progress: Told before each run of a campaign how far it is, and when it ends.
-        on_verdict: Told of every verdict of :meth:`Campaign.require`, and what it decides.
-        on_monitors: Told how good the monitors of a case are, wherever that was measured.
-        on_chains: Told what came of each fault of an episode that a verdict rests on.
-        on_search: Told what a search came to.
-        on_searched: Told of every use of an episode of a case that a strategy chose.
-        resolver: Resolves the parameters of roles, each class once.
-        keep: Keeps a counterexample that a search confirmed; ``None`` keeps it nowhere.
-        twins: Whether fault-free twins are run, to see which faults reached the proposals.
-        recorded: Whether episodes keep what a viewer shows of them.
-        store: Where episodes come from.
-        role_timeout: Seconds that a role, the component apart, or the simulator has for one call.
+        keep: Keeps a counterexample that a search confirmed; ``None`` keeps it nowhere. All other
+            arguments are those of :class:`EpisodeRunner`.
     """
 
-    library: Callable[[], Library]
-    base_seed: int = 0
-    roles: Mapping[str, RoleSpec | None] = field(default_factory=dict)
-    simulator: RoleSpec | None = None
-    runs: int | None = None
-    faults: tuple[FaultCampaign, ...] | None = None
-    time_budget: float | None = None
-    end_when_decided: bool | None = None
-    metrics: Metrics = NOTHING
-    on_episode: Callable[[Case, JudgedEpisode, int], None] = _ignore_event
-    on_progress: Callable[[RunningCampaign], None] = _ignore_event
-    on_verdict: Callable[[CampaignVerdict, Requirement], None] = _ignore_event
-    on_monitors: Callable[[Case, list[MonitorQuality]], None] = _ignore_event
-    on_chains: Callable[[Case, JudgedEpisode, list[CausalChain]], None] = _ignore_event
-    on_search: Callable[[Case, Falsification], None] = _ignore_event
-    on_searched: Callable[[SearchedCase, SearchedEpisode], None] = _ignore_event
     keep: CounterexampleStore | None = None
-    twins: bool = True
-    recorded: bool = False
-    store: EpisodeStore = field(default_factory=EpisodeStore)
-    role_timeout: float = ROLE_TIMEOUT
-    resolver: ParameterResolver = field(default_factory=ParameterResolver)
-    _following: FaultTracer = field(init=False)
-    _cases: dict[str, dict[str, Case]] = field(default_factory=dict, init=False)
+    _tracer: FaultTracer = field(init=False)
 
     def __post_init__(self) -> None:
-        """Have somebody who follows faults."""
-        self._following = FaultTracer(self)
-
-    def __repr__(self) -> str:
-        return f"Bench(base_seed={self.base_seed})"
-
-    def run(
-        self,
-        name: str,
-        seed: int | None = None,
-        run: int = 0,
-        faults: FaultCampaign | None = None,
-    ) -> JudgedEpisode:
-        """One episode of a scenario or case, by its name.
-
-        Args:
-            name: Such as ``intersection/nominal`` or ``intersection/nominal+ghost-obstacle``.
-            seed: Seed of the episode; by default that of the run within the case.
-            run: Number of the run.
-            faults: Replaces the scenario's faults; ``none`` strips them.
-
-        Raises:
-            ConfigurationError: For an unknown name or fault.
-        """
-        __tracebackhide__ = True
-        try:
-            return self.episode(self.case(name, faults), run, seed)
-        except ConfigurationError as error:
-            raise error.with_traceback(None) from None
-
-    def case(self, name: str, faults: FaultCampaign | None = None) -> Case:
-        """The case of this id, or of a scenario's name with these faults.
-
-        Raises:
-            ConfigurationError: For an unknown scenario or fault.
-        """
-        name, *off = name.split(SWITCHED_OFF_MARK)
-        known = self.library().scenarios
-        scenario, plus, of_id = name.partition("+")
-        if scenario not in known:
-            raise no_match_error(scenario, list(known), "scenario")
-        case = self._planned(known[scenario], name) if faults is None else None
-        if case is None:
-            own = [fault.name for fault in known[scenario].faults] or NO_FAULTS
-            if faults is None:
-                faults = of_id if plus else own
-            case = case_with_faults(known[scenario], faults)
-        for role in off:
-            case = case.switched_off(role)
-        return case
-
-    def _planned(self, scenario: Scenario, name: str) -> Case | None:
-        """The case of this id among those that are planned, which may hold faults of a grid."""
-        if scenario.name not in self._cases:
-            given = [] if self.faults is None else expand_cases([scenario], self.faults)
-            planned = expand_cases([scenario], read=self.library().faults)
-            planned += given  # what is given comes before
-            self._cases[scenario.name] = {case.id: case for case in planned}
-        return self._cases[scenario.name].get(name)
-
-    def episode(
-        self,
-        case: Case,
-        run: int = 0,
-        seed: int | None = None,
-        planned: int = 1,
-        ahead: Iterable[EpisodeTask] = (),
-    ) -> JudgedEpisode:
-        """One run of a case; simulated once per session.
-
-        Args:
-            case: The case.
-            run: Number of the run.
-            seed: Seed of the episode; by default that of the run within the case.
-            planned: How many runs of this case are planned.
-            ahead: What will be wanted next.
-
-        Raises:
-            ConfigurationError: If a role or the simulator cannot be built.
-        """
-        __tracebackhide__ = True
-        if isinstance(case, SearchedCase):
-            searched = self.searched(case, run, ahead=ahead)
-            self.on_searched(case, searched)
-            return searched
-        try:
-            episode = self.again(case, run, seed, ahead)
-        except ConfigurationError as error:
-            raise error.with_traceback(None) from None
-        self.on_episode(case, episode, planned if seed is None else 0)
-        return episode
-
-    def again(
-        self, case: Case, run: int = 0, seed: int | None = None, ahead: Iterable[EpisodeTask] = ()
-    ) -> JudgedEpisode:
-        """Like :meth:`episode`, for whoever shows it: nobody is told that it was used.
-
-        Args:
-            case: The case.
-            run: Number of the run.
-            seed: Seed of the episode; by default that of the run within the case.
-            ahead: What will be wanted next.
-
-        Raises:
-            ConfigurationError: If a role or the simulator cannot be built.
-        """
-        return self.store.get(self.task(case, run, seed), ahead)
-
-    def searched(
-        self, case: Case, run: int = 0, *, again: int = 0, ahead: Iterable[EpisodeTask] = ()
-    ) -> SearchedEpisode:
-        """One run of a case that a search chose: it is part of no campaign, and of no rate.
-
-        Args:
-            case: The case.
-            run: Number of the run.
-            again: Number of the repetition; another one is another simulation.
-            ahead: What will be wanted next.
-
-        Raises:
-            ConfigurationError: If a role or the simulator cannot be built.
-        """
-        task = self.search_task(case, run, again)
-        episode = self.store.get(task, ahead)
-        self.store.earlier.search_used(task)
-        return SearchedEpisode.of(episode)
-
-    def search_task(self, case: Case, run: int = 0, again: int = 0) -> EpisodeTask:
-        """What :meth:`searched` has an episode by. Nothing is kept of it for viewers."""
-        return replace(self.task(case, run), recorded=False, again=again)
-
-    def task(self, case: Case, run: int = 0, seed: int | None = None) -> EpisodeTask:
-        """What a run of a case is had by.
-
-        Args:
-            case: The case.
-            run: Number of the run.
-            seed: Seed of the episode; by default that of the run within the case.
-        """
-        spec = case.spec(
-            run,
-            self.base_seed,
-            self.roles,
-            simulator=self.simulator,
-            seed=seed,
-            resolver=self.resolver,
-        )
-        if self.end_when_decided is not None:
-            end = replace(spec.termination, decided=self.end_when_decided)
-            spec = replace(spec, termination=end)
-        if self.time_budget is not None:
-            spec = replace(spec, time_budget=self.time_budget)
-        return self._task(case, spec)
-
-    def _task(self, case: Case, spec: EpisodeSpec) -> EpisodeTask:
-        ends = spec.termination.violation or spec.termination.decided
-        judging = self.requirements_of(case) if ends else ()
-        return EpisodeTask(
-            spec, tuple(judging), self.metrics, self.recorded, role_timeout=self.role_timeout
-        )
-
-    def twin(self, case: Case, spec: EpisodeSpec) -> EpisodeTask:
-        """The run of the same seed without faults, judged by the same requirements."""
-        return self._task(case, self.task(case.without_faults(), spec.run, spec.seed).spec)
-
-    def requirements_of(self, case: Case) -> list[Requirement]:
-        """The requirements of a case."""
-        return [self.library().requirements[name] for name in case.requirements]
-
-    def key(self, episode: Episode) -> EpisodeKey:
-        """What tells an episode of this bench apart from others."""
-        return key_of(EpisodeTask(episode.spec, metrics=self.metrics))
+        """Trace faults with this runner."""
+        self._tracer = FaultTracer(self)
 
     def follow(self, case: Case, runs: Sequence[int]) -> None:
-        """Tell what came of each fault of episodes that were run before, unless it was told.
+        """Report what came of each fault of episodes that were run before, unless reported.
 
         Args:
             case: The case.
             runs: Numbers of the runs.
         """
-        self._following.follow(case, runs)
+        self._tracer.follow(case, runs)
 
     def chains(self, case: Case, episode: JudgedEpisode) -> list[CausalChain]:
         """Each fault of an episode from plan to outcome, with the help of fault-free twins.
@@ -288,7 +50,7 @@ class Runner:
             case: The case that it belongs to.
             episode: One of its runs.
         """
-        return self._following.chains(case, episode)
+        return self._tracer.chains(case, episode)
 
     def campaign(
         self,
@@ -316,9 +78,17 @@ class Runner:
                 f"the case {found.id!r} was chosen by a search, and no rate can be made of it",
                 found=found.id,
                 expected="a case of a scenario",
-                remedy="run it as such, bench.episode(case), or keep it as a scenario file",
+                remedy="run it as such, orchestrator.episode(case), or keep it as a scenario file",
             )
         planned = self.runs or runs or found.scenario.planned
         if until_decided is None:
             until_decided = found.scenario.until_decided and runs is None
-        return Campaign(self, found, planned, requirement, until_decided)
+        return Campaign(
+            self,
+            found,
+            planned,
+            requirement,
+            until_decided,
+            tracer=self._tracer,
+            search=partial(falsify_campaign, keep=self.keep),
+        )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
@@ -245,3 +245,6 @@ class Falsification:
     def to_json(self) -> Data:
         """Plain data."""
         return asdict(self)
+
+
+Falsifier = Callable[..., Falsification]

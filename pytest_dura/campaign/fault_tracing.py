@@ -4,19 +4,15 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING
 
 from pytest_dura.campaign.causal_chains import CausalChain, causal_chains
 from pytest_dura.campaign.progress import RunningCampaign
+from pytest_dura.campaign.runner import EpisodeRunner
 from pytest_dura.core.propagation import Divergence
 from pytest_dura.execution.store import EpisodeKey, key_of
 from pytest_dura.execution.task import EpisodeTask, UpcomingTasks
 from pytest_dura.library.cases import Case
 from pytest_dura.requirements.verdicts.episodes import JudgedEpisode
-
-if TYPE_CHECKING:
-    from pytest_dura.runner import Runner
-
 
 TWINS_SUBJECT = "fault-free twins"
 """What runs when it is found out what came of faults, as progress calls it."""
@@ -28,31 +24,31 @@ class FaultTracer:
     """Follows each fault of an episode from plan to outcome, once.
 
     Args:
-        bench: Whose episodes they are.
+        runner: Whose episodes they are.
     """
 
-    def __init__(self, bench: Runner) -> None:
-        self.bench = bench
+    def __init__(self, runner: EpisodeRunner) -> None:
+        self.runner = runner
         self._told: set[EpisodeKey] = set()
         self._chains: OrderedDict[EpisodeKey, list[CausalChain]] = OrderedDict()
 
     def follow(self, case: Case, runs: Sequence[int]) -> None:
         """See :meth:`pytest_dura.runner.Runner.follow`."""
-        bench = self.bench
-        tasks = {run: bench.task(case, run) for run in runs}
+        runner = self.runner
+        tasks = {run: runner.task(case, run) for run in runs}
         due = [run for run in runs if key_of(tasks[run]) not in self._told]
-        upcoming = UpcomingTasks(len(due), lambda step: [bench.twin(case, tasks[due[step]].spec)])
+        upcoming = UpcomingTasks(len(due), lambda step: [runner.twin(case, tasks[due[step]].spec)])
         running = RunningCampaign(case.id, TWINS_SUBJECT, len(due))
         try:
             for step, run in enumerate(due):
                 upcoming.reach(step)
-                bench.on_progress(running.reach(step, len(due), bench.store.simulated))
-                episode = bench.again(case, run)
+                runner.on_progress(running.reach(step, len(due), runner.store.simulated))
+                episode = runner.again(case, run)
                 self._told.add(key_of(tasks[run]))
-                bench.on_chains(case, episode, self.chains(case, episode, upcoming))
+                runner.on_chains(case, episode, self.chains(case, episode, upcoming))
         finally:
-            bench.store.cancel()
-            bench.on_progress(running.end())
+            runner.store.cancel()
+            runner.on_progress(running.end())
 
     def chains(
         self, case: Case, episode: JudgedEpisode, ahead: Iterable[EpisodeTask] = ()
@@ -64,7 +60,7 @@ class FaultTracer:
             episode: One of its runs.
             ahead: What will be wanted next.
         """
-        key = self.bench.key(episode)
+        key = self.runner.key(episode)
         if key not in self._chains:
             self._chains[key] = self._linked(case, episode, ahead)
         while len(self._chains) > MAX_RECENT_CHAINS:
@@ -74,17 +70,17 @@ class FaultTracer:
     def _linked(
         self, case: Case, episode: JudgedEpisode, ahead: Iterable[EpisodeTask]
     ) -> list[CausalChain]:
-        bench, requirements = self.bench, self.bench.requirements_of(case)
+        runner, requirements = self.runner, self.runner.requirements_of(case)
         reached = any(fault.manifested_at is not None for fault in episode.faults)
-        if not (bench.twins and reached):
+        if not (runner.twins and reached):
             return causal_chains(episode, requirements)
-        task = bench.twin(case, episode.spec)
+        task = runner.twin(case, episode.spec)
 
         def second() -> JudgedEpisode:
             # Not even a bare instance is spared it: one that remembers earlier episodes differs
             # there as well, and then nothing can be said of the faults.
-            return bench.store.get(task.repeated(), ahead)
+            return runner.store.get(task.repeated(), ahead)
 
-        twin = bench.store.get(task, ahead)
+        twin = runner.store.get(task, ahead)
         divergence = Divergence.of(episode, twin, second)
         return causal_chains(episode, requirements, twin, divergence)

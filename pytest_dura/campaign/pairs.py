@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from pytest_dura.campaign.reasons import ComponentFailures
-from pytest_dura.campaign.runs import finite_number
+from pytest_dura.campaign.runs import CampaignRuns, finite_number
 from pytest_dura.core.episode import Episode
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.library.cases import Case
@@ -33,7 +33,6 @@ from pytest_dura.requirements.verdicts.campaigns import CampaignVerdict
 from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict, JudgedEpisode, judge_episode
 
 if TYPE_CHECKING:
-    from pytest_dura.campaign.campaign import Campaign
     from pytest_dura.execution.task import EpisodeTask
 
 
@@ -89,11 +88,11 @@ class PairedCampaign:
         ConfigurationError: If there is no such role, or there are no faults.
     """
 
-    def __init__(self, campaign: Campaign, without: str) -> None:
+    def __init__(self, campaign: CampaignRuns, without: str) -> None:
         self.campaign, self.without = campaign, without
         self.case = twin_case(campaign.case, without)
         # Told before anything runs, where the role is not there to be switched off.
-        self.case.roles(campaign.bench.roles)
+        self.case.roles(campaign.runner.roles)
 
     def __repr__(self) -> str:
         return f"PairedCampaign({self.campaign.case.id!r}, without={self.without!r})"
@@ -110,7 +109,7 @@ class PairedCampaign:
             episode: One of the campaign's.
             ahead: What will be wanted next.
         """
-        return self.campaign.bench.episode(
+        return self.campaign.runner.episode(
             self.case, episode.spec.run, planned=self.campaign.planned, ahead=ahead
         )
 
@@ -146,7 +145,7 @@ class PairedCampaign:
             runs.append(episode.spec.run)
             if episode.faults:
                 faulty.append(episode.spec.run)
-        campaign.bench.follow(campaign.case, faulty)
+        campaign.follow(faulty)
         self._tell_of_monitors(runs)
         found = judge.verdict()
         table = {"without": self.without, "case": self.case.id, **compared.table()}
@@ -173,16 +172,16 @@ class PairedCampaign:
 
     def _monitors(self, runs: Sequence[int]) -> list[MonitorQuality]:
         def twins() -> Iterator[JudgedEpisode]:
-            return (self.campaign.bench.again(self.case, run) for run in runs)
+            return (self.campaign.runner.again(self.case, run) for run in runs)
 
         return monitor_qualities(twins, self._requirements())
 
     def _tell_of_monitors(self, runs: Sequence[int]) -> None:
         if self.without == RECOVERY:
-            self.campaign.bench.on_monitors(self.case, self._monitors(runs))
+            self.campaign.runner.on_monitors(self.case, self._monitors(runs))
 
     def _requirements(self) -> list[Requirement]:
-        known = self.campaign.bench.library().requirements
+        known = self.campaign.runner.library().requirements
         return [known[name] for name in self.case.requirements]
 
     def _doubt(self, compared: _PairResults) -> str | None:

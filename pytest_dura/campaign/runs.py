@@ -3,12 +3,28 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import asdict, replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
-from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.campaign.fault_tracing import FaultTracer
+from pytest_dura.campaign.progress import RunningCampaign
+from pytest_dura.campaign.reasons import ComponentFailures, explain_verdict
+from pytest_dura.campaign.runner import EpisodeRunner
+from pytest_dura.core.errors import ConfigurationError, DuraError
+from pytest_dura.execution.task import EpisodeTask, UpcomingTasks
+from pytest_dura.library.cases import Case
+from pytest_dura.library.requirements import check_formula
+from pytest_dura.requirements.checks import Check
 from pytest_dura.requirements.model import Requirement
+from pytest_dura.requirements.verdicts.campaigns import CampaignVerdict, Situations, varies
+from pytest_dura.requirements.verdicts.episodes import (
+    EpisodeVerdict,
+    JudgedEpisode,
+    is_unseen_crash,
+)
+from pytest_dura.requirements.verdicts.judging import CampaignJudge
 
 NUMERIC_FIELDS = ("at_most", "confidence", "p0")
 
@@ -77,3 +93,193 @@ def finite_number(key: str, value: Any) -> float:
             f"{key} is a finite number", key=key, found=value, remedy=f"correct {key}"
         )
     return found
+
+
+MAX_EXTRA_SHARE = 0.2
+"""Further runs that may follow invalid ones, as a share of a fixed number of planned runs."""
+
+
+class RequirementViolated(DuraError):  # noqa: N818 - it is an outcome, not an error
+    """A campaign does not support a requirement. ``verdict`` holds the counts it rests on."""
+
+    def __init__(self, message: str, verdict: CampaignVerdict) -> None:
+        self.verdict = verdict
+        super().__init__(message)
+
+
+@dataclass(repr=False)
+class CampaignRuns:
+    """The episodes of a campaign in order, and what decides on them.
+
+    Args:
+        runner: Runs the episodes.
+        case: The case.
+        planned: Episodes that are planned, or may be run at most.
+        requirement: What :meth:`Campaign.require` decides.
+        until_decided: Whether runs end as soon as the requirement at hand is decided.
+        tracer: Traces faults; by default one of its own.
+    """
+
+    runner: EpisodeRunner
+    case: Case
+    planned: int
+    requirement: Requirement | None = None
+    until_decided: bool = False
+    tracer: FaultTracer | None = field(default=None, kw_only=True)
+    failures: ComponentFailures = field(default_factory=ComponentFailures, init=False)
+    """Of the component itself, in the episodes that the last verdict rests on."""
+
+    def __post_init__(self) -> None:
+        """Trace faults for itself where nothing else does."""
+        self._tracer = self.tracer or FaultTracer(self.runner)
+
+    def follow(self, runs: Sequence[int]) -> None:
+        """Trace the faults of these runs."""
+        self._tracer.follow(self.case, runs)
+
+    def __repr__(self) -> str:
+        return f"Campaign({self.case.id!r}, {self.planned} runs planned)"
+
+    @property
+    def component(self) -> str:
+        """Name of the component under test."""
+        return self.case.roles(self.runner.roles)["generator"].label
+
+    @property
+    def episodes(self) -> list[JudgedEpisode]:
+        """The planned runs, and a further run for each invalid one as far as the budget goes."""
+        return list(self)
+
+    def __iter__(self) -> Iterator[JudgedEpisode]:
+        return self.in_order([self.case])
+
+    def in_order(
+        self, cases: Sequence[Case], judge: CampaignJudge | None = None
+    ) -> Iterator[JudgedEpisode]:
+        """The planned runs, and a further run for each invalid one as far as the budget goes.
+
+        Args:
+            cases: This campaign's, and those whose runs are looked at along with it.
+            judge: Judges them, if something does.
+        """
+        budget = 0 if self.until_decided else math.ceil(MAX_EXTRA_SHARE * self.planned)
+        run, end = 0, self.planned
+        with self._under_way(cases, judge) as (running, ahead):
+            while run < end and not (judge is not None and judge.decided):
+                ahead.reach(run)
+                episode = self._run(run, end, running, ahead)
+                yield episode
+                run += 1
+                if episode.validity == "invalid" and end < self.planned + budget:
+                    end += 1
+
+    @contextmanager
+    def _under_way(
+        self, cases: Sequence[Case], judge: CampaignJudge | None
+    ) -> Iterator[tuple[RunningCampaign, UpcomingTasks]]:
+        """What tells how far it is, and the planned runs as tasks.
+
+        At the end, what was begun of them is given up.
+        """
+        runner, own = self.runner, self.requirement
+        asked_for = own if judge is None else judge.requirement
+        subject = "" if asked_for is None else asked_for.id
+        running = RunningCampaign(self.case.id, subject, self.planned, judge)
+        ahead = self.upcoming(cases)
+        try:
+            yield running, ahead
+        finally:
+            runner.store.cancel()
+            runner.on_progress(running.end())
+
+    def upcoming(self, cases: Sequence[Case]) -> UpcomingTasks:
+        """The planned runs of several cases as tasks, run by run."""
+        return UpcomingTasks(
+            self.planned, lambda run: [self.runner.task(case, run) for case in cases]
+        )
+
+    def _run(
+        self, run: int, end: int, running: RunningCampaign, ahead: Iterable[EpisodeTask]
+    ) -> JudgedEpisode:
+        """The run of this number, of so many that are to come for all that is known."""
+        self.runner.on_progress(running.reach(run, end, self.runner.store.simulated))
+        return self.runner.episode(self.case, run, planned=self.planned, ahead=ahead)
+
+    def with_crash(
+        self, verdict: EpisodeVerdict, episode: JudgedEpisode, check: Check
+    ) -> EpisodeVerdict:
+        """The verdict, marked where the episode's crash violates nothing.
+
+        Args:
+            verdict: On the episode, or on the pair that it belongs to.
+            episode: The episode.
+            check: What it was judged by, besides the requirements of its case.
+        """
+        requirements = self.runner.requirements_of(self.case)
+        if verdict.verdict == "violated" or not is_unseen_crash(episode, requirements, check):
+            return verdict
+        return replace(verdict, unseen_crash=True)
+
+    def judge_of(self, requirement: Requirement, check: Check | None) -> CampaignJudge:
+        """What takes in the verdicts on this campaign's episodes.
+
+        Raises:
+            ConfigurationError: Before anything is run, for what cannot be judged.
+        """
+        if self.runner.simulator is None:  # another simulator than the scenario's tells by running
+            check_formula(self.case.scenario, requirement.check if check is None else check)
+        return CampaignJudge(
+            requirement,
+            self.case.id,
+            planned=self.planned,
+            component=self.component,
+            until_decided=self.until_decided,
+        )
+
+    def situations(self) -> Situations:
+        """What takes in this campaign's episodes and says whether they are all equal."""
+        faults = {fault["id"] for fault in self.case.faults}
+        return Situations(varies=varies(self.case.scenario.variation, faults))
+
+    def enough_for(
+        self, judge: CampaignJudge, beside: Sequence[Case] = ()
+    ) -> Iterator[JudgedEpisode]:
+        """Episodes until the judge needs no more of them, or the plan or budget is used up.
+
+        Args:
+            judge: Says whether it needs more.
+            beside: Cases of which the same runs are looked at.
+        """
+        cases = [self.case, *beside]
+        if not judge.sequential:
+            yield from self.in_order(cases, judge)
+            return
+        run = 0
+        with self._under_way(cases, judge) as (running, ahead):
+            while run < self.planned and not judge.decided:
+                ahead.reach(run)
+                yield self._run(run, self.planned, running, ahead)
+                run += 1
+
+    def asked(self, own: Requirement, given: Mapping[str, Any]) -> Requirement:
+        """The requirement with what a call gives, ``None`` apart; see :func:`asked`.
+
+        Raises:
+            ConfigurationError: For what is not as the requirement's file says.
+        """
+        told = {key: value for key, value in given.items() if value is not None}
+        return requirement_of_call(own, self.runner.library().requirements, told)
+
+    def decided(self, verdict: CampaignVerdict, requirement: Requirement) -> CampaignVerdict:
+        """Tell of a verdict, and return it if it is "supported".
+
+        Raises:
+            RequirementViolated: If it is not.
+        """
+        __tracebackhide__ = True
+        self.runner.on_verdict(verdict, requirement)
+        if verdict.verdict != "supported":
+            raise RequirementViolated(
+                "\n".join(explain_verdict(verdict, requirement, self.failures)), verdict
+            )
+        return verdict

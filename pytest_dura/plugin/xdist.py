@@ -84,7 +84,7 @@ def _last_items(
 
 def _is_simulated(campaign: Campaign, requirement: Requirement) -> bool:
     """Whether all planned runs are there, those of pairs included."""
-    cases, bench = [campaign.case], campaign.bench
+    cases, bench = [campaign.case], campaign.runner
     if requirement.paired is not None:
         cases.append(campaign.paired(requirement.paired.without).case)
     runs = range(campaign.planned)

@@ -288,10 +288,10 @@ def confirm_violation(
     if repeats.confirmed and budget:
 
         def violates(trial: SearchedCase) -> bool:
-            return asked.judge(trials.bench.searched(trial)).word == "violated"
+            return asked.judge(trials.runner.searched(trial)).word == "violated"
 
         shrunk = shrink(
-            trials.space.case, case, violates, budget=budget, simulator=trials.bench.simulator
+            trials.space.case, case, violates, budget=budget, simulator=trials.runner.simulator
         )
         simpler, again = trials.repeated(shrunk.case, asked)
         # A component that repeats itself here need not do so there: what is confirmed, stays.
@@ -310,7 +310,7 @@ def confirm_violation(
         time=verdict.time,
         detail=verdict.detail,
         repeats=repeats,
-        changes=changes_of(trials.space.case, case, simulator=trials.bench.simulator),
+        changes=changes_of(trials.space.case, case, simulator=trials.runner.simulator),
         shrinking=shrinking,
     )
     return ConfirmedCounterexample(case, found)
@@ -340,7 +340,7 @@ def store_counterexample(
     (read,) = expand_cases([made.scenario])
     # A requirement of its own is not among those that this session has read.
     again = replace(read, requirements=confirmed.case.requirements)
-    verdict = asked.judge(trials.bench.searched(again))
+    verdict = asked.judge(trials.runner.searched(again))
     if verdict.word != "violated" or verdict.margin != found.margin:
         made.file.unlink()
         raise ConfigurationError(
@@ -358,7 +358,7 @@ def _file_heading(
 ) -> list[str]:
     """The head of the file."""
     case = trials.space.case
-    component = case.roles(trials.bench.roles)["generator"].label
+    component = case.roles(trials.runner.roles)["generator"].label
     when = "" if found.time is None else f" at t = {found.time:g} s"
     margin = "" if found.margin is None else f", margin {found.margin:.4g}"
     lines = [

@@ -17,6 +17,7 @@ from pytest_dura.campaign.falsification import (
     SearchStatus,
 )
 from pytest_dura.campaign.progress import RunningCampaign
+from pytest_dura.campaign.runner import EpisodeRunner
 from pytest_dura.core.error_messages import did_you_mean
 from pytest_dura.core.errors import ConfigurationError, DuraError
 from pytest_dura.core.seeding import derive_seed
@@ -48,7 +49,6 @@ from pytest_dura.search.trials import Baseline, Objective, Trials, run_baselines
 
 if TYPE_CHECKING:
     from pytest_dura.campaign.campaign import Campaign
-    from pytest_dura.runner import Runner
 
 
 MAX_PARAMETERS = 12
@@ -148,7 +148,7 @@ def _value(value: Any) -> str:
 
 
 def falsify(
-    bench: Runner,
+    runner: EpisodeRunner,
     case: Case,
     asked: Sequence[Objective],
     *,
@@ -161,12 +161,12 @@ def falsify(
     """Search a case for episodes that violate requirements.
 
     Args:
-        bench: Runs the episodes, and is told what came of the search.
+        runner: Runs the episodes, and is told what came of the search.
         case: The case.
         asked: The requirements; the search ends once each of them is violated.
         limits: What it may use.
         faults: Faults that the search may add to those of the case.
-        seed: From which its draws follow; by default from the bench's seed and the case.
+        seed: From which its draws follow; by default from the runner's seed and the case.
         keep: Keeps a confirmed counterexample; ``None`` keeps it nowhere.
         unkept: Told why a counterexample could not be kept, which is found all the same; without
             one that is raised.
@@ -179,10 +179,10 @@ def falsify(
         case,
         faults,
         at_most=limits.at_most,
-        simulator=bench.simulator,
-        lasting=_nominal_duration(bench, case) if faults else None,
+        simulator=runner.simulator,
+        lasting=_nominal_duration(runner, case) if faults else None,
     )
-    if faults and "fault_injector" not in case.roles(bench.roles):
+    if faults and "fault_injector" not in case.roles(runner.roles):
         raise ConfigurationError(
             f"no fault can be added to the case {case.id!r}, for no role injects any",
             file=case.scenario.file or None,
@@ -192,8 +192,8 @@ def falsify(
             remedy='add `fault_injector: "pytest_dura.faults.injector:CampaignInjector"`',
         )
     names = [one.requirement.id for one in asked]
-    seed = derive_seed(bench.base_seed, "search", case.id, *names) if seed is None else seed
-    trials = Trials(bench, space, asked)
+    seed = derive_seed(runner.base_seed, "search", case.id, *names) if seed is None else seed
+    trials = Trials(runner, space, asked)
     portfolio = Portfolio(space.layout, seed, limits.budget, len(asked))
     log, coverage = _run_search(trials, portfolio, limits.budget)
     baselines: tuple[Baseline, ...] = ()
@@ -203,7 +203,7 @@ def falsify(
     outcomes = tuple(judging.of(number) for number in range(len(asked)))
     found = Falsification(
         case=case.id,
-        component=case.roles(bench.roles)["generator"].label,
+        component=case.roles(runner.roles)["generator"].label,
         seed=seed,
         budget=limits.budget,
         simulations=log.simulations,
@@ -224,24 +224,24 @@ def falsify(
         coverage=coverage.coverage(),
         outcomes=outcomes,
     )
-    bench.on_search(case, found)
+    runner.on_search(case, found)
     return found
 
 
-def _nominal_duration(bench: Runner, case: Case) -> float | None:
+def _nominal_duration(runner: EpisodeRunner, case: Case) -> float | None:
     """Seconds that the campaign's first run lasts: a fault that begins later meets nobody."""
-    episode = bench.searched(case)
+    episode = runner.searched(case)
     return float(episode.time[-1]) if episode.ticks > 1 and episode.failure is None else None
 
 
 def _run_search(
     trials: Trials, portfolio: Portfolio, budget: int
 ) -> tuple[SearchLog, CoverageCount]:
-    bench, coverage = trials.bench, CoverageCount(trials.space.layout)
+    runner, coverage = trials.runner, CoverageCount(trials.space.layout)
     subject = "search " + ", ".join(one.requirement.id for one in trials.asked)
     running = RunningCampaign(trials.space.case.id, subject, budget)
     done = 0
-    bench.on_progress(running.reach(done, budget, bench.store.simulated))
+    runner.on_progress(running.reach(done, budget, runner.store.simulated))
 
     def evaluate(batch: Batch) -> Iterable[Outcome]:
         nonlocal done
@@ -249,17 +249,17 @@ def _run_search(
             if outcome.simulated:
                 coverage.add(point)
                 done += 1
-                bench.on_progress(running.reach(done, budget, bench.store.simulated))
+                runner.on_progress(running.reach(done, budget, runner.store.simulated))
             yield outcome
 
     try:
         log = search(portfolio, evaluate, budget, len(trials.asked))
     finally:
-        bench.on_progress(running.end())
+        runner.on_progress(running.end())
     if not log.simulations:
         # Every point contradicts itself; the first one tells how.
         batch = portfolio.ask()
-        bench.search_task(trials.case(batch.points[0].tolist(), batch.worlds[0]))
+        runner.search_task(trials.case(batch.points[0].tolist(), batch.worlds[0]))
         raise ConfigurationError(
             f"nearly every point contradicts itself in {trials.space.case.id!r}",
             key="variation",
@@ -338,21 +338,22 @@ def falsify_campaign(
     at_most: int,
     shrink: int,
     seed: int | None,
+    keep: CounterexampleStore | None = None,
 ) -> Falsification:
     """See :meth:`pytest_dura.campaign.campaign.Campaign.falsify`."""
     __tracebackhide__ = True
-    bench = campaign.bench
+    runner = campaign.runner
     limits = Limits(budget, shrink, at_most)
     asked = [_objective(campaign, one) for one in _as_list(wanted)]
     unkept: list[ConfigurationError] = []
     found = falsify(
-        bench,
+        runner,
         campaign.case,
         asked,
         limits=limits,
         faults=_faults(faults),
         seed=_seed(seed),
-        keep=bench.keep,
+        keep=keep,
         unkept=unkept.append,
     )
     if any(one.word != "nothing found" for one in found.outcomes):
@@ -418,7 +419,7 @@ def _objective(campaign: Campaign, wanted: Any) -> Objective:
             expected="a check, or a requirement with one in its file",
             remedy="call campaign.falsify('always (gap > 0)'), or add a `check` to the file",
         )
-    if campaign.bench.simulator is None:  # another simulator than the scenario's tells by running
+    if campaign.runner.simulator is None:  # another simulator than the scenario's tells by running
         check_formula(campaign.case.scenario, check or requirement.check)
     return Objective(requirement, check)
 
@@ -429,7 +430,7 @@ def is_formula(text: str) -> bool:
 
 
 def _requirement(campaign: Campaign, wanted: Any) -> tuple[Requirement, Any]:
-    known = campaign.bench.library().requirements
+    known = campaign.runner.library().requirements
     if wanted is None:
         if campaign.requirement is None:
             raise ConfigurationError(

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pytest_dura.campaign.falsification import ReplayCount
+from pytest_dura.campaign.runner import EpisodeRunner
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.execution.task import UpcomingTasks
 from pytest_dura.library.cases import Case, SearchedCase, make_searched_case
@@ -24,10 +24,6 @@ from pytest_dura.requirements.verdicts.episodes import (
 from pytest_dura.search.portfolio import Batch, Outcome, SearchLog, search, trivial_searchers
 from pytest_dura.search.searchers import Searcher
 from pytest_dura.search.space import SearchSpace
-
-if TYPE_CHECKING:
-    from pytest_dura.runner import Runner
-
 
 _CONCLUSIVE = ("violated", "satisfied")
 REPLAYS = 10
@@ -57,16 +53,18 @@ class Objective:
 
 
 class Trials:
-    """Runs searched cases on a bench.
+    """Runs searched cases on a runner.
 
     Args:
-        bench: The bench.
+        runner: The runner.
         space: What the points of a search mean.
         asked: The requirements.
     """
 
-    def __init__(self, bench: Runner, space: SearchSpace, asked: Sequence[Objective]) -> None:
-        self.bench, self.space, self.asked = bench, space, tuple(asked)
+    def __init__(
+        self, runner: EpisodeRunner, space: SearchSpace, asked: Sequence[Objective]
+    ) -> None:
+        self.runner, self.space, self.asked = runner, space, tuple(asked)
 
     def case(self, point: Sequence[float], world: int) -> SearchedCase:
         """The case at a point, with the seed of the campaign's run of this number.
@@ -74,7 +72,7 @@ class Trials:
         Raises:
             ConfigurationError: If its values contradict each other.
         """
-        seed = self.space.case.seed(world, self.bench.base_seed)
+        seed = self.space.case.seed(world, self.runner.base_seed)
         return self.space.made(self.space.values(point), seed)
 
     def case_of_run(self, run: int) -> SearchedCase:
@@ -82,10 +80,10 @@ class Trials:
         case = self.space.case
         spec = case.spec(
             run,
-            self.bench.base_seed,
-            self.bench.roles,
-            simulator=self.bench.simulator,
-            resolver=self.bench.resolver,
+            self.runner.base_seed,
+            self.runner.roles,
+            simulator=self.runner.simulator,
+            resolver=self.runner.resolver,
         )
         return make_searched_case(case, spec.scenario["world"], spec.faults, spec.seed)
 
@@ -100,9 +98,9 @@ class Trials:
 
     def _outcomes(self, runs: Sequence[tuple[Case, int] | None]) -> Iterator[Outcome]:
         """The outcomes of runs of cases; ``None`` stands for one that contradicts itself."""
-        bench = self.bench
+        runner = self.runner
         ahead = UpcomingTasks(
-            len(runs), lambda step: [bench.search_task(*run)] if (run := runs[step]) else []
+            len(runs), lambda step: [runner.search_task(*run)] if (run := runs[step]) else []
         )
         try:
             for number, run in enumerate(runs):
@@ -110,9 +108,9 @@ class Trials:
                 if run is None:
                     yield self.refused
                 else:
-                    yield self.outcome(bench.searched(*run, ahead=ahead))
+                    yield self.outcome(runner.searched(*run, ahead=ahead))
         finally:
-            bench.store.cancel()
+            runner.store.cancel()
 
     @property
     def refused(self) -> Outcome:
@@ -143,11 +141,11 @@ class Trials:
             asked: What it violates.
             run: Number of the run.
         """
-        first = self.bench.searched(case, run)
+        first = self.runner.searched(case, run)
         runs = violated = equal = 0
         while runs < (1 if equal == runs else REPLAYS):
             runs += 1
-            again = self.bench.searched(case, run, again=runs)
+            again = self.runner.searched(case, run, again=runs)
             violated += asked.judge(again).word == "violated"
             equal += again.digest == first.digest
         return first, ReplayCount(runs, violated, equal)
@@ -155,7 +153,7 @@ class Trials:
     def _possible(self, point: Sequence[float], world: int) -> tuple[Case, int] | None:
         try:
             case = self.case(point, world)
-            self.bench.search_task(case)
+            self.runner.search_task(case)
         except ConfigurationError:
             return None
         return case, 0

@@ -49,7 +49,7 @@ from searches import falsification
 def test_it(campaign):
     case = campaign.case
     made = falsification({words}, case=case.id, component=campaign.component)
-    campaign.bench.on_search(case, made)
+    campaign.runner.on_search(case, made)
     {then}
 """
 
