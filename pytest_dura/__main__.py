@@ -178,7 +178,7 @@ def _merge(given: argparse.Namespace) -> int:
     for reason in merged.reasons:
         print(one_line(reason, LONGEST))
     totals = merged.totals
-    verdicts = sum(totals[word] for word in ("supported", "violated", "undecided"))
+    verdicts = sum(totals[name] for name in ("supported", "violated", "undecided"))
     print(
         f"{merged.shards} shards, {totals['cases']} cases, {totals['episodes']} episodes, "
         f"{verdicts} verdicts; gate of the whole: {totals['gate']}"
@@ -217,27 +217,27 @@ def _let_names_be_any_bytes() -> None:
 def _verify(given: argparse.Namespace) -> int:
     from pytest_dura.evidence.verify import verify_bundle
 
-    found = verify_bundle(given.directory, given.junit_xml)
+    bundle = verify_bundle(given.directory, given.junit_xml)
     _let_names_be_any_bytes()
-    for problem in found.problems:
+    for problem in bundle.problems:
         print(one_line(problem, LONGEST))
-    if found.counts is not None:
-        counts = found.counts
+    if bundle.counts is not None:
+        counts = bundle.counts
         print(
-            f"{found.files} files, {counts.episodes} episodes, "
+            f"{bundle.files} files, {counts.episodes} episodes, "
             f"{counts.supported + counts.violated + counts.undecided} verdicts, "
-            f"{found.rejudged.judged} of their judgements made again on traces; "
+            f"{bundle.rejudged.judged} of their judgements made again on traces; "
             f"gate {counts.gate}"
         )
-    if found.intact and found.not_rendered is not None:
+    if bundle.intact and bundle.not_rendered is not None:
         print(
-            f"not re-rendered: pytest-dura {one_line(found.not_rendered, LONGEST)} wrote this "
+            f"not re-rendered: pytest-dura {one_line(bundle.not_rendered, LONGEST)} wrote this "
             f"bundle, and this is {__version__}; of its pages, counts and references alone agree"
         )
         return NOT_RENDERED
-    several = "" if len(found.problems) == 1 else "s"
-    print("intact" if found.intact else f"NOT INTACT: {len(found.problems)} difference{several}")
-    return 0 if found.intact else 1
+    several = "" if len(bundle.problems) == 1 else "s"
+    print("intact" if bundle.intact else f"NOT INTACT: {len(bundle.problems)} difference{several}")
+    return 0 if bundle.intact else 1
 
 
 _COMMANDS: Mapping[str, Callable[[argparse.Namespace], int]] = {

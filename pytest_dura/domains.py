@@ -101,7 +101,7 @@ def domain_of(simulator: str) -> Domain | None:
     """The domain of an alias or of a domain's own simulator; ``None`` for any other simulator."""
     if simulator in DOMAINS:
         return DOMAINS[simulator]
-    return next((one for one in DOMAINS.values() if one.simulator == simulator), None)
+    return next((domain for domain in DOMAINS.values() if domain.simulator == simulator), None)
 
 
 def simulator_spec(path: str, params: Mapping[str, object]) -> RoleSpec:

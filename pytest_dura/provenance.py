@@ -105,30 +105,30 @@ def sources_of(
         most: Of how many files at most; see :data:`MOST`.
     """
     package = top_package(file, module)
-    found = sorted(python_files(package, most)) if package is not None else []
+    files = sorted(python_files(package, most)) if package is not None else []
     base = file.parent
-    if package is None or not 0 < len(found) <= most or file not in found:
-        found = [file]
-    elif len(found) > 1:
+    if package is None or not 0 < len(files) <= most or file not in files:
+        files = [file]
+    elif len(files) > 1:
         base = package.parent
     else:
         base = package
     told, named = [], {}
     try:
-        for one in found:
-            sha256 = hashlib.sha256(one.read_bytes()).hexdigest()
+        for item in files:
+            sha256 = hashlib.sha256(item.read_bytes()).hexdigest()
             # Names within the package: it is the same component wherever it is installed.
-            named[one.relative_to(base).as_posix()] = sha256
-            told.append((one, sha256))
+            named[item.relative_to(base).as_posix()] = sha256
+            told.append((item, sha256))
     except OSError:  # gone, or not for us to read
         return None
     listed = told if len(told) <= MAX_LISTED_FILES and not is_installed(file) else []
-    listed = listed or [one for one in told if one[0] == file]
+    listed = listed or [item for item in told if item[0] == file]
     return Sources(
         digest=digest_of(named),
         named=named,
-        files=[{"path": recorded_path(one, root), "sha256": sha256} for one, sha256 in listed],
-        read=tuple(one for one, _ in listed),
+        files=[{"path": recorded_path(item, root), "sha256": sha256} for item, sha256 in listed],
+        read=tuple(item for item, _ in listed),
     )
 
 
@@ -155,7 +155,7 @@ def python_files(package: Path, most: int) -> Iterator[Path]:
     """The files below a package, one more than ``most`` at most."""
     found = 0
     for folder, inner, names in os.walk(package):
-        inner[:] = [one for one in inner if not one.startswith(".") and one not in _NO_SOURCES]
+        inner[:] = [item for item in inner if not item.startswith(".") and item not in _NO_SOURCES]
         for name in names:
             if name.endswith(".py"):
                 yield Path(folder, name)
@@ -267,8 +267,8 @@ class _FileCollector:
         files = [] if package is None else list(python_files(package, MAX_PACKAGE_FILES))
         if package is None or file not in files:
             self._read(file, file.parent)
-        for one in files:
-            self._read(one, (package or one).parent)
+        for item in files:
+            self._read(item, (package or item).parent)
 
     def _read(self, file: Path, base: Path) -> None:
         if file in self._files or len(self._files) > MAX_PACKAGE_FILES:
@@ -308,7 +308,7 @@ def _origins(top: str, beside: Path) -> Iterator[Path]:
     if spec is None:
         # Some ways to import tests leave their folder out of the path.
         found = [beside / f"{top}.py", beside / top / "__init__.py"]
-        yield from (one for one in found if one.is_file())
+        yield from (item for item in found if item.is_file())
     elif spec.origin is not None and Path(spec.origin).is_file():
         yield Path(spec.origin).absolute()
     else:
@@ -338,14 +338,14 @@ def describe_tool() -> dict[str, Any]:
 
 def tool_code() -> str:
     """What tells our code from another, for addresses: its digest, else the version."""
-    told = describe_tool()
-    return told["code"] or f"version {told['version']}"
+    tool = describe_tool()
+    return tool["code"] or f"version {tool['version']}"
 
 
 def _digest() -> str | None:
     file = Path(__file__).absolute().parents[1] / "__init__.py"
-    found = sources_of(file, _OURS, file.parent, most=_MAX_OWN_FILES)
-    return None if found is None else found.digest
+    sources = sources_of(file, _OURS, file.parent, most=_MAX_OWN_FILES)
+    return None if sources is None else sources.digest
 
 
 DISTRIBUTION = "pytest-dura"
@@ -381,12 +381,12 @@ def describe_arithmetic() -> dict[str, Any]:
     """
     import numpy as np
 
-    found: Any = np.show_config(mode="dicts")
-    simd = found.get("SIMD Extensions")
-    blas = found.get("Build Dependencies", {}).get("blas")
+    show_config: Any = np.show_config(mode="dicts")
+    simd = show_config.get("SIMD Extensions")
+    blas = show_config.get("Build Dependencies", {}).get("blas")
     features = None if simd is None else [*simd.get("baseline", []), *simd.get("found", [])]
-    told = None if not blas else f"{blas.get('name', '')} {blas.get('version', '')}".strip()
-    return {"cpu_features": features, "blas": told}
+    strip = None if not blas else f"{blas.get('name', '')} {blas.get('version', '')}".strip()
+    return {"cpu_features": features, "blas": strip}
 
 
 def describe_hypothesis() -> dict[str, Any] | None:
@@ -423,10 +423,12 @@ def describe_packages() -> dict[str, str]:
     found: set[str] = set()
     for place in sys.path:
         try:
-            names = [one.name for one in Path(place or ".").iterdir()]
+            names = [path.name for path in Path(place or ".").iterdir()]
         except OSError:  # no folder, or not for us to read
             continue
-        found.update(Path(one).stem for one in names if one.endswith((".dist-info", ".egg-info")))
+        found.update(
+            Path(name).stem for name in names if name.endswith((".dist-info", ".egg-info"))
+        )
     rest = sorted(name for name in found if not name.lower().startswith((*_TOOLS, "pytest_dura")))
     told = {name: version for name in NUMERIC if (version := _version(name))}
     return {**told, "other packages": hashlib.sha256("\n".join(rest).encode()).hexdigest()}
@@ -486,9 +488,9 @@ def _packages() -> list[str]:
     except metadata.PackageNotFoundError:  # run from its sources
         required = []
     found = {name.lower(): name for name in PACKAGES}
-    for one in required:
-        name = re.split(r"[^A-Za-z0-9._-]", one, maxsplit=1)[0]
-        if "extra ==" not in one:
+    for item in required:
+        name = re.split(r"[^A-Za-z0-9._-]", item, maxsplit=1)[0]
+        if "extra ==" not in item:
             found.setdefault(name.lower(), name)
     return list(found.values())
 

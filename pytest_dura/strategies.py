@@ -72,9 +72,11 @@ def cases(
     def made(library: Library) -> list[CaseDrawing]:
         from pytest_dura.search.drawing import CaseDrawing
 
-        found = _named(library, name)
+        named = _named(library, name)
         entries = _entries(faults)
-        return [CaseDrawing.of(one, entries, at_most=at_most, leave_out=leave_out) for one in found]
+        return [
+            CaseDrawing.of(item, entries, at_most=at_most, leave_out=leave_out) for item in named
+        ]
 
     return _drawn_case(_at_hand(made))
 
@@ -140,7 +142,7 @@ def _planned(case: SearchedCase) -> list[dict[str, Any]]:
     """The case's faults as a scenario file may have them, each with its id."""
     from pytest_dura.faults.catalogue import BY_CHANCE
 
-    return [{key: one[key] for key in one if key != BY_CHANCE} for one in case.faults]
+    return [{key: fault[key] for key in fault if key != BY_CHANCE} for fault in case.faults]
 
 
 @st.composite
@@ -151,9 +153,9 @@ def _drawn_case(draw: st.DrawFn, drawings: Callable[[], list[CaseDrawing]]) -> S
     def pick(count: int) -> int:
         return draw(st.integers(0, count - 1))
 
-    one = known[pick(len(known))]
+    library = known[pick(len(known))]
     try:
-        return one.draw(pick)
+        return library.draw(pick)
     except ConfigurationError as error:
         event(f"values that contradict each other: {error.problem}")
         reject()

@@ -127,8 +127,8 @@ def train(detector: str, training: Training) -> AnomalyModel:
     source = monitor.source()
     tapes = list(_tapes(source, training))
     time_step = _time_step(tapes)
-    rows = np.concatenate(_rows(source, [one for one in tapes if not one.held_out], training))
-    others = _rows(source, [one for one in tapes if one.held_out], training)
+    rows = np.concatenate(_rows(source, [tape for tape in tapes if not tape.held_out], training))
+    others = _rows(source, [tape for tape in tapes if tape.held_out], training)
     # Numbers that never differ in training, such as an object's size, would have no scale.
     spread = stream(training.seed, "dither").random(rows.shape) - 0.5
     dithered = rows + spread * np.array(source.resolutions)
@@ -142,7 +142,7 @@ def train(detector: str, training: Training) -> AnomalyModel:
     plain = (monitor.kind, source.names, tuple(centre), tuple(scale), parameters)
     unset = AnomalyModel(*plain, threshold=1.0, window=1, time_step=time_step)
     window = max(1, round(WINDOWS[monitor.kind] / time_step))
-    scores = np.concatenate([_averaged(unset.scores(one), window) for one in others])
+    scores = np.concatenate([_averaged(unset.scores(item), window) for item in others])
     hours = sum(map(len, others)) * time_step / 3600.0
     threshold = _threshold(scores, hours, training.false_alarms)
     told = {
@@ -173,7 +173,7 @@ def detector_class(name: str) -> type[AnomalyMonitor]:
     short: dict[str, str] = {}
     for domain in DOMAINS.values():
         for known in domain.short_names.values():
-            short |= {one: path for one, path in known.items() if one in KINDS}
+            short |= {item: path for item, path in known.items() if item in KINDS}
     if ":" not in name and name not in short:
         raise ConfigurationError(
             f"there is no learned detector {name!r}",
@@ -245,8 +245,8 @@ def _rows(source: FeatureSource, tapes: Sequence[_Tape], training: Training) -> 
             source.reset()
             random = stream(training.seed, f"noise/{tape.name}/{draw}")
             rows = [
-                source.update(source.disturbed(one, random) if training.draws else one)
-                for one in tape.samples
+                source.update(source.disturbed(sample, random) if training.draws else sample)
+                for sample in tape.samples
             ]
             seen.append(np.array([row for row in rows if row is not None]))
     return [rows for rows in seen if len(rows)]
@@ -280,7 +280,7 @@ def _fit_isolation_forest(rows: Floats, seed: int) -> Mapping[str, Any]:
         random_state=int(stream(seed, "isolation_forest").integers(2**31)),
     )
     forest.fit(rows)
-    trees = [_preorder(one.tree_) for one in forest.estimators_]
+    trees = [_preorder(estimator.tree_) for estimator in forest.estimators_]
     return {"sample": int(forest.max_samples_), "trees": trees}
 
 
@@ -338,8 +338,8 @@ def _module(name: str) -> Any:
 def _digest(*rows: Floats) -> str:
     """SHA-256 of the features that were learned from, and held out."""
     state = hashlib.sha256()
-    for one in rows:
-        state.update(np.ascontiguousarray(one, dtype="<f8").tobytes())
+    for row in rows:
+        state.update(np.ascontiguousarray(row, dtype="<f8").tobytes())
     return state.hexdigest()
 
 
@@ -352,11 +352,12 @@ def _refuse_training(name: str, found: object, expected: str) -> ConfigurationEr
 
 def describe_training(model: AnomalyModel, file: Path, digest: str) -> list[str]:
     """Lines that say what was trained, for people."""
-    told = model.training
-    rows = f"{told['rows']} rows to learn from, {told['held_out_rows']} held out"
-    rate = f"{told['false_alarms_per_hour']:g} ticks an hour of those held out"
+    training = model.training
+    rows = f"{training['rows']} rows to learn from, {training['held_out_rows']} held out"
+    hours = training["held_out_hours"]
+    rate = f"{training['false_alarms_per_hour']:g} ticks an hour of those held out"
     return [
-        f"{model.kind}: {len(model.features)} features, {rows} ({told['held_out_hours']:.2f} h)",
+        f"{model.kind}: {len(model.features)} features, {rows} ({hours:.2f} h)",
         f"threshold {model.threshold:g}, at {rate}",
         f"{file}: {file.stat().st_size} bytes, SHA-256 {digest}",
     ]

@@ -240,7 +240,7 @@ class Falsification:
     @property
     def found(self) -> tuple[SearchOutcome, ...]:
         """The outcomes with a violation, confirmed or not."""
-        return tuple(one for one in self.outcomes if one.counterexample is not None)
+        return tuple(outcome for outcome in self.outcomes if outcome.counterexample is not None)
 
     def to_json(self) -> Data:
         """Plain data."""

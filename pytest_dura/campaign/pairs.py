@@ -56,20 +56,24 @@ def monitor_qualities(
         if episode.termination == "decided":
             return []
         seen.append(monitor_timeline(episode))
-    if any(one.intervention is not None for one in seen):
+    if any(item.intervention is not None for item in seen):
         return []
-    monitors = sorted({name for one in seen for name in one.alarms})
-    asked = [one for one in requirements if one.kind == "safety" and not one.paired and one.check]
+    monitors = sorted({name for item in seen for name in item.alarms})
+    asked = [
+        requirement
+        for requirement in requirements
+        if requirement.kind == "safety" and not requirement.paired and requirement.check
+    ]
     verdicts: list[list[EpisodeVerdict]] = [[] for _ in asked]
     for episode in episodes() if asked and monitors else ():
-        for told, requirement in zip(verdicts, asked, strict=True):
-            told.append(judge_episode(requirement, episode))
+        for verdict, requirement in zip(verdicts, asked, strict=True):
+            verdict.append(judge_episode(requirement, episode))
     found = [
-        judge_monitor(monitor, list(zip(told, seen, strict=True)))
-        for told in verdicts
+        judge_monitor(monitor, list(zip(verdict, seen, strict=True)))
+        for verdict in verdicts
         for monitor in monitors
     ]
-    if any(one.manifested_at is not None and one.alerts is not None for one in seen):
+    if any(item.manifested_at is not None and item.alerts is not None for item in seen):
         found.append(judge_alerts(seen))
     return found
 
@@ -262,8 +266,8 @@ class PairedCampaign:
         __tracebackhide__ = True
         try:
             values = {
-                one.id: (_measured_value(measure, one), _measured_value(measure, twin))
-                for one, twin in self
+                item.id: (_measured_value(measure, item), _measured_value(measure, twin))
+                for item, twin in self
             }
         except ConfigurationError as error:
             raise error.with_traceback(None) from None

@@ -24,8 +24,8 @@ class ComponentFailures:
         self.episodes += 1
         failed = [event for event in episode.events if event.kind == "component_failure"]
         if failed:
-            told = f"{failed[0].subject} {failed[0].detail} (t = {failed[0].time:.2f} s)"
-            self.first = self.first or told
+            text = f"{failed[0].subject} {failed[0].detail} (t = {failed[0].time:.2f} s)"
+            self.first = self.first or text
             self.count += 1
 
     def __str__(self) -> str:
@@ -63,7 +63,9 @@ def _violations(verdict: CampaignVerdict) -> list[str]:
     if not verdict.counterexamples:
         return []
     lines = [f"worst:    {describe_counterexample(asdict(verdict.counterexamples[0]))}"]
-    others = [one.episode.rpartition("#")[2] for one in verdict.counterexamples[1:]]
+    others = [
+        counterexample.episode.rpartition("#")[2] for counterexample in verdict.counterexamples[1:]
+    ]
     if others:
         lines.append(f"also in:  {_runs(others)}")
     if verdict.without_effect:

@@ -89,9 +89,9 @@ def reduce_faults(
         smallest = True
     except BudgetUsedUp:
         # A set whose runs the budget cut short may have violated once by chance.
-        confirmed = (one for one, violates in trials.known.items() if violates)
+        confirmed = (item for item, violates in trials.known.items() if violates)
         best = min(confirmed, key=len)
-        one_minimal = one_minimal or all(_without(best, one) in trials.known for one in best)
+        one_minimal = one_minimal or all(_without(best, item) in trials.known for item in best)
     episode, violated = trials.violating[best]
     if trials.missing:
         one_minimal = smallest = False
@@ -131,10 +131,12 @@ class _Trials:
     def connected(self, faults: FaultSet) -> FaultSet:
         """The set without faults that wait for one that is not in it: they never become active."""
         planned = self._spec.faults
-        waits = {one["id"]: (one["activation"].get("after") or {}).get("fault") for one in planned}
-        kept = [one["id"] for one in planned if one["id"] in faults]
-        while orphans := [one for one in kept if waits[one] and waits[one] not in kept]:
-            kept = [one for one in kept if one not in orphans]
+        waits = {
+            item["id"]: (item["activation"].get("after") or {}).get("fault") for item in planned
+        }
+        kept = [item["id"] for item in planned if item["id"] in faults]
+        while orphans := [item for item in kept if waits[item] and waits[item] not in kept]:
+            kept = [item for item in kept if item not in orphans]
         return tuple(kept)
 
     def _confirmed(self, faults: FaultSet) -> bool:
@@ -147,9 +149,9 @@ class _Trials:
             self.runs += 1
             episode = self._run(spec)
             violated = tuple(
-                one.id
-                for one in self._requirements
-                if judge_episode(one, episode).verdict == "violated"
+                requirement.id
+                for requirement in self._requirements
+                if judge_episode(requirement, episode).verdict == "violated"
             )
             self._on_run(faults, violated)
             self.missing += episode.failure is not None and not violated
@@ -181,8 +183,8 @@ def _shrinking(whole: FaultSet, trials: _Trials) -> Iterator[FaultSet]:
     current, parts = whole, 2
     while len(current) > 1:
         chunks = _chunks(current, min(parts, len(current)))
-        complements = [tuple(one for one in current if one not in chunk) for chunk in chunks]
-        smaller = next((one for one in [*chunks, *complements] if trials.violates(one)), None)
+        complements = [tuple(item for item in current if item not in chunk) for chunk in chunks]
+        smaller = next((chunk for chunk in [*chunks, *complements] if trials.violates(chunk)), None)
         if smaller is not None:
             parts = 2 if smaller in chunks else max(parts - 1, 2)
             current = trials.connected(smaller)
@@ -208,5 +210,5 @@ def _smallest(whole: FaultSet, best: FaultSet, trials: _Trials) -> FaultSet:
     return best
 
 
-def _without(faults: FaultSet, one: str) -> FaultSet:
-    return tuple(fault for fault in faults if fault != one)
+def _without(faults: FaultSet, item: str) -> FaultSet:
+    return tuple(fault for fault in faults if fault != item)

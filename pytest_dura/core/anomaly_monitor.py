@@ -241,16 +241,16 @@ class AnomalyModel:
             ConfigurationError: If there is none, it was changed, or it is another one.
         """
         try:
-            told = file.stat()
-            if not file.is_file() or told.st_size > LARGEST:
+            stat = file.stat()
+            if not file.is_file() or stat.st_size > LARGEST:
                 raise ConfigurationError(
                     "this is no model of a detector",
                     file=str(file),
-                    found="no regular file" if not file.is_file() else f"{told.st_size} bytes",
+                    found="no regular file" if not file.is_file() else f"{stat.st_size} bytes",
                     expected=f"a file of at most {LARGEST} bytes",
                     remedy=_REMEDY,
                 )
-            model, own = _read(file, told.st_size, told.st_mtime_ns)
+            model, own = _read(file, stat.st_size, stat.st_mtime_ns)
         except OSError as error:
             raise ConfigurationError(
                 f"the model of a detector cannot be read: {error.strerror}",
@@ -345,10 +345,10 @@ def rounded_numbers(values: Any) -> Any:
 
 
 def _numbers(values: Any, shape: tuple[int, ...]) -> Floats:
-    found = np.array(values, dtype=float)
-    if found.shape != shape or not np.isfinite(found).all():
-        raise ValueError(f"expected finite numbers of shape {shape}, found shape {found.shape}")
-    return found
+    array = np.array(values, dtype=float)
+    if array.shape != shape or not np.isfinite(array).all():
+        raise ValueError(f"expected finite numbers of shape {shape}, found shape {array.shape}")
+    return array
 
 
 def average_depth(rows: float) -> float:

@@ -120,10 +120,10 @@ def leaves(value: Any) -> dict[str, Any]:
     return found
 
 
-def first_difference(one: Mapping[str, Any], other: Mapping[str, Any]) -> str | None:
+def first_difference(item: Mapping[str, Any], other: Mapping[str, Any]) -> str | None:
     """The first path at which two results of :func:`leaves` differ, or ``None``."""
-    for path in [*one, *(path for path in other if path not in one)]:
-        if path not in one or path not in other or one[path] != other[path]:
+    for path in [*item, *(path for path in other if path not in item)]:
+        if path not in item or path not in other or item[path] != other[path]:
             return path or "the value"
     return None
 
@@ -414,13 +414,13 @@ class _RoleKit:
             )
             return otherwise
 
-    def _compare(self, one: list[Any], other: list[Any], who: str, remedy: str) -> None:
-        for index, (left, right) in enumerate(zip(one, other, strict=False)):
+    def _compare(self, item: list[Any], other: list[Any], who: str, remedy: str) -> None:
+        for index, (left, right) in enumerate(zip(item, other, strict=False)):
             path = first_difference(leaves(_deterministic(left)), leaves(_deterministic(right)))
             if path is not None:
                 self.findings.breach(f"{who} gives another output at view {index}: {path}", remedy)
                 return
-        if len(one) != len(other):
+        if len(item) != len(other):
             self.findings.breach(f"{who} drives the world to another end", remedy)
 
 

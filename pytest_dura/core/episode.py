@@ -335,7 +335,9 @@ class Episode:
         """
         state = hashlib.sha256()
         said = ("proposal.", "loop.")
-        signals = {name: one for name, one in self.signals.items() if not name.startswith(said)}
+        signals = {
+            name: signal for name, signal in self.signals.items() if not name.startswith(said)
+        }
         self._add_columns(state, signals)
         state.update(canonical([self.termination, self.validity]))
         return state.hexdigest()

@@ -342,21 +342,21 @@ class EpisodeLog:
         self, signals: dict[str, NDArray[np.float64]], simulator: Simulator, state: StateManager
     ) -> None:
         """Failure modes that the component's accounts show, where it gave any."""
-        told = account_columns(simulator, state.ticks, state.percepts, self._accounts)
-        if told is not None:
-            _add_signals(signals, told.signals, PROPOSAL_PREFIX, len(state.ticks))
-            self.metrics.tallies = dict(told.tallies)
-            self.metrics.answer_seconds = list(told.seconds)
-            self.metrics.answer_ages = list(told.ages)
+        columns = account_columns(simulator, state.ticks, state.percepts, self._accounts)
+        if columns is not None:
+            _add_signals(signals, columns.signals, PROPOSAL_PREFIX, len(state.ticks))
+            self.metrics.tallies = dict(columns.tallies)
+            self.metrics.answer_seconds = list(columns.seconds)
+            self.metrics.answer_ages = list(columns.ages)
 
     def _recording(self, simulator: Simulator, state: StateManager) -> Recording:
         decisions = len(self._columns["verdict"])
         flags = {}
         for name in sorted(self._flags):
             column = np.full(decisions, -1, np.int8)
-            for tick, word in self._flags[name].items():
+            for tick, flag in self._flags[name].items():
                 if tick < decisions:
-                    column[tick] = word
+                    column[tick] = flag
             flags[name] = column
         explanations, reasons, recoveries = map(tuple, self._said.values())
         scene, problem = _scene(simulator, state)

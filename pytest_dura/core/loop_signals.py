@@ -80,8 +80,8 @@ def copied_account(account: Mapping[str, Any]) -> Mapping[str, Any]:
     """
     if account is NOTHING or not account:
         return NOTHING
-    found: dict[str, Any] = json.loads(json.dumps(dict(account)))
-    return found
+    data: dict[str, Any] = json.loads(json.dumps(dict(account)))
+    return data
 
 
 def _depth(value: Any, above: int = 0) -> int:
@@ -89,7 +89,7 @@ def _depth(value: Any, above: int = 0) -> int:
     if above > DEEPEST or not isinstance(value, (Mapping, list, tuple)):
         return above
     parts = value.values() if isinstance(value, Mapping) else value
-    return max((_depth(one, above + 1) for one in parts), default=above + 1)
+    return max((_depth(part, above + 1) for part in parts), default=above + 1)
 
 
 @dataclass(frozen=True)
@@ -126,9 +126,9 @@ def account_columns(
         return None
     world = simulator, ticks, percepts
     columns = _columns("account_measures", *world, accounts)
-    null = [_null(one) for one in accounts]
+    null = [_null(account) for account in accounts]
     null_columns = _columns("account_measures", *world, null) if any(null) else {}
-    fresh = np.array([_decides(one) for one in accounts])
+    fresh = np.array([_decides(account) for account in accounts])
     tallies = {}
     for name, column in columns.items():
         counts = _count(column[fresh])
@@ -136,10 +136,14 @@ def account_columns(
         null_counts = (0, 0) if beside is None else _count(beside[fresh])
         tallies[name] = Tally(*counts, *null_counts, _kind(simulator, name))
     plain = _columns("account_signals", *world, accounts)
-    signals = {name: _filled_to_end(one, len(ticks)) for name, one in {**columns, **plain}.items()}
-    made = [(tick, one) for tick, one in zip(ticks, accounts, strict=False) if _decides(one)]
-    spent = [declared_seconds(one) for _, one in made]
-    ages = [_declared_age(one, tick.time) for tick, one in made if one.get(FALLBACK) is not True]
+    signals = {
+        name: _filled_to_end(item, len(ticks)) for name, item in {**columns, **plain}.items()
+    }
+    made = [
+        (tick, account) for tick, account in zip(ticks, accounts, strict=False) if _decides(account)
+    ]
+    spent = [declared_seconds(item) for _, item in made]
+    ages = [_declared_age(item, tick.time) for tick, item in made if item.get(FALLBACK) is not True]
     return AccountColumns(signals, tallies, _known(spent), _known(ages))
 
 
@@ -148,7 +152,7 @@ def _decides(account: Mapping[str, Any]) -> bool:
 
 
 def _known(told: Sequence[float | None]) -> list[float]:
-    return [one for one in told if one is not None]
+    return [item for item in told if item is not None]
 
 
 def _null(account: Mapping[str, Any]) -> Mapping[str, Any]:

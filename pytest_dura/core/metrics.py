@@ -262,7 +262,7 @@ class DependabilityMetrics:
             "alert_ticks": self.alert_ticks,
             **({"reactions": dict(sorted(self.reactions.items()))} if self.reactions else {}),
             "proposals": [self.proposals, self.valid_proposals],
-            **({"tallies": {name: asdict(one) for name, one in tallies}} if tallies else {}),
+            **({"tallies": {name: asdict(item) for name, item in tallies}} if tallies else {}),
             **({"answer_ages": self.answer_ages} if self.answer_ages else {}),
         }
 
@@ -291,7 +291,7 @@ class DependabilityMetrics:
             "processing_us": {
                 role: float(np.mean(ns)) / 1000.0 for role, (_, ns) in self.processing_ns.items()
             },
-            "tallies": {name: asdict(one) for name, one in self.tallies.items()},
+            "tallies": {name: asdict(tally) for name, tally in self.tallies.items()},
             "answer_seconds": list(self.answer_seconds),
             "answer_ages": list(self.answer_ages),
             "user": dict(self.user),

@@ -330,8 +330,8 @@ class Orchestrator:
         with environment_errors() as outside:
             proposal, problem, is_plain = self._component.ask(view)
         elapsed = perf_counter_ns() - start
-        told = None if proposal is None else declared_seconds(proposal.account)
-        self.state.generator_seconds = elapsed / 1e9 if told is None else told
+        seconds = None if proposal is None else declared_seconds(proposal.account)
+        self.state.generator_seconds = elapsed / 1e9 if seconds is None else seconds
         self.log.metrics.log_time("generator", tick.index, elapsed)
         self._raise_outside(outside)
         if proposal is not None:

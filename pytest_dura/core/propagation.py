@@ -66,15 +66,15 @@ class Divergence:
             twin: Of the same seed, without any fault.
             second: Makes another run of the twin; asked for where the first one differs.
         """
-        for one in (episode, twin):
-            if one.failure is not None:
-                return cls(doubt=f"{one.id} is missing")
+        for item in (episode, twin):
+            if item.failure is not None:
+                return cls(doubt=f"{item.id} is missing")
         first = _first_difference(episode, twin)
         if first is None:
-            for one in (episode, twin):
-                if one.termination == "decided":
-                    end = one.time[-1]
-                    return cls(doubt=f"{one.id} ended at {end:.2f} s, once all was decided")
+            for item in (episode, twin):
+                if item.termination == "decided":
+                    end = item.time[-1]
+                    return cls(doubt=f"{item.id} ended at {end:.2f} s, once all was decided")
             return cls(until=_common_end(episode, twin))
         if second is not None:
             other = second()
@@ -141,18 +141,18 @@ def outcome_of(
     return "contained" if propagation == "contained" else "tolerated"
 
 
-def _common_end(one: Episode, other: Episode) -> float | None:
+def _common_end(episode: Episode, other: Episode) -> float | None:
     """The time of the last proposal that both have; ``None`` if both have equally many."""
-    left, right = len(one.decisions["proposed"]), len(other.decisions["proposed"])
+    left, right = len(episode.decisions["proposed"]), len(other.decisions["proposed"])
     ticks = min(left, right)
     if left == right:
         return None
-    return float(one.time[ticks - 1]) if ticks else -math.inf
+    return float(episode.time[ticks - 1]) if ticks else -math.inf
 
 
-def _first_difference(one: Episode, other: Episode) -> int | None:
+def _first_difference(episode: Episode, other: Episode) -> int | None:
     """The first tick that both have at which their proposals differ."""
-    left, right = one.decisions["proposed"], other.decisions["proposed"]
+    left, right = episode.decisions["proposed"], other.decisions["proposed"]
     ticks = min(len(left), len(right))
     differing = np.flatnonzero(left[:ticks] != right[:ticks])
     return int(differing[0]) if len(differing) else None

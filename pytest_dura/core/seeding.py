@@ -59,7 +59,7 @@ class DrawRecord:
     @property
     def any(self) -> bool:
         """Whether a number was drawn from one of them."""
-        return any(_position(one) != first for one, first in self._streams)
+        return any(_position(item) != first for item, first in self._streams)
 
 
 _RECORDS: list[DrawRecord] = []

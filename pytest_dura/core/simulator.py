@@ -103,7 +103,7 @@ def scene_problems(scene: Any, ticks: int) -> Iterator[tuple[str, str]]:
         yield f"scene is a {type(scene).__name__}", "return a pytest_dura.Scene, or None"
         return
     lines = scene.lines
-    if not isinstance(lines, tuple) or not all(isinstance(one, Line) for one in lines):
+    if not isinstance(lines, tuple) or not all(isinstance(line, Line) for line in lines):
         yield "lines is no tuple of Line", "return a tuple of pytest_dura.Line"
     else:
         for number, line in enumerate(lines):
@@ -150,11 +150,11 @@ def _tracks_problems(name: str, tracks: Any, ticks: int) -> Iterator[tuple[str, 
         yield f"{name} is a {type(tracks).__name__}", "return pytest_dura.Tracks"
         return
     ids = tracks.ids
-    if not isinstance(ids, tuple) or not all(isinstance(one, str) for one in ids):
+    if not isinstance(ids, tuple) or not all(isinstance(item, str) for item in ids):
         yield f"{name}.ids is no tuple of texts", "name each thing by a text"
         return
     if len(set(ids)) < len(ids):
-        twice = next(one for one in ids if ids.count(one) > 1)
+        twice = next(item for item in ids if ids.count(item) > 1)
         yield f"{name}.ids has {twice!r} more than once", "give each thing an id of its own"
     expected = (ticks, len(ids), len(POSE))
     if not _is_float32(tracks.poses) or np.shape(tracks.poses) != expected:

@@ -77,8 +77,8 @@ class EpisodeRuns:
 
     def interleaved(self) -> CheckedEpisode:
         """One episode, stepped in turn with one of the other seed in another instance."""
-        one, two = self.fresh(), self.fresh()
-        ticks = [one.reset(self.scenario, self.seeds[0])]
+        item, two = self.fresh(), self.fresh()
+        ticks = [item.reset(self.scenario, self.seeds[0])]
         shadow = two.reset(self.scenario, self.seeds[1])
         copies = [leaves(ticks[0])]
         for action in self.actions:
@@ -86,20 +86,20 @@ class EpisodeRuns:
                 break
             if not is_over(shadow):
                 shadow = two.step(two.check_action(action))
-            ticks.append(one.step(one.check_action(action)))
+            ticks.append(item.step(item.check_action(action)))
             copies.append(leaves(ticks[-1]))
-        return CheckedEpisode(ticks, copies, leaves(one.signals(ticks)))
+        return CheckedEpisode(ticks, copies, leaves(item.signals(ticks)))
 
-    def compare(self, one: CheckedEpisode, other: CheckedEpisode, who: str) -> None:
+    def compare(self, episode: CheckedEpisode, other: CheckedEpisode, who: str) -> None:
         """A breach if two episodes that should be equal are not."""
-        for index, (left, right) in enumerate(zip(one.copies, other.copies, strict=False)):
+        for index, (left, right) in enumerate(zip(episode.copies, other.copies, strict=False)):
             if (path := first_difference(left, right)) is not None:
                 self.findings.breach(f"{who} differs at tick {index} in {path}", PURE)
                 return
-        if len(one.copies) != len(other.copies):
-            ends = f"{len(one.copies)} and {len(other.copies)}"
+        if len(episode.copies) != len(other.copies):
+            ends = f"{len(episode.copies)} and {len(other.copies)}"
             self.findings.breach(f"{who} ends at another tick: {ends} ticks", PURE)
-        elif (path := first_difference(one.signals, other.signals)) is not None:
+        elif (path := first_difference(episode.signals, other.signals)) is not None:
             self.findings.breach(f"{who} has another signal {path}", PURE)
 
 
@@ -207,9 +207,9 @@ def check_render(runs: EpisodeRuns, reference: CheckedEpisode) -> None:
         and picture.ndim == 3
         and picture.shape[2] == 3
     ):
-        found = f"{getattr(picture, 'dtype', type(picture).__name__)} {np.shape(picture)}"
+        text = f"{getattr(picture, 'dtype', type(picture).__name__)} {np.shape(picture)}"
         runs.findings.breach(
-            f"render gives {found}", "return a uint8 array of shape (height, width, 3)"
+            f"render gives {text}", "return a uint8 array of shape (height, width, 3)"
         )
     elif not picture.any():
         runs.findings.breach(
@@ -220,9 +220,9 @@ def check_render(runs: EpisodeRuns, reference: CheckedEpisode) -> None:
 
 def check_scene(runs: EpisodeRuns, reference: CheckedEpisode) -> None:
     """What it shows of an episode, and of one that ended at once; and what that leaves behind."""
-    one, other = runs.fresh(), runs.fresh()
+    item, other = runs.fresh(), runs.fresh()
     shown = []
-    for simulator in (one, other):
+    for simulator in (item, other):
         ticks = runs.episode(simulator, runs.seeds[0]).ticks
         before = leaves(ticks)
         scene = simulator.scene(ticks, [Percept(tick.channels) for tick in ticks])
@@ -238,7 +238,7 @@ def check_scene(runs: EpisodeRuns, reference: CheckedEpisode) -> None:
         raise NotImplementedError
     if (path := first_difference(*shown)) is not None:
         runs.findings.breach(f"another instance has another scene, in {path}", PURE)
-    runs.compare(reference, runs.episode(one, runs.seeds[0]), "an instance, after scene")
+    runs.compare(reference, runs.episode(item, runs.seeds[0]), "an instance, after scene")
     first = other.reset(runs.scenario, runs.seeds[0])
     scene = other.scene([first], [Percept(first.channels)])
     for problem in scene_problems(scene, 1) if scene is not None else ():
@@ -407,7 +407,8 @@ class _SimulatorKit:
     ) -> None:
         """An episode may end once all is decided, by samples that must not change afterwards."""
         if any(
-            np.shape(one) != (len(ticks),) or not np.isfinite(one).all() for one in whole.values()
+            np.shape(item) != (len(ticks),) or not np.isfinite(item).all()
+            for item in whole.values()
         ):
             return  # told already
         changed: dict[str, int] = {}

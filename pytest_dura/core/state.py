@@ -75,8 +75,8 @@ def sealed(array: NDArray[Any]) -> NDArray[Any]:
         base = base.base
     if type(base) is bytes or array.dtype.hasobject:
         return array
-    found: NDArray[Any] = np.ndarray(array.shape, array.dtype, array.tobytes())
-    return found
+    ndarray: NDArray[Any] = np.ndarray(array.shape, array.dtype, array.tobytes())
+    return ndarray
 
 
 def sealed_parts(value: Any) -> Any:

@@ -62,8 +62,8 @@ class Places:
     def foreign_folder(self, file: Path) -> Path | None:
         """The folder of strangers that a file lies in, if it does."""
         # Of a folder that is both, the strangers' files make it foreign.
-        around = [one for one in (*self.foreign, *self.own) if file.is_relative_to(one)]
-        inner = max(around, key=lambda one: len(one.parts), default=None)
+        around = [path for path in (*self.foreign, *self.own) if file.is_relative_to(path)]
+        inner = max(around, key=lambda item: len(item.parts), default=None)
         return inner if inner in self.foreign else None
 
 
@@ -132,7 +132,7 @@ def check_buildable(path: str, target: object, kinds: tuple[type, ...]) -> None:
         return
     if callable(target) and getattr(target, _MARK, None) is True:
         return
-    bases = " or ".join(one.__name__ for one in kinds)
+    bases = " or ".join(kind.__name__ for kind in kinds)
     raise ConfigurationError(
         f"{path!r} is neither a class nor a factory of {bases}",
         found=target,
@@ -183,7 +183,7 @@ def _is_own(module: str) -> bool:
         return False
     if not any(part in _PACKAGES for file in files for part in file.parts):
         return True
-    return any(one.value.partition(":")[0].partition(".")[0] == top for one in _offered())
+    return any(item.value.partition(":")[0].partition(".")[0] == top for item in _offered())
 
 
 def _offered() -> Iterable[Any]:
@@ -223,4 +223,6 @@ def _standard() -> tuple[Path, ...]:
 def _files(spec: ModuleSpec) -> list[Path]:
     """The files and folders that a module is made of."""
     told = [spec.origin] if spec.origin not in (None, "namespace") else []
-    return [Path(one).resolve() for one in (*told, *(spec.submodule_search_locations or ())) if one]
+    return [
+        Path(item).resolve() for item in (*told, *(spec.submodule_search_locations or ())) if item
+    ]

@@ -182,7 +182,7 @@ class _Picture:
     def of(self, solids: Sequence[Solid]) -> NDArray[np.uint8]:
         """The picture of sky, ground and what stands there."""
         self._paint_sky_and_ground()
-        visible = [one for one in solids if self._may_see(one)]
+        visible = [solid for solid in solids if self._may_see(solid)]
         for solid in visible:
             if solid.length:
                 self._fill(_footprint(solid), COLOURS["shadow"], flat=True)
@@ -191,10 +191,10 @@ class _Picture:
                 self._show(face)
         samples, fine = self._mount.samples, self._pixels.astype(np.uint16)
         parts = [fine[i::samples, j::samples] for i in range(samples) for j in range(samples)]
-        found: NDArray[np.uint8] = (sum(parts, np.uint16(samples**2 // 2)) // samples**2).astype(
+        astype: NDArray[np.uint8] = (sum(parts, np.uint16(samples**2 // 2)) // samples**2).astype(
             np.uint8
         )
-        return found
+        return astype
 
     def _may_see(self, solid: Solid) -> bool:
         dx, dy = solid.x - self._at[0], solid.y - self._at[1]
@@ -241,7 +241,7 @@ class _Picture:
         corners = [(a / c, b / c) for a, b, c in seen]
         half, focal = self._size / 2, self._focal
         columns, rows = (
-            [one * focal + half for one in axis] for axis in zip(*corners, strict=True)
+            [item * focal + half for item in axis] for axis in zip(*corners, strict=True)
         )
         left, top = max(math.floor(min(columns)), 0), max(math.floor(min(rows)), 0)
         right = min(math.ceil(max(columns)) + 1, self._size)
@@ -282,17 +282,17 @@ def _ground(x: NDArray[np.float32], y: NDArray[np.float32]) -> NDArray[np.uint8]
         STOP_LINE - across_x[inner], STOP_LINE - across_y[inner]
     )
     beyond_edge[along > STOP_LINE + ARM_LENGTH] = np.inf
-    found = np.zeros(x.shape, np.uint8)
-    found[beyond_edge < _PAVEMENT] = 1
-    found[beyond_edge < _KERB] = 2
-    found[beyond_edge < 0.0] = 3
-    dashes = (off < _MARK) & (along > STOP_LINE + 1.0) & (found == 3)
+    zeros = np.zeros(x.shape, np.uint8)
+    zeros[beyond_edge < _PAVEMENT] = 1
+    zeros[beyond_edge < _KERB] = 2
+    zeros[beyond_edge < 0.0] = 3
+    dashes = (off < _MARK) & (along > STOP_LINE + 1.0) & (zeros == 3)
     dashes[dashes] = along[dashes] % 6.0 < 3.0
     # The lane towards the junction is right of the middle, on each arm.
     inwards = (x * y > 0.0) == (across_y > across_x)
     line = inwards & ~inner & (along < STOP_LINE + 0.5) & (off > 0.25) & (off < _ROAD_WIDTH - 0.25)
-    found[dashes | line] = 4
-    return found
+    zeros[dashes | line] = 4
+    return zeros
 
 
 def _clipped(points: list[list[float]]) -> list[list[float]]:
@@ -390,7 +390,9 @@ def _signal(head: Solid) -> Iterator[_Face]:
     for place, state in enumerate(("green", "yellow", "red")):
         lamp = COLOURS[state] if state == head.kind else _UNLIT
         middle = 2.45 + 0.5 * place
-        corners = [(0.22 * math.cos(one), middle + 0.22 * math.sin(one)) for one in angles.tolist()]
+        corners = [
+            (0.22 * math.cos(angle), middle + 0.22 * math.sin(angle)) for angle in angles.tolist()
+        ]
         yield _plate(head, corners, lamp, ahead=0.17)
 
 

@@ -32,11 +32,11 @@ _SIGNS = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]], dtype=float) / 2.0
 
 def box_axes(heading: Floats) -> Floats:
     """Unit vectors along and across, shape ``(n, 2, 2)``: ``[:, 0]`` points ahead."""
-    found: Floats = np.empty((len(heading), 2, 2))
-    found[:, 0, 0] = found[:, 1, 1] = np.cos(heading)
-    found[:, 0, 1] = s = np.sin(heading)
-    found[:, 1, 0] = -s
-    return found
+    empty: Floats = np.empty((len(heading), 2, 2))
+    empty[:, 0, 0] = empty[:, 1, 1] = np.cos(heading)
+    empty[:, 0, 1] = s = np.sin(heading)
+    empty[:, 1, 0] = -s
+    return empty
 
 
 def _corners(boxes: Floats, along: Floats) -> Floats:

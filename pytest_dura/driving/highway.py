@@ -122,8 +122,8 @@ def junction_scene(ticks: Sequence[Tick], percepts: Sequence[Percept], route: Ro
         [(ego.x, ego.y, ego.heading, ego.speed) for ego in egos],
         [tick.truth["bodies"] for tick in ticks],
     )
-    believed = [(*own_pose(one), own_speed(one)) for one in percepts]
-    percept = _tracks(believed, [plausible_objects(one) for one in percepts])
+    believed = [(*own_pose(percept), own_speed(percept)) for percept in percepts]
+    percept = _tracks(believed, [plausible_objects(percept) for percept in percepts])
     planned = Line("route", route.grid[::4, 1:3].astype(np.float32))
     return Scene((*_road(), planned), truth, percept, EGO)
 
@@ -132,15 +132,17 @@ def _tracks(egos: Sequence[Row], bodies: Sequence[BodyList]) -> Tracks:
     """Bodies by id. Of several with one id in one tick, as faults may bring them, each is shown."""
     columns = {EGO: 0}
     # Who is there seldom changes: many ticks at once are a fraction of the work.
-    runs = [(ids, list(run)) for ids, run in groupby(bodies, key=lambda one: one.ids)]
-    chosen = [[columns.setdefault(one, len(columns)) for one in _distinct(ids)] for ids, _ in runs]
+    runs = [(ids, list(run)) for ids, run in groupby(bodies, key=lambda body: body.ids)]
+    chosen = [
+        [columns.setdefault(item, len(columns)) for item in _distinct(ids)] for ids, _ in runs
+    ]
     poses = np.full((len(bodies), len(columns), len(POSE)), np.nan, np.float32)
     poses[:, 0, :4] = egos
     poses[:, 0, 4:] = CAR_LENGTH, CAR_WIDTH
     first = 0
     for (ids, run), own in zip(runs, chosen, strict=True):
         if ids:
-            data = np.array([one.data for one in run])
+            data = np.array([item.data for item in run])
             speed = np.hypot(data[:, :, VX], data[:, :, VY])
             rows = [data[:, :, :VX], speed[:, :, None], data[:, :, VY + 1 :]]
             poses[first : first + len(run), own] = np.concatenate(rows, axis=2)
@@ -151,10 +153,10 @@ def _tracks(egos: Sequence[Row], bodies: Sequence[BodyList]) -> Tracks:
 def _distinct(ids: tuple[str, ...]) -> tuple[str, ...]:
     """The ids, with a number behind one that comes again, or that is the ego's."""
     found: list[str] = []
-    for one in ids:
-        name, number = one, 2
+    for item in ids:
+        name, number = item, 2
         while name in found or name == EGO:
-            name, number = f"{one} ({number})", number + 1
+            name, number = f"{item} ({number})", number + 1
         found.append(name)
     return tuple(found)
 
@@ -213,7 +215,7 @@ class HighwaySimulator(Simulator):
         """
         model = DrivingWorld.model_validate(dict(world))
         ids = ["EGO", *(v.id for v in model.vehicles), *(p.id for p in model.pedestrians)]
-        ids += [one.id for one in model.obstacles]
+        ids += [obstacle.id for obstacle in model.obstacles]
         twice = sorted({i for i in ids if ids.count(i) > 1})
         if twice:
             raise ConfigurationError(
@@ -253,7 +255,9 @@ class HighwaySimulator(Simulator):
         self._road, self._index, self._dt = road, 0, self.time_step
         self._route = route(0, world.ego.turn)
         self._map, self._signs = route_map(self._route), signs(self._route)
-        self._lights = {ARMS.index(a): one for one in world.controls.signals for a in one.arms}
+        self._lights = {
+            ARMS.index(a): signal for signal in world.controls.signals for a in signal.arms
+        }
         self._light_states: dict[int, str] = {}
         self._contact: Contact | None = None
         self._background_crashes = 0
@@ -273,11 +277,18 @@ class HighwaySimulator(Simulator):
             )
             body.walking, body.start = person.speed, person.start
             road.objects.append(body)
-        road.obstacles = tuple(traffic.standing(road, one) for one in world.obstacles)
-        self._kinds = {one.id: one.kind for one in world.obstacles}
+        road.obstacles = tuple(traffic.standing(road, obstacle) for obstacle in world.obstacles)
+        self._kinds = {obstacle.id: obstacle.kind for obstacle in world.obstacles}
         self._obstacle_rows = tuple(
-            (*one.position.tolist(), float(one.heading), 0.0, 0.0, one.LENGTH, one.WIDTH)
-            for one in road.obstacles
+            (
+                *obstacle.position.tolist(),
+                float(obstacle.heading),
+                0.0,
+                0.0,
+                obstacle.LENGTH,
+                obstacle.WIDTH,
+            )
+            for obstacle in road.obstacles
         )
         self._switch_lights()
         drawn = drawn_arrivals(world.traffic, seed, scenario.get("duration", 60.0))
@@ -321,7 +332,7 @@ class HighwaySimulator(Simulator):
     def _switch_lights(self) -> None:
         """Show what is due now, which drivers heed at the next step."""
         now = self._index * self._dt
-        self._light_states = {arm: one.state_at(now) for arm, one in self._lights.items()}
+        self._light_states = {arm: light.state_at(now) for arm, light in self._lights.items()}
         halted = {arm for arm, state in self._light_states.items() if state != "green"}
         self._road.halted = frozenset(halted)
         if self._lights:
@@ -555,16 +566,16 @@ def _check_obstacles(world: DrivingWorld) -> None:
         for car in world.vehicles
         if car.distance is not None
     }
-    for index, one in enumerate(world.obstacles):
-        x, y, heading = placed(ARMS.index(one.arm), one.offset, one.beside)
-        box = np.array([[x, y, heading, *one.size]])
+    for index, obstacle in enumerate(world.obstacles):
+        x, y, heading = placed(ARMS.index(obstacle.arm), obstacle.offset, obstacle.beside)
+        box = np.array([[x, y, heading, *obstacle.size]])
         for name, (arm, turn, distance) in starts.items():
             at = [float(value) for value in route(arm, turn).pose(ARM_LENGTH - distance)]
             if geometry.boxes_overlap(box, np.array([[*at, CAR_LENGTH, CAR_WIDTH]]))[0]:
                 raise ConfigurationError(
                     f"an obstacle stands where the car {name} starts",
                     key=f"world.obstacles.{index}",
-                    found=one.id,
+                    found=obstacle.id,
                     expected="obstacles that touch nobody at the start",
                     remedy="change its `offset` or `beside`, or the car's `distance`",
                 )

@@ -110,8 +110,8 @@ class Route:
         scaled = np.minimum(np.maximum(s * (1.0 / _SPACING), 0.0), len(self.grid) - 2.0)
         index = scaled.astype(np.intp)
         start, step = self._segments
-        found: Floats = start[index] + (scaled - index)[..., None] * step[index]
-        return found
+        floats: Floats = start[index] + (scaled - index)[..., None] * step[index]
+        return floats
 
     @cached_property
     def _segments(self) -> tuple[Floats, Floats]:

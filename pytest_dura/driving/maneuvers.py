@@ -63,8 +63,8 @@ class Command:
         """
         if type(action) is not Command and isinstance(action, Mapping):
             if not set(action) <= {"maneuver", "acceleration"} or "maneuver" not in action:
-                found = ", ".join(sorted(map(_name, action))) or "nothing"
-                raise ActionError(f"a command has maneuver and acceleration, not {found}")
+                text = ", ".join(sorted(map(_name, action))) or "nothing"
+                raise ActionError(f"a command has maneuver and acceleration, not {text}")
             action = cls(action["maneuver"], action.get("acceleration"))
         maneuver, acceleration = action, None
         if isinstance(action, Command):

@@ -75,10 +75,10 @@ class _Columns:
 
     def clipped(self, data: Floats, angle: int) -> Floats:
         """A copy within the ranges; the column of the angle is turned back."""
-        found: Floats = np.clip(data, self.low, self.high)
+        clip: Floats = np.clip(data, self.low, self.high)
         angles = data[:, angle]
-        found[:, angle] = np.where(np.abs(angles) <= ANGLE, angles, np.fmod(angles, 2 * math.pi))
-        return found
+        clip[:, angle] = np.where(np.abs(angles) <= ANGLE, angles, np.fmod(angles, 2 * math.pi))
+        return clip
 
     def beyond(self, data: Floats) -> dict[int, tuple[str, ...]]:
         """The names of the columns that are out of range, by row, where any is."""
@@ -150,8 +150,8 @@ def plausible_objects(percept: Mapping[str, Any]) -> BodyList:
 
 def plausible_returns(percept: Mapping[str, Any]) -> Floats:
     """Of the channel radar; see ``sensors.radar_returns``."""
-    found: Floats = percept["radar"]
-    return found if _RETURNS.hold(found) else _RETURNS.clipped(found, 1)
+    radar: Floats = percept["radar"]
+    return radar if _RETURNS.hold(radar) else _RETURNS.clipped(radar, 1)
 
 
 class ImplausibleValue(NamedTuple):
@@ -186,7 +186,7 @@ def implausible_values(percept: Mapping[str, Any]) -> list[ImplausibleValue]:
 
     Objects are no matter of doubt whose place is so far away that they cannot be near.
     """
-    return [one for one in shared(_judged_by, percept) if not one.far]
+    return [item for item in shared(_judged_by, percept) if not item.far]
 
 
 def all_objects(percepts: Sequence[Mapping[str, Any]]) -> tuple[list[BodyList], list[bool]]:
@@ -195,7 +195,7 @@ def all_objects(percepts: Sequence[Mapping[str, Any]]) -> tuple[list[BodyList], 
     All lists are looked through at once, which nearly always is enough.
     """
     lists: list[BodyList] = [percept["lidar"] for percept in percepts]
-    if not lists or not _BODIES.hold(np.concatenate([one.data for one in lists])):
+    if not lists or not _BODIES.hold(np.concatenate([item.data for item in lists])):
         found = [plausible_objects(percept) for percept in percepts]
         return found, [bool(implausible_values(percept)) for percept in percepts]
     return lists, [

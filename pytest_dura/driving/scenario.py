@@ -288,15 +288,21 @@ def drawn_arrivals(traffic: Traffic | None, seed: int, duration: float) -> list[
             drawn.append(Arrival(time, "", plan, float(np.clip(speed, 4.0, 10.0)), exponent))
             mean = traffic.headway - traffic.minimum_headway
             time += traffic.minimum_headway + rng.exponential(mean)
-    return [one._replace(body_id=f"V{i}") for i, one in enumerate(in_order(drawn), 1)]
+    return [item._replace(body_id=f"V{i}") for i, item in enumerate(in_order(drawn), 1)]
 
 
 def given_arrivals(vehicles: Iterable[ExplicitVehicle]) -> list[Arrival]:
     """The arrivals of those vehicles that enter the road."""
     return [
-        Arrival(one.enters, one.id, route(ARMS.index(one.arm), one.turn), one.speed, one.exponent)
-        for one in vehicles
-        if one.enters is not None
+        Arrival(
+            vehicle.enters,
+            vehicle.id,
+            route(ARMS.index(vehicle.arm), vehicle.turn),
+            vehicle.speed,
+            vehicle.exponent,
+        )
+        for vehicle in vehicles
+        if vehicle.enters is not None
     ]
 
 
@@ -312,13 +318,13 @@ def without_room(world: DrivingWorld, arrivals: Iterable[Arrival]) -> list[str]:
         if vehicle.distance is not None:
             taken[ARMS.index(vehicle.arm)].append(ARM_LENGTH - vehicle.distance)
     absent = []
-    for one in in_order(arrivals):
-        if one.time > 0.0:
+    for item in in_order(arrivals):
+        if item.time > 0.0:
             break
-        if has_room(one.start, taken[one.plan.origin]):
-            taken[one.plan.origin].append(one.start)
+        if has_room(item.start, taken[item.plan.origin]):
+            taken[item.plan.origin].append(item.start)
         else:
-            absent.append(one.body_id)
+            absent.append(item.body_id)
     return absent
 
 
@@ -340,7 +346,7 @@ def concrete_world(world: Mapping[str, Any], duration: float, seed: int) -> dict
     if model.traffic is not None:
         drawn = drawn_arrivals(model.traffic, seed, duration)
         absent = without_room(model, [*given_arrivals(model.vehicles), *drawn])
-        cars = [_vehicle(one) for one in drawn if one.body_id not in absent]
+        cars = [_vehicle(item) for item in drawn if item.body_id not in absent]
         model = model.model_copy(update={"traffic": None, "vehicles": (*model.vehicles, *cars)})
     return model.model_dump(mode="json")
 

@@ -172,9 +172,9 @@ class LaneNetwork(RoadNetwork):
         """
         if heading is not None:
             x, y = position.tolist()
-            found = self._nearest(x, y, float(heading))
-            if found is not None:
-                return found
+            nearest = self._nearest(x, y, float(heading))
+            if nearest is not None:
+                return nearest
         return super().get_closest_lane_index(position, heading)
 
     def _nearest(self, x: float, y: float, heading: float) -> Index | None:

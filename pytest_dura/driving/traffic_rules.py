@@ -113,23 +113,23 @@ def safe_distance(speed: Floats, leader_speed: Floats) -> Floats:
     return np.maximum(ego - leader, 0.0)
 
 
-def following_margin(found: Leaders, speed: Floats, collided: Floats, dt: float) -> Floats:
+def following_margin(leaders: Leaders, speed: Floats, collided: Floats, dt: float) -> Floats:
     """Metres by which the ego is farther from its leader than the safe distance.
 
     ``LEADER_CAP`` without a leader. Of a car that is nearer than that when it first becomes the
     leader, the ego is not to blame: until the distance is safe for the first time, or
     ``CUT_IN_GRACE`` is over, the margin is not below 0. Contact is excused by nothing.
     """
-    has_leader = found.gap < LEADER_CAP
-    margin = np.where(has_leader, found.gap - safe_distance(speed, found.speed), LEADER_CAP)
+    has_leader = leaders.gap < LEADER_CAP
+    margin = np.where(has_leader, leaders.gap - safe_distance(speed, leaders.speed), LEADER_CAP)
     unsafe = has_leader & (margin < 0.0)
     grace, seen = round(CUT_IN_GRACE / dt), {""}
-    for tick, leader in enumerate(found.ids):
+    for tick, leader in enumerate(leaders.ids):
         if leader in seen:
             continue
         seen.add(leader)
         end = tick
-        while end < min(tick + grace, len(speed)) and unsafe[end] and found.ids[end] == leader:
+        while end < min(tick + grace, len(speed)) and unsafe[end] and leaders.ids[end] == leader:
             end += 1
         margin[tick:end] = np.where(collided[tick:end] > 0.5, margin[tick:end], 0.0)
     return np.minimum(margin, LEADER_CAP)
@@ -191,7 +191,7 @@ def right_of_way(
         routes: The number of each one's route, or ``NOT_A_CAR``.
         dt: Seconds between two ticks.
     """
-    found = RightOfWay(np.full(len(s), CAP), np.zeros(len(s)), np.full(len(s), CAP))
+    way = RightOfWay(np.full(len(s), CAP), np.zeros(len(s)), np.full(len(s), CAP))
     data = np.concatenate([at_tick.data for at_tick in bodies])
     counts = [len(at_tick) for at_tick in bodies]
     numbers = np.fromiter(chain.from_iterable(routes), int, len(data))
@@ -210,12 +210,12 @@ def right_of_way(
         coming = np.flatnonzero((distance > 0.0) & (speeds > _WAITING))
         concerned = (s + _HALF > ARM_LENGTH - DECISION) & (s - _HALF <= ends)
         time, at = distance[coming] / speeds[coming], owner[rows[coming]]
-        np.minimum.at(found.arrival, at, np.where(concerned[at], np.minimum(time, CAP), CAP))
+        np.minimum.at(way.arrival, at, np.where(concerned[at], np.minimum(time, CAP), CAP))
         cars = _Cars(owner[rows], [names[row] for row in rows.tolist()], distance, speeds)
         stay = _stay(s, speed, begins, ends)
         if stay is not None:
-            _demand(found, stay, cars, dt)
-    return found
+            _demand(way, stay, cars, dt)
+    return way
 
 
 class _Cars(NamedTuple):
@@ -258,7 +258,7 @@ def _stay(s: Floats, speed: Floats, begins: float, ends: float) -> _Stay | None:
     return _Stay(line, max(line, decides), enters, last + 1 if last + 1 < len(s) else None)
 
 
-def _demand(found: RightOfWay, stay: _Stay, cars: _Cars, dt: float) -> None:
+def _demand(way: RightOfWay, stay: _Stay, cars: _Cars, dt: float) -> None:
     """Add what the ego's entry into one conflict demanded of the cars that came after it."""
     after = {name for name, (distance, _) in cars.at(stay.enters).items() if distance > 0.0}
     during = slice(stay.line, stay.leaves)
@@ -268,8 +268,8 @@ def _demand(found: RightOfWay, stay: _Stay, cars: _Cars, dt: float) -> None:
             if name in after and speed > _WAITING:
                 time = max(min(distance / speed - left, CAP), -CAP)
                 demanded = demanded_braking(distance, speed, left)
-                found.braking[during] = np.maximum(found.braking[during], demanded)
-                found.gap_time[during] = np.minimum(found.gap_time[during], time)
+                way.braking[during] = np.maximum(way.braking[during], demanded)
+                way.gap_time[during] = np.minimum(way.gap_time[during], time)
 
 
 def demanded_braking(distance: float, speed: float, left: float) -> float:

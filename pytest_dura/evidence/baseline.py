@@ -84,11 +84,11 @@ def _leaves(path: str, value: Any) -> list[tuple[str, Any]]:
     if isinstance(value, Mapping):
         inner = list(value.items())
     elif isinstance(value, (list, tuple)):
-        inner = [(str(i), one) for i, one in enumerate(value)]
+        inner = [(str(i), item) for i, item in enumerate(value)]
     else:
         return [(path, value)]
     prefix = f"{path}." if path else ""
-    leaves = [leaf for key, one in inner for leaf in _leaves(f"{prefix}{key}", one)]
+    leaves = [leaf for key, item in inner for leaf in _leaves(f"{prefix}{key}", item)]
     return leaves or [(path, ())]
 
 
@@ -102,7 +102,7 @@ def _different(mine: Mapping[str, Any], others: Mapping[str, Any]) -> set[str]:
 
 def _varying(runs: Collection[Conditions]) -> set[str]:
     first = next(iter(runs)).values
-    return {path for one in runs for path in _different(first, one.values)}
+    return {path for run in runs for path in _different(first, run.values)}
 
 
 Data = Mapping[str, Any]
@@ -165,13 +165,13 @@ def claims_of(record: SessionRecord) -> list[Claim]:
         TypeError: See above.
         ValueError: See above.
     """
-    requirements = {one["id"]: one for one in record["requirements"]}
+    requirements = {requirement["id"]: requirement for requirement in record["requirements"]}
     conditions: dict[tuple[str, str], dict[int, Conditions]] = {}
-    for one in record.episodes():
-        if one["planned"]:
-            runs = conditions.setdefault((one["case"], one["component"]), {})
-            runs.setdefault(_count(one["spec"]["run"]), Conditions.of(one["spec"]))
-    return [_claim(one, requirements, conditions) for one in record["verdicts"]]
+    for episode in record.episodes():
+        if episode["planned"]:
+            runs = conditions.setdefault((episode["case"], episode["component"]), {})
+            runs.setdefault(_count(episode["spec"]["run"]), Conditions.of(episode["spec"]))
+    return [_claim(verdict, requirements, conditions) for verdict in record["verdicts"]]
 
 
 def _claim(
@@ -202,7 +202,9 @@ def _claim(
         episodes=episodes,
         violations=violations,
         violating=frozenset(
-            _run(one["episode"]) for one in verdict["counterexamples"] if one["valid"]
+            _run(counterexample["episode"])
+            for counterexample in verdict["counterexamples"]
+            if counterexample["valid"]
         ),
         conditions=conditions.get((case, component), {}),
     )
@@ -318,26 +320,26 @@ def compare_claims(claims: Sequence[Claim], baseline: Sequence[Claim]) -> list[B
             found.append(
                 BaselineComparison(other.requirement, other.case, None, other.component, "gone")
             )
-    found.sort(key=lambda one: (one.case, one.requirement))
+    found.sort(key=lambda comparison: (comparison.case, comparison.requirement))
     return _holm_corrected(found)
 
 
-def _holm_corrected(found: list[BaselineComparison]) -> list[BaselineComparison]:
+def _holm_corrected(comparisons: list[BaselineComparison]) -> list[BaselineComparison]:
     """The words after Holm's correction over everything with a p-value."""
-    family = [i for i, one in enumerate(found) if one.p_worse is not None]
-    worse = holm([found[i].p_worse or 0.0 for i in family])
-    better = holm([found[i].p_better or 0.0 for i in family])
+    family = [i for i, comparison in enumerate(comparisons) if comparison.p_worse is not None]
+    worse = holm([comparisons[i].p_worse or 0.0 for i in family])
+    better = holm([comparisons[i].p_better or 0.0 for i in family])
     for i, p_worse, p_better in zip(family, worse, better, strict=True):
-        one = replace(found[i], p_worse_holm=p_worse, p_better_holm=p_better)
-        if one.uncorrected is not None and one.confidence is not None:
-            one = replace(one, word=comparison_status(p_better, p_worse, one.confidence))
-        found[i] = one
-    return found
+        text = replace(comparisons[i], p_worse_holm=p_worse, p_better_holm=p_better)
+        if text.uncorrected is not None and text.confidence is not None:
+            text = replace(text, word=comparison_status(p_better, p_worse, text.confidence))
+        comparisons[i] = text
+    return comparisons
 
 
 def _comparison(own: Claim, other: Claim) -> BaselineComparison:
     """The comparison before any correction."""
-    told = BaselineComparison(
+    comparison = BaselineComparison(
         requirement=own.requirement,
         case=own.case,
         component=own.component,
@@ -351,26 +353,28 @@ def _comparison(own: Claim, other: Claim) -> BaselineComparison:
     )
     obstacle = _incomparable_question(own, other)
     if obstacle:
-        return replace(told, reason=obstacle)
+        return replace(comparison, reason=obstacle)
     obstacle = _incomparable_outcome(own, other)
     if obstacle:
         # Were it left out, how many tests the correction counts would depend on what they show.
-        return replace(told, reason=obstacle, p_worse=1.0, p_better=1.0)
+        return replace(comparison, reason=obstacle, p_worse=1.0, p_better=1.0)
     if own.seeds is not None and own.seeds == other.seeds:
         only_now = len(own.violating - other.violating)
         only_baseline = len(other.violating - own.violating)
-        found = compare_pairs(only_now, only_baseline, own.confidence)
-        told = replace(told, test="McNemar", only_now=only_now, only_baseline=only_baseline)
+        pairs = compare_pairs(only_now, only_baseline, own.confidence)
+        comparison = replace(
+            comparison, test="McNemar", only_now=only_now, only_baseline=only_baseline
+        )
     else:
         counts = own.violations, own.episodes, other.violations, other.episodes
-        found = compare_counts(*counts, own.confidence)
-        told = replace(told, test="Fisher")
+        pairs = compare_counts(*counts, own.confidence)
+        comparison = replace(comparison, test="Fisher")
     return replace(
-        told,
-        word=found.word,
-        uncorrected=found.word,
-        p_worse=found.p_worse,
-        p_better=found.p_better,
+        comparison,
+        word=pairs.word,
+        uncorrected=pairs.word,
+        p_worse=pairs.p_worse,
+        p_better=pairs.p_better,
     )
 
 
@@ -383,7 +387,7 @@ def _incomparable_question(own: Claim, other: Claim) -> str:
     if changed:
         more = f" and {len(changed) - 3} more" if len(changed) > 3 else ""
         return f"the scenario changed: {', '.join(changed[:3])}{more}"
-    sequential = [one.method for one in (own, other) if one.method in SEQUENTIAL]
+    sequential = [item.method for item in (own, other) if item.method in SEQUENTIAL]
     return f"{N_DEPENDED} ({sequential[0]})" if sequential else ""
 
 
@@ -394,17 +398,17 @@ def _incomparable_outcome(own: Claim, other: Claim) -> str:
     fixed number of runs would have left with the same counts, so that a false word is no more
     likely than with a fixed number.
     """
-    for whose, one in (("", own), ("of the baseline ", other)):
-        if one.saved:
-            return f"{N_DEPENDED} ({one.saved} of {one.planned} runs {whose}saved)"
-        if one.run < one.planned:
-            return f"only {one.run} of {one.planned} planned runs {whose}were run"
-        if not one.episodes:
+    for whose, item in (("", own), ("of the baseline ", other)):
+        if item.saved:
+            return f"{N_DEPENDED} ({item.saved} of {item.planned} runs {whose}saved)"
+        if item.run < item.planned:
+            return f"only {item.run} of {item.planned} planned runs {whose}were run"
+        if not item.episodes:
             return f"no valid episodes {whose}".rstrip()
         # A violation counts in an invalid episode too, a satisfaction does not: the rate of what
         # is left would be that of a selection.
-        if one.run - one.episodes > MAX_INVALID_SHARE * one.run:
-            return f"only {one.episodes} of {one.run} runs {whose}are valid"
+        if item.run - item.episodes > MAX_INVALID_SHARE * item.run:
+            return f"only {item.episodes} of {item.run} runs {whose}are valid"
     return ""
 
 
@@ -419,8 +423,8 @@ def _matched_claims(
     left, right = list(claims), list(baseline)
     for key in MATCHED_BY:
         for own in list(left):
-            mine = [one for one in left if key(one) == key(own)]
-            others = [one for one in right if key(one) == key(own)]
+            mine = [item for item in left if key(item) == key(own)]
+            others = [item for item in right if key(item) == key(own)]
             if len(mine) == len(others) == 1:
                 left.remove(own)
                 right.remove(others[0])
@@ -430,10 +434,16 @@ def _matched_claims(
 
 
 MATCHED_BY: tuple[Callable[[Claim], tuple[str, ...]], ...] = (
-    lambda one: (one.requirement, one.case, one.component, one.item, one.check),
-    lambda one: (one.requirement, one.case, one.item, one.check),
-    lambda one: (one.requirement, one.case, one.component, one.check),
-    lambda one: (one.requirement, one.case),
+    lambda verdict: (
+        verdict.requirement,
+        verdict.case,
+        verdict.component,
+        verdict.item,
+        verdict.check,
+    ),
+    lambda verdict: (verdict.requirement, verdict.case, verdict.item, verdict.check),
+    lambda verdict: (verdict.requirement, verdict.case, verdict.component, verdict.check),
+    lambda verdict: (verdict.requirement, verdict.case),
 )
 
 
@@ -513,12 +523,12 @@ class Baseline:
             record: The new session's record; ``None`` as long as it runs.
         """
         told = {key: value for key, value in vars(self).items() if key != "claims"}
-        found = [] if record is None else compare_claims(claims_of(record), self.claims)
+        claims = [] if record is None else compare_claims(claims_of(record), self.claims)
         return {
             **told,
             "correction": "Holm",
-            "tests": sum(one.p_worse is not None for one in found),
-            "comparisons": [one.to_json() for one in found],
+            "tests": sum(comparison.p_worse is not None for comparison in claims),
+            "comparisons": [comparison.to_json() for comparison in claims],
         }
 
 
@@ -528,13 +538,14 @@ def regression_objections(baseline: Mapping[str, Any]) -> list[str]:
     Args:
         baseline: Of :meth:`Baseline.to_json` of a finished session.
     """
-    found = baseline["comparisons"]
-    if all(one["test"] is None for one in found):
+    comparisons = baseline["comparisons"]
+    if all(comparison["test"] is None for comparison in comparisons):
         return ["the gate fails: nothing in this session can be compared with the baseline"]
     return [
-        f"the gate fails: {one['requirement']} on {one['case']} is worse than in the baseline"
-        for one in found
-        if one["word"] == "worse"
+        f"the gate fails: {comparison['requirement']} on {comparison['case']} is worse"
+        " than in the baseline"
+        for comparison in comparisons
+        if comparison["word"] == "worse"
     ]
 
 

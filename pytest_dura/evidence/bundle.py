@@ -105,7 +105,7 @@ def check_directory(directory: Path) -> None:
     """
     if directory.is_symlink():
         raise _foreign_error("the evidence directory is a symbolic link", directory, str(directory))
-    names = [one for one in files_below(directory) if not _is_temporary(one)]
+    names = [item for item in files_below(directory) if not _is_temporary(item)]
     if not names:
         return
     record = directory / RECORD_FILE
@@ -276,9 +276,11 @@ def _streamed_record(file: Path) -> StreamedRecord | None:
         great = file.stat().st_size > STREAMED_BYTES
     except OSError:
         return None
-    found = stream_record(file, _strict_json) if great else None
+    record = stream_record(file, _strict_json) if great else None
     return (
-        found if found is not None and found.head.get("schema_version") == SCHEMA_VERSION else None
+        record
+        if record is not None and record.head.get("schema_version") == SCHEMA_VERSION
+        else None
     )
 
 
@@ -303,8 +305,8 @@ def load_record(file: Path, key: str = "--dura-evidence") -> tuple[dict[str, Any
     """
     try:
         data = file.read_bytes()
-        found = _strict_json(data)
-        version = found["schema_version"]
+        strict_json = _strict_json(data)
+        version = strict_json["schema_version"]
     except FileNotFoundError:
         raise _unreadable_record("there is no evidence here", file, key) from None
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
@@ -319,7 +321,7 @@ def load_record(file: Path, key: str = "--dura-evidence") -> tuple[dict[str, Any
             expected=SCHEMA_VERSION,
             remedy="use the version that the record names under `tool`",
         )
-    return found, hashlib.sha256(data).hexdigest()
+    return strict_json, hashlib.sha256(data).hexdigest()
 
 
 def _strict_json(data: bytes) -> Any:
@@ -390,8 +392,8 @@ class _VisibleCharacters(dict[int, str]):
     def __missing__(self, point: int) -> str:
         char = chr(point)
         seen = point < _DELETE or char.isprintable()
-        self[point] = found = char if seen else json.dumps(char)[1:-1]
-        return found
+        self[point] = dumps = char if seen else json.dumps(char)[1:-1]
+        return dumps
 
 
 _DELETE = 0x7F
@@ -418,35 +420,38 @@ def write_bundle(record: SessionRecord) -> SessionRecord:
 
 def _write_all(record: SessionRecord) -> SessionRecord:
     traces = {
-        one["trace"]["file"]: {"sha256": one["trace"]["sha256"], "bytes": one["trace"]["bytes"]}
-        for one in record.episodes()
-        if one["trace"] is not None
+        episode["trace"]["file"]: {
+            "sha256": episode["trace"]["sha256"],
+            "bytes": episode["trace"]["bytes"],
+        }
+        for episode in record.episodes()
+        if episode["trace"] is not None
     }
     clear_traces(record.directory, traces)
     broken = {
         file: "it is not there as it was written"
-        for file, told in traces.items()
-        if _file_size(record.directory / file) != told["bytes"]
+        for file, trace in traces.items()
+        if _file_size(record.directory / file) != trace["bytes"]
     }
     while True:
-        found = _with_broken_files(record, broken)
-        write_record(found.directory, found)
+        broken_files = _with_broken_files(record, broken)
+        write_record(broken_files.directory, broken_files)
         before = len(broken)
-        for one in all_formats():
-            if one.FILE not in broken:
-                _write_format(one, found, broken)
+        for item in all_formats():
+            if item.FILE not in broken:
+                _write_format(item, broken_files, broken)
         if len(broken) == before:
             break
-    write_file(found.directory / SCHEMA_FILE, [schema_text()])
+    write_file(broken_files.directory / SCHEMA_FILE, [schema_text()])
     names = [
         RECORD_FILE,
         SCHEMA_FILE,
-        *(one.FILE for one in all_formats() if one.FILE not in broken),
+        *(item.FILE for item in all_formats() if item.FILE not in broken),
     ]
     # A trace is listed with the digest that its writer took, not with one of what lies there now.
-    files = {name: file_entry(found.directory / name) for name in names} | traces
-    write_file(found.directory / MANIFEST_FILE, [manifest_text(files)])
-    return found
+    files = {name: file_entry(broken_files.directory / name) for name in names} | traces
+    write_file(broken_files.directory / MANIFEST_FILE, [manifest_text(files)])
+    return broken_files
 
 
 def _withdraw(record: SessionRecord, error: BaseException, before: object) -> None:
@@ -484,20 +489,20 @@ def _file_size(file: Path) -> int | None:
 def _file_identity(file: Path) -> tuple[int, int] | None:
     """Which file it is that has this name."""
     try:
-        found = file.lstat()
+        lstat = file.lstat()
     except OSError:
         return None
-    return found.st_ino, found.st_mtime_ns
+    return lstat.st_ino, lstat.st_mtime_ns
 
 
-def _write_format(one: Format, record: SessionRecord, broken: dict[str, str]) -> None:
+def _write_format(item: Format, record: SessionRecord, broken: dict[str, str]) -> None:
     try:
-        text = one.render(record)
+        text = item.render(record)
     except Exception as error:  # told in the record, and the gate fails
-        broken[one.FILE] = _failure_text(error)
-        (record.directory / one.FILE).unlink(missing_ok=True)
+        broken[item.FILE] = _failure_text(error)
+        (record.directory / item.FILE).unlink(missing_ok=True)
         return
-    write_file(record.directory / one.FILE, [text])
+    write_file(record.directory / item.FILE, [text])
 
 
 def _failure_text(error: Exception) -> str:

@@ -79,13 +79,13 @@ class _Spread:
     def takes(self, value: Any) -> bool:
         """Whether it is a number, or the numbers of an input over time."""
         return all(
-            isinstance(one, (int, float)) and not isinstance(one, bool)
-            for one in _path_pieces(value)
+            isinstance(path_piece, (int, float)) and not isinstance(path_piece, bool)
+            for path_piece in _path_pieces(value)
         )
 
     def add(self, value: Any) -> None:
-        for one in _path_pieces(value):
-            self._add(one)
+        for path_piece in _path_pieces(value):
+            self._add(path_piece)
 
     def _add(self, value: float) -> None:
         share = (value - self.low) / (self.high - self.low) if self.high > self.low else 0.0
@@ -168,9 +168,9 @@ def _path_pieces(value: Any) -> list[Any]:
     return list(value) if isinstance(value, (list, tuple)) else [value]
 
 
-def _same_value(one: Any, other: Any) -> bool:
+def _same_value(item: Any, other: Any) -> bool:
     # To Python, True is 1; as values of a world they are two.
-    return isinstance(one, bool) == isinstance(other, bool) and bool(one == other)
+    return isinstance(item, bool) == isinstance(other, bool) and bool(item == other)
 
 
 Place: TypeAlias = "tuple[str, str, str, str]"
@@ -317,9 +317,9 @@ class PairedCourses:
 
     def __init__(self, verdicts: Iterable[Data]) -> None:
         pairs = (
-            (one["pairs"]["case"], one["case"], one["component"])
-            for one in verdicts
-            if one["pairs"] and one["pairs"]["without"] == RECOVERY_ROLE
+            (verdict["pairs"]["case"], verdict["case"], verdict["component"])
+            for verdict in verdicts
+            if verdict["pairs"] and verdict["pairs"]["without"] == RECOVERY_ROLE
         )
         self._twins = {(twin, who): (own, who) for twin, own, who in pairs}
         self._own = set(self._twins.values())
@@ -367,12 +367,12 @@ def effectiveness(
 def _recovery_effects(verdicts: Sequence[Data], courses: PairedCourses) -> Iterator[dict[str, Any]]:
     sums: dict[tuple[str, str], Counter[str]] = defaultdict(Counter)
     cases: dict[tuple[str, str], set[str]] = defaultdict(set)
-    for one in verdicts:
-        pairs = one["pairs"]
+    for verdict in verdicts:
+        pairs = verdict["pairs"]
         if pairs and pairs["without"] == RECOVERY_ROLE and "only_with" in pairs:
-            key = one["component"], one["requirement"]
-            if one["case"] not in cases[key]:  # several tests may ask the same of a case
-                cases[key].add(one["case"])
+            key = verdict["component"], verdict["requirement"]
+            if verdict["case"] not in cases[key]:  # several tests may ask the same of a case
+                cases[key].add(verdict["case"])
                 sums[key].update({name: pairs[name] for name in _SUMS})
     for (component, requirement), counts in sorted(sums.items()):
         runs = courses.compared(component, cases[component, requirement])
@@ -390,8 +390,8 @@ def _recovery_finding(
     what = f"of {violated} violations of {requirement} without it in {pairs} pairs"
     if acted_runs and unchanged == acted_runs:
         also = "" if violated else f"; nothing violated {requirement} without it either"
-        told = f"changed nothing: the runs in which it acted ({acted_runs}) went as their twins"
-        return "changed nothing", told + also
+        text = f"changed nothing: the runs in which it acted ({acted_runs}) went as their twins"
+        return "changed nothing", text + also
     if introduced and not prevented:
         return "introduced", f"introduced {introduced} violations and prevented none {what}"
     if not violated:
@@ -410,11 +410,11 @@ def _recovery_finding(
 
 def _monitor_effects(monitors: Sequence[Data]) -> Iterator[dict[str, Any]]:
     by_target: dict[tuple[str, str], dict[str, Counter[str]]] = defaultdict(dict)
-    for one in monitors:
-        targets = by_target[one["component"], one["monitor"]]
-        sums = targets.setdefault(one["target"], Counter())
+    for item in monitors:
+        targets = by_target[item["component"], item["monitor"]]
+        sums = targets.setdefault(item["target"], Counter())
         names = ("true_positives", "false_negatives", "false_positives", "true_negatives")
-        sums.update({name: one[name] for name in names})
+        sums.update({name: item[name] for name in names})
     for (component, monitor), targets in sorted(by_target.items()):
         finding, detail = _monitor_finding(targets)
         # An assessor speaks by alerts, which are judged as a monitor of their own.
@@ -425,8 +425,8 @@ def _monitor_effects(monitors: Sequence[Data]) -> Iterator[dict[str, Any]]:
 
 def _monitor_finding(targets: Mapping[str, Counter[str]]) -> tuple[str, str]:
     seen = {
-        name: (one["true_positives"], one["true_positives"] + one["false_negatives"])
-        for name, one in sorted(targets.items())
+        name: (item["true_positives"], item["true_positives"] + item["false_negatives"])
+        for name, item in sorted(targets.items())
     }
     happened = {name: counts for name, counts in seen.items() if counts[1]}
     if not happened:
@@ -438,7 +438,7 @@ def _monitor_finding(targets: Mapping[str, Counter[str]]) -> tuple[str, str]:
     in_words = ", ".join(f"{name} {hits} of {of}" for name, (hits, of) in happened.items())
     if any(hits for hits, _ in happened.values()):
         return "warned", f"warned in time of {in_words}"
-    if any(one["false_positives"] for one in targets.values()):
+    if any(target["false_positives"] for target in targets.values()):
         return "warned of none", f"flagged other runs, and warned of none: {in_words}"
     return "silent", f"was silent in time: {in_words}"
 
@@ -459,9 +459,11 @@ MAX_LISTED_RUNS = 100
 def verdicts_on_cases(verdicts: Iterable[Data]) -> Mapping[tuple[str, str], list[Data]]:
     """The verdicts that rest on each case and component; a comparison rests on two cases."""
     found: dict[tuple[str, str], list[Data]] = defaultdict(list)
-    for one in verdicts:
-        for case in dict.fromkeys([one["case"], (one["pairs"] or {}).get("case", one["case"])]):
-            found[case, one["component"]].append(one)
+    for verdict in verdicts:
+        for case in dict.fromkeys(
+            [verdict["case"], (verdict["pairs"] or {}).get("case", verdict["case"])]
+        ):
+            found[case, verdict["component"]].append(verdict)
     return found
 
 
@@ -476,9 +478,9 @@ def missing_runs(case: Data, verdicts: Iterable[Data], heard: Collection[int]) -
         heard: Numbers of the planned runs that reported, whatever they came to.
     """
     needed = planned = 0
-    for one in verdicts:
-        needed = max(needed, one["planned"] - one["saved"])
-        planned = max(planned, one["planned"])
+    for verdict in verdicts:
+        needed = max(needed, verdict["planned"] - verdict["saved"])
+        planned = max(planned, verdict["planned"])
     if case["planned"] > planned:
         needed = case["planned"]  # more than any verdict asked for, and so for something else
     left = [run for run in range(needed) if run not in heard]
@@ -497,9 +499,9 @@ def timings(
             are written where the episodes run, and rendering follows.
     """
     simulated, processing = 0.0, Counter[str]()
-    for one in episodes:
-        simulated += one["timings"]["simulated_seconds"]
-        processing.update(one["timings"]["processing_seconds"])
+    for episode in episodes:
+        simulated += episode["timings"]["simulated_seconds"]
+        processing.update(episode["timings"]["processing_seconds"])
     return {
         "wall_seconds": wall_seconds,
         "evidence_seconds": evidence_seconds,
@@ -545,5 +547,5 @@ def conclude_record(
     for episode in record.episodes():
         hidden += count_redactions(episode)
     head["redacted"] = dict(sorted(Counter(hidden).items()))
-    found = replace(record, head=head)
-    return replace(found, head={**head, "totals": Counts.of(found).to_json()})
+    text = replace(record, head=head)
+    return replace(text, head={**head, "totals": Counts.of(text).to_json()})

@@ -100,7 +100,7 @@ def outcome_figures(episode: Episode) -> dict[str, Any]:
 
 def case_situations(case: Mapping[str, Any]) -> Situations:
     """What takes in the runs of a recorded case and says whether they are all equal."""
-    return Situations(varies=varies(case["variation"], {one["id"] for one in case["faults"]}))
+    return Situations(varies=varies(case["variation"], {fault["id"] for fault in case["faults"]}))
 
 
 def add_episode(situations: Situations, episode: Mapping[str, Any]) -> None:
@@ -207,8 +207,8 @@ class ItemReport:
 
 def unpack_report(part: str) -> JsonObject:
     """The report of :meth:`ItemReport.split`."""
-    found: JsonObject = json.loads(zlib.decompress(base64.b64decode(part)))
-    return found
+    data: JsonObject = json.loads(zlib.decompress(base64.b64decode(part)))
+    return data
 
 
 SPOOL_PREFIX = ".session-"
@@ -270,16 +270,16 @@ class EpisodeSpool:
             _key(episode["component"]),
             hashlib.sha256(json.dumps(inputs, sort_keys=True).encode()).digest(),
         )
-        found = self._asked(
+        asked = self._asked(
             "SELECT digest, planned FROM episodes WHERE name = ? AND component = ? AND inputs = ?",
             *key,
         )
-        if not found:
+        if not asked:
             order = _key(episode["case"]), _number(episode["spec"]["run"]), _number(episode["seed"])
             values = (*key, episode["digest"], bool(episode["planned"]), *order, _packed(episode))
             self._asked("INSERT INTO episodes VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)", *values)
             return str(episode["digest"])
-        ((digest, planned),) = found
+        ((digest, planned),) = asked
         if episode["planned"] and not planned:
             self._asked(
                 "UPDATE episodes SET planned = 1 WHERE name = ? AND component = ? AND inputs = ?",
@@ -307,8 +307,8 @@ class EpisodeSpool:
         keys = _key(trace["component"]), _key(trace["id"]), trace["digest"]
         known = "SELECT data FROM traces WHERE component = ? AND name = ? AND digest = ?"
         if any(
-            _weight(_unpacked(one)) > _weight(trace["trace"])
-            for (one,) in self._asked(known, *keys)
+            _weight(_unpacked(item)) > _weight(trace["trace"])
+            for (item,) in self._asked(known, *keys)
         ):
             return
         values = *keys, _packed(trace["trace"])
@@ -332,10 +332,10 @@ class EpisodeSpool:
 
     def _chains_of(self, component: bytes, name: bytes) -> dict[str, Data]:
         """What came of the faults of the planned episode of this name, by fault id."""
-        found = self._asked(
+        asked = self._asked(
             "SELECT data FROM chains WHERE component = ? AND name = ?", component, name
         )
-        return {chain["id"]: chain for chain in (_unpacked(data) for (data,) in found)}
+        return {chain["id"]: chain for chain in (_unpacked(data) for (data,) in asked)}
 
     def close(self) -> None:
         """Forget everything."""

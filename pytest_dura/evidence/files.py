@@ -303,8 +303,8 @@ def _episode_offsets(stream: IO[bytes], place: int, read: ReadEpisode) -> tuple[
 
 
 def _stream_identity(stream: IO[bytes]) -> tuple[int, ...]:
-    found = os.fstat(stream.fileno())
-    return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns
+    fstat = os.fstat(stream.fileno())
+    return fstat.st_dev, fstat.st_ino, fstat.st_size, fstat.st_mtime_ns
 
 
 InputKind = Literal[
@@ -350,8 +350,8 @@ class InputFiles:
             kind: What they are to the session.
             files: Their names as the record has them.
         """
-        for one in files:
-            self._told.setdefault((kind, one["path"]), one["sha256"])
+        for file in files:
+            self._told.setdefault((kind, file["path"]), file["sha256"])
 
     def to_json(self) -> list[dict[str, Any]]:
         """``{path, kind, sha256, changed}`` of each file, sorted.
@@ -376,8 +376,8 @@ class InputFiles:
         sha256: str | None,
         changed: bool,
     ) -> None:
-        one = {"path": path, "kind": kind, "sha256": sha256, "changed": changed}
-        told.setdefault((path, kind, sha256), one)["changed"] |= changed
+        item = {"path": path, "kind": kind, "sha256": sha256, "changed": changed}
+        told.setdefault((path, kind, sha256), item)["changed"] |= changed
 
 
 def sha256_of(file: Path) -> str | None:

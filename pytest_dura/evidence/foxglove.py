@@ -239,7 +239,7 @@ class TextCache:
         if isinstance(value, str):
             return self.shown(value)
         if isinstance(value, Mapping):
-            return {self.shown(str(key)): self._plain(one) for key, one in value.items()}
+            return {self.shown(str(key)): self._plain(item) for key, item in value.items()}
         return [*map(self._plain, value)] if isinstance(value, (list, tuple)) else value
 
 
@@ -257,8 +257,8 @@ def signal_messages(trace: Trace, texts: TextCache) -> Iterator[Message]:
         strict=True,
     )
     for tick, (shown, perceived) in enumerate(rows):
-        told = f'"tick":{tick},"time":{_number(time[tick])},"truth":{shown},"percept":{perceived}'
-        yield nanoseconds(time[tick]), f"{{{told}}}"
+        text = f'"tick":{tick},"time":{_number(time[tick])},"truth":{shown},"percept":{perceived}'
+        yield nanoseconds(time[tick]), f"{{{text}}}"
 
 
 def _rows(names: Sequence[str], columns: Sequence[Sequence[str]], length: int) -> Iterator[str]:
@@ -295,10 +295,10 @@ def decision_messages(trace: Trace, texts: TextCache) -> Iterator[Message]:
         [*map(texts, column.tolist())] if column.dtype.kind == "U" else _numbers(column)
         for column in columns.values()
     ]
-    decisions = _rows([*map(texts, columns)], [one[:length] for one in shown], length)
-    monitors = [(name, one) for name, one in recording.flags.items() if len(one) >= length]
+    decisions = _rows([*map(texts, columns)], [item[:length] for item in shown], length)
+    monitors = [(name, flag) for name, flag in recording.flags.items() if len(flag) >= length]
     flags = _rows(
-        [texts(name) for name, _ in monitors], [_numbers(one[:length]) for _, one in monitors],
+        [texts(name) for name, _ in monitors], [_numbers(item[:length]) for _, item in monitors],
         length,
     )  # fmt: skip
     said = [
@@ -323,11 +323,11 @@ def event_messages(trace: Trace, texts: TextCache) -> Iterator[Message]:
         time = nanoseconds(_time_of(event))
         kind, subject, detail = (str(event.get(key, "")) for key in ("kind", "subject", "detail"))
         message = f"{kind} {subject}" + (f": {detail}" if detail else "")
-        told = (
+        text = (
             f'"timestamp":{foxglove_time(time)},"level":{_LEVELS.get(kind, _INFO)},'
             f'"message":{texts(message)},"name":{texts(kind)},"file":"","line":0'
         )
-        yield time, f"{{{told}}}"
+        yield time, f"{{{text}}}"
 
 
 def _time_of(event: Mapping[str, Any]) -> float:
@@ -382,10 +382,10 @@ def _line(line: Line) -> str:
     thickness, color = _LINES.get(line.kind, _LINE)
     points = np.asarray(line.points, np.float64)
     points = points[np.isfinite(points).all(axis=1)].tolist()
-    told = ",".join(f'{{"x":{x:.3f},"y":{-y:.3f},"z":0}}' for x, y in points)
+    text = ",".join(f'{{"x":{x:.3f},"y":{-y:.3f},"z":0}}' for x, y in points)
     return (
         f'{{"type":0,"pose":{{"position":{{"x":0,"y":0,"z":0}},{_UPRIGHT}}},'
-        f'"thickness":{thickness},"scale_invariant":false,"points":[{told}],"color":{color},'
+        f'"thickness":{thickness},"scale_invariant":false,"points":[{text}],"color":{color},'
         '"colors":[],"indices":[]}'
     )
 

@@ -18,11 +18,11 @@ REPEAT_RESULTS = ("different", "failed", "equal", "skipped")
 """What a repetition comes to. Of several the first in this order counts."""
 
 
-def worse_repeat(one: Data | None, other: Data | None) -> Data | None:
+def worse_repeat(item: Data | None, other: Data | None) -> Data | None:
     """Of two repetitions of a case, by two processes or shards, the one that says more."""
-    if one is None or other is None:
-        return one or other
-    return min(one, other, key=lambda repeat: REPEAT_RESULTS.index(repeat["result"]))
+    if item is None or other is None:
+        return item or other
+    return min(item, other, key=lambda repeat: REPEAT_RESULTS.index(repeat["result"]))
 
 
 def not_repeatable_lines(cases: Iterable[Data]) -> Iterator[str]:
@@ -97,8 +97,8 @@ class SearchRecords:
 
     def add(self, item: str, searches: Iterable[Data]) -> None:
         """Those that an item told."""
-        for one in searches:
-            self.adopt({**one, "item": item, "waiver": None})
+        for search in searches:
+            self.adopt({**search, "item": item, "waiver": None})
 
     def adopt(self, entry: Data) -> None:
         """A search as another session has it, with its item and its waiver."""
@@ -109,9 +109,9 @@ class SearchRecords:
     def answered(self) -> set[VerdictKey]:
         """What items were to decide and searched instead: no verdict is to be expected of it."""
         return {
-            (one["item"], outcome["requirement"], one["case"])
-            for one in self._told.values()
-            for outcome in one["outcomes"]
+            (item["item"], outcome["requirement"], item["case"])
+            for item in self._told.values()
+            for outcome in item["outcomes"]
         }
 
     def to_json(self, waivers: Mapping[str, Data]) -> list[dict[str, Any]]:
@@ -123,21 +123,25 @@ class SearchRecords:
         ordered = sorted(
             self._told.items(), key=lambda told: (*(told[1][name] for name in SORT_KEYS), told[0])
         )
-        return [{**one, "waiver": waivers.get(one["item"], one["waiver"])} for _, one in ordered]
+        return [
+            {**item, "waiver": waivers.get(item["item"], item["waiver"])} for _, item in ordered
+        ]
 
 
 def search_objections(searches: Sequence[Data], *, warn_undecided: bool) -> list[str]:
     """A sentence for every outcome of a search that the gate does not accept; the worst first."""
     words = [
-        word for word in OBJECTIONABLE_OUTCOMES if word in VIOLATED_OUTCOMES or not warn_undecided
+        objectionable_outcome
+        for objectionable_outcome in OBJECTIONABLE_OUTCOMES
+        if objectionable_outcome in VIOLATED_OUTCOMES or not warn_undecided
     ]
     return [
-        outcome_objection(outcome["requirement"], one["case"], word)
+        outcome_objection(outcome["requirement"], search["case"], word)
         for word in words
-        for one in searches
-        if one["waiver"] is None
-        for outcome in one["outcomes"]
-        if outcome_status(one, outcome) == word
+        for search in searches
+        if search["waiver"] is None
+        for outcome in search["outcomes"]
+        if outcome_status(search, outcome) == word
     ]
 
 
@@ -146,7 +150,7 @@ def outcome_status(search: Data, outcome: Data) -> str:
     name = outcome["requirement"]
     if outcome["word"] in VIOLATED_OUTCOMES:
         return str(outcome["word"])
-    met = any(one["first"].get(name) is not None for one in search["baselines"])
+    met = any(baseline["first"].get(name) is not None for baseline in search["baselines"])
     return "baseline" if met else str(outcome["word"])
 
 
@@ -245,7 +249,14 @@ def verdict_objections(
         warn_undecided: Whether what is undecided is accepted.
     """
     accepted = {"supported"} | ({"undecided"} if warn_undecided else set())
-    found = [one for one in verdicts if one["verdict"] not in accepted and one["waiver"] is None]
-    found.sort(key=lambda one: one["verdict"] != "violated")
-    told = [f"{one['requirement']} on {one['case']} is {one['verdict']}" for one in found]
+    found = [
+        verdict
+        for verdict in verdicts
+        if verdict["verdict"] not in accepted and verdict["waiver"] is None
+    ]
+    found.sort(key=lambda verdict: verdict["verdict"] != "violated")
+    told = [
+        f"{verdict['requirement']} on {verdict['case']} is {verdict['verdict']}"
+        for verdict in found
+    ]
     return [*told, *search_objections(searches, warn_undecided=warn_undecided)]

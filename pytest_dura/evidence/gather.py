@@ -53,7 +53,7 @@ class Components:
     def problems(self) -> Iterator[str]:
         """Names that stand for several classes, and verdicts go by the name."""
         for name, several in self._known.items():
-            paths = sorted({str(one.get("path")) for one in several.values()})
+            paths = sorted({str(item.get("path")) for item in several.values()})
             if len(paths) > 1:
                 yield (
                     f"infrastructure: several components are called {name}, and verdicts go by "
@@ -63,10 +63,12 @@ class Components:
 
     def to_json(self) -> dict[str, Any]:
         """The first one by name, with all ``others`` and the ``sources`` of them all."""
-        told = [one for name in sorted(self._known) for _, one in sorted(self._known[name].items())]
-        first: dict[str, Any] = dict(told[0]) if told else {"name": None, "version": None}
-        if len(told) > 1:
-            first["others"] = told[1:]
+        known = [
+            item for name in sorted(self._known) for _, item in sorted(self._known[name].items())
+        ]
+        first: dict[str, Any] = dict(known[0]) if known else {"name": None, "version": None}
+        if len(known) > 1:
+            first["others"] = known[1:]
         if self._sources:
             first["sources"] = {key: self._sources[key] for key in sorted(self._sources)}
         return first
@@ -90,11 +92,11 @@ class LanguageModels:
         Args:
             models: Of :class:`pytest_dura.evidence.episodes.ItemReport`.
         """
-        for one in models:
-            known = self._told.setdefault(tuple(one[name] for name in _NAMES), {})
-            before = known.get(one["process"])
-            if before is None or _total(one) >= _total(before):
-                known[one["process"]] = dict(one)
+        for model in models:
+            known = self._told.setdefault(tuple(model[name] for name in _NAMES), {})
+            before = known.get(model["process"])
+            if before is None or _total(model) >= _total(before):
+                known[model["process"]] = dict(model)
 
     def to_json(self) -> list[JsonObject]:
         """The record's key ``models``, sorted, without the cassette."""
@@ -102,14 +104,14 @@ class LanguageModels:
         for key in sorted(self._told, key=str):
             told = self._told[key]
             first = told[min(told)]
-            counts = {name: sum(one[name] for one in told.values()) for name in _COUNTS}
+            counts = {name: sum(item[name] for item in told.values()) for name in _COUNTS}
             plain = {name: value for name, value in first.items() if name != "process"}
             found.append({**plain, **counts, "cassette": None})
         return found
 
 
-def _total(one: Mapping[str, Any]) -> int:
-    return sum(one[name] for name in _COUNTS)
+def _total(item: Mapping[str, Any]) -> int:
+    return sum(item[name] for name in _COUNTS)
 
 
 def test_function(item: str) -> str:
@@ -125,13 +127,13 @@ def question_key(item: str, verdict: JsonObject) -> tuple[str, ...]:
     return item, *(verdict[name] for name in names), json.dumps(asked, sort_keys=True)
 
 
-def final_outcomes(told: Sequence[JsonObject]) -> list[JsonObject]:
+def final_outcomes(objects: Sequence[JsonObject]) -> list[JsonObject]:
     """Of several attempts of an item a violation counts before anything else, then the last."""
     final: dict[str, JsonObject] = {}
-    for one in told:
-        before = final.get(one["item"])
+    for item in objects:
+        before = final.get(item["item"])
         if before is None or before["verdict"] != "violated":
-            final[one["item"]] = one
+            final[item["item"]] = item
     return list(final.values())
 
 
@@ -146,17 +148,17 @@ def worst_of_each_episode(final: list[JsonObject]) -> list[EpisodeVerdict]:
     """One verdict for each episode, at which other parameters of a test may look again."""
     names = EpisodeVerdict.__dataclass_fields__
     worst: dict[str, JsonObject] = {}
-    for one in sorted(final, key=lambda one: WORST_FIRST.index(one["verdict"])):
-        worst.setdefault(one["episode"], one)
-    found = sorted(worst.values(), key=lambda one: _run_number(one["episode"]))
-    return [EpisodeVerdict.from_json({name: one[name] for name in names}) for one in found]
+    for item in sorted(final, key=lambda item: WORST_FIRST.index(item["verdict"])):
+        worst.setdefault(item["episode"], item)
+    found = sorted(worst.values(), key=lambda item: _run_number(item["episode"]))
+    return [EpisodeVerdict.from_json({name: item[name] for name in names}) for item in found]
 
 
 def judge_test(
     requirement: Requirement,
     case: str,
     component: str,
-    told: Sequence[JsonObject],
+    objects: Sequence[JsonObject],
     situation: Situation | None = None,
 ) -> JsonObject:
     """The verdict of a test that looks at one episode at a time, as plain data.
@@ -165,19 +167,20 @@ def judge_test(
         requirement: What it decides; its rate is that of the test.
         case: Id of the case.
         component: Name of the component under test.
-        told: All that it told of episodes, with ``item``, ``planned``, ``at_most``, ``confidence``.
+        objects: All that it told of episodes, with ``item``, ``planned``,
+            ``at_most``, ``confidence``.
         situation: What the case's runs are, if all of them are equal.
     """
     # Tests are a fixed number, and run in no fixed order: no sequential method applies.
     judged_by = replace(
         requirement,
-        at_most=told[0]["at_most"],
-        confidence=told[0]["confidence"],
+        at_most=objects[0]["at_most"],
+        confidence=objects[0]["confidence"],
         method=None,
         p0=None,
     )
-    planned = max(one["planned"] for one in told)
-    final = worst_of_each_episode(final_outcomes(told))
+    planned = max(item["planned"] for item in objects)
+    final = worst_of_each_episode(final_outcomes(objects))
     # Each run is a test of its own here: none is saved where they are all equal.
     whole = len(final) >= planned > 1
     return judge_campaign(
@@ -196,13 +199,13 @@ def assertion_summary(final: Sequence[JsonObject]) -> JsonObject:
     Args:
         final: Of :func:`final_outcomes`.
     """
-    told = [(one["episode"], one["assertion"]) for one in final]
-    false = Counter(check for _, one in told for check in one["false"])
-    failed = sorted((name, one["failed"]) for name, one in told if one["failed"])
+    told = [(item["episode"], item["assertion"]) for item in final]
+    false = Counter(check for _, item in told for check in item["false"])
+    failed = sorted((name, item["failed"]) for name, item in told if item["failed"])
     return {
-        "alone": all(one["alone"] for _, one in told),
-        "by_check": sum(one["by_check"] for _, one in told),
-        "observed": sorted({name for _, one in told for name in one["observed"]})[:MAX_OBSERVED],
+        "alone": all(item["alone"] for _, item in told),
+        "by_check": sum(item["by_check"] for _, item in told),
+        "observed": sorted({name for _, item in told for name in item["observed"]})[:MAX_OBSERVED],
         "false": [
             {"check": name, "episodes": false[name]} for name in sorted(false)[:MAX_OBSERVED]
         ],
@@ -375,15 +378,18 @@ class RecordBuilder:
         """All verdicts, also of campaigns that never reported, sorted by case and requirement."""
         found = [dict(verdict) for verdict in self._verdicts.values()]
         found += [
-            self._of_outcomes(key, list(told.values())) for key, told in self._outcomes.items()
+            self._of_outcomes(key, list(outcome.values()))
+            for key, outcome in self._outcomes.items()
         ]
-        heard = {(one["item"], one["requirement"], one["case"]) for one in found}
+        heard = {(verdict["item"], verdict["requirement"], verdict["case"]) for verdict in found}
         for claim, case in self._unsearched():
             if claim not in heard:
                 found.append(self._not_run(*claim[:2], case))
         for verdict in found:
             self._qualify(verdict)
-        return sorted(found, key=lambda one: (one["case"], one["requirement"], one["item"]))
+        return sorted(
+            found, key=lambda verdict: (verdict["case"], verdict["requirement"], verdict["item"])
+        )
 
     def _add_case(self, case: JsonObject) -> None:
         key = case["id"], case["component"]
@@ -433,13 +439,13 @@ class RecordBuilder:
             new = {**before, "attempts": [*before["attempts"], verdict]}
         self._verdicts[key] = new
 
-    def _of_outcomes(self, key: tuple[str, ...], told: list[JsonObject]) -> JsonObject:
+    def _of_outcomes(self, key: tuple[str, ...], objects: list[JsonObject]) -> JsonObject:
         """The verdict of a test that looks at one episode at a time."""
         test, requirement, case, component = key
-        final = final_outcomes(told)
+        final = final_outcomes(objects)
         known = self._situations.get((case, component))
         situation = None if known is None else known.situation
-        verdict = judge_test(self._requirement(requirement), case, component, told, situation)
+        verdict = judge_test(self._requirement(requirement), case, component, objects, situation)
         waiver = self._waiver_of(final, verdict)
         own: JsonObject = {
             "item": test,
@@ -451,8 +457,8 @@ class RecordBuilder:
 
     def _waiver_of(self, final: list[JsonObject], verdict: JsonObject) -> JsonObject | None:
         """What excuses the verdict: nothing, if there is more than what waived items told."""
-        waivers = [self._waivers[one["item"]] for one in final if one["item"] in self._waivers]
-        bad = {one["item"] for one in final if one["verdict"] != "satisfied"}
+        waivers = [self._waivers[item["item"]] for item in final if item["item"] in self._waivers]
+        bad = {item["item"] for item in final if item["verdict"] != "satisfied"}
         excused = bad <= self._waivers.keys() and verdict["run"] >= verdict["planned"]
         return waivers[0] if waivers and excused else None
 

@@ -34,10 +34,10 @@ def junit_verdicts(xml: str) -> dict[JunitKey, tuple[str, ...]]:
     """
     found: dict[JunitKey, list[str]] = {}
     for item, group in _requirement_groups(xml):
-        word = group.get("verdict")
-        if word is not None:
+        verdict = group.get("verdict")
+        if verdict is not None:
             found.setdefault(_result_key(item, group), []).append(
-                _checked_status(CAMPAIGN_STATUSES, word, item)
+                _checked_status(CAMPAIGN_STATUSES, verdict, item)
             )
     return {key: tuple(sorted(words)) for key, words in found.items()}
 
@@ -50,10 +50,12 @@ def junit_outcomes(xml: str) -> dict[JunitKey, Counter[str]]:
     """
     found: dict[JunitKey, Counter[str]] = {}
     for item, group in _requirement_groups(xml):
-        word = group.get("episode_verdict")
-        if word is not None:
+        episode_verdict = group.get("episode_verdict")
+        if episode_verdict is not None:
             key = _result_key(item.partition("[")[0], group)
-            found.setdefault(key, Counter())[_checked_status(EPISODE_STATUSES, word, item)] += 1
+            found.setdefault(key, Counter())[
+                _checked_status(EPISODE_STATUSES, episode_verdict, item)
+            ] += 1
     return found
 
 
@@ -72,8 +74,8 @@ def _requirement_groups(xml: str) -> Iterator[tuple[str, dict[str, str]]]:
     found: dict[str, list[dict[str, str]]] = {}
     for test in _parse_xml(xml).iter("testcase"):
         item, groups = "", []
-        for one in test.iterfind("properties/property"):
-            name, value = one.get("name", ""), one.get("value", "")
+        for entry in test.iterfind("properties/property"):
+            name, value = entry.get("name", ""), entry.get("value", "")
             if name == "item":
                 item = value
             elif name == "requirement":
@@ -118,21 +120,21 @@ def junit_problems(record: SessionRecord, file: Path) -> Iterator[str]:
         yield f"{file.name}: cannot be read back ({type(error).__name__}: {error})"
         return
     held: dict[JunitKey, list[str]] = defaultdict(list)
-    for one in record["verdicts"]:
-        key = junit_key(one["case"], one["requirement"], one["item"])
-        name = f"{file.name}: {one['requirement']} on {one['case']}"
+    for verdict in record["verdicts"]:
+        key = junit_key(verdict["case"], verdict["requirement"], verdict["item"])
+        name = f"{file.name}: {verdict['requirement']} on {verdict['case']}"
         if key in outcomes:
             told, run = outcomes[key]["violated"], outcomes[key].total()
-            if (told, run) != (one["violations"], one["run"]):
+            if (told, run) != (verdict["violations"], verdict["run"]):
                 yield (
                     f"{name}: {told} of {run} violated it, and the record says "
-                    f"{one['violations']} of {one['run']}"
+                    f"{verdict['violations']} of {verdict['run']}"
                 )
         else:
-            held[key].append(one["verdict"])
+            held[key].append(verdict["verdict"])
     for key in sorted({*stated, *held}):
         words, known = stated.get(key, ()), sorted(held.get(key, []))
-        decided = [one for one in known if one != "undecided"]
+        decided = [item for item in known if item != "undecided"]
         left = list(words)
         for word in decided:
             if word in left:

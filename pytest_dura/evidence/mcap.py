@@ -71,7 +71,7 @@ def pack_columns(trace: Trace) -> bytes:
         "problem": trace.recording.problem,
         "scene": None,
     }
-    columns = [_float64(name, one, shape) for name, one in trace.signals.items()]
+    columns = [_float64(name, signal, shape) for name, signal in trace.signals.items()]
     arrays["signals"] = np.array(columns) if columns else np.empty((0, *shape))
     for number, (name, column) in enumerate(trace.decisions.items()):
         if column.dtype.kind == "U":
@@ -93,7 +93,7 @@ def pack_columns(trace: Trace) -> bytes:
         texts["scene"] = _pack_scene(arrays, trace.recording.scene)
     text = _compact(texts).encode()
     arrays[TEXT_TABLE] = np.frombuffer(text, np.uint8)
-    if sum(one.nbytes for one in arrays.values()) > MAX_UNPACKED_BYTES:
+    if sum(array.nbytes for array in arrays.values()) > MAX_UNPACKED_BYTES:
         raise ValueError(f"the trace is larger than {MAX_UNPACKED_BYTES} bytes")
     return _zipped(arrays)
 
@@ -118,10 +118,10 @@ def _pack_scene(arrays: dict[str, Column], scene: Scene) -> dict[str, Any]:
 
 
 def _float64(name: str, column: Column, shape: tuple[int, ...]) -> NDArray[np.float64]:
-    found = np.asarray(column)
-    if found.dtype != np.float64 or found.shape != shape or len(shape) != 1:
-        raise ValueError(f"the column {name!r} is {found.dtype} of the shape {found.shape}")
-    return found
+    asarray = np.asarray(column)
+    if asarray.dtype != np.float64 or asarray.shape != shape or len(shape) != 1:
+        raise ValueError(f"the column {name!r} is {asarray.dtype} of the shape {asarray.shape}")
+    return asarray
 
 
 def _coded(values: Sequence[str]) -> tuple[NDArray[np.int32], list[str]]:
@@ -135,14 +135,14 @@ def _zipped(arrays: Mapping[str, Column]) -> bytes:
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w") as archive:
         for name, array in arrays.items():
-            found = np.ascontiguousarray(array)
+            ascontiguousarray = np.ascontiguousarray(array)
             head = io.BytesIO()
             np.lib.format.write_array_header_1_0(
-                head, np.lib.format.header_data_from_array_1_0(found)
+                head, np.lib.format.header_data_from_array_1_0(ascontiguousarray)
             )
             member = zipfile.ZipInfo(f"{name}.npy")  # of the date 1980-01-01, whatever the clock
             member.create_system = 3  # on any system
-            data = head.getvalue() + found.tobytes()
+            data = head.getvalue() + ascontiguousarray.tobytes()
             archive.writestr(member, data, zipfile.ZIP_DEFLATED, compresslevel=1)
     return stream.getvalue()
 
@@ -188,8 +188,8 @@ def _array(data: bytes) -> Column:
     if dtype.kind not in _KINDS or by_columns or len(data) - start != count * dtype.itemsize:
         raise ValueError("a column is not what its header says")
     # A copy: of a buffer of bytes nobody could make an array that can be written.
-    found: Column = np.frombuffer(data, dtype, count, start).reshape(shape).copy()
-    return found
+    column: Column = np.frombuffer(data, dtype, count, start).reshape(shape).copy()
+    return column
 
 
 def _trace(arrays: Mapping[str, Column]) -> Trace:
@@ -205,9 +205,9 @@ def _trace(arrays: Mapping[str, Column]) -> Trace:
             dtype = np.dtype(str(told["dtype"]))
             table = _names(told["table"])
             _require(dtype.kind == "U" and dtype.itemsize * codes.size <= MAX_UNPACKED_BYTES, name)
-            found = _decoded(codes, table)
+            decoded = _decoded(codes, table)
             _require(max(map(len, table), default=0) * 4 <= dtype.itemsize, name)
-            decisions[name] = np.array(found, dtype)
+            decisions[name] = np.array(decoded, dtype)
         else:
             _require(codes.ndim == 1, name)
             decisions[name] = codes
@@ -226,7 +226,9 @@ def _trace(arrays: Mapping[str, Column]) -> Trace:
     rows = dict(zip(names, signals, strict=True))
     _require(isinstance(texts["about"], dict), "about")
     events = texts["events"]
-    _require(isinstance(events, list) and all(isinstance(one, dict) for one in events), "events")
+    _require(
+        isinstance(events, list) and all(isinstance(event, dict) for event in events), "events"
+    )
     return Trace(texts["about"], time, rows, decisions, events, recording)
 
 
@@ -269,7 +271,7 @@ def _decoded(codes: Column, table: Sequence[str]) -> list[str]:
 
 
 def _names(found: Any) -> list[str]:
-    _require(isinstance(found, list) and all(isinstance(one, str) for one in found), "names")
+    _require(isinstance(found, list) and all(isinstance(item, str) for item in found), "names")
     return list(found)
 
 
@@ -330,14 +332,14 @@ def trace_bytes(trace: Trace, verdicts: Sequence[Mapping[str, Any]] = ()) -> byt
         ids[channel] = writer.register_channel(channel, "json", schemas[title])
     made = zip(CHANNELS, _MESSAGES, strict=True)
     found = [(time, ids[name], data) for name, make in made for time, data in make(trace, texts)]
-    found.sort(key=lambda one: one[0])
+    found.sort(key=lambda item: item[0])
     for time, channel_id, data in found:
         writer.add_message(channel_id, time, data.encode("ascii"), time)
     about = {texts.shown(key): texts.any(value) for key, value in trace.about.items()}
     writer.add_metadata("trace", {"schema_version": TRACE_VERSION})
     writer.add_metadata("about", about)
     if verdicts:
-        told = {str(n): texts.any(dict(one)) for n, one in enumerate(verdicts)}
+        told = {str(n): texts.any(dict(verdict)) for n, verdict in enumerate(verdicts)}
         writer.add_metadata("verdicts", told)
     writer.add_attachment(0, 0, COLUMNS_ATTACHMENT, "application/x-npz", columns)
     writer.finish()  # type: ignore[no-untyped-call]
@@ -400,22 +402,24 @@ def _read(data: bytes) -> tuple[str, bytes]:
 
 
 def _version(reader: McapReader) -> str:
-    for one in reader.iter_metadata():
-        if one.name == "trace":
-            return str(one.metadata["schema_version"])
+    for item in reader.iter_metadata():
+        if item.name == "trace":
+            return str(item.metadata["schema_version"])
     raise ValueError("it does not say that it is one")
 
 
 def _columns(reader: McapReader) -> bytes:
-    found = [one for one in _attachments(reader) if one[0] == COLUMNS_ATTACHMENT]
-    if len(found) != 1:
-        raise ValueError(f"it has {len(found)} attachments named {COLUMNS_ATTACHMENT}")
-    return found[0][1]
+    attachments = [
+        attachment for attachment in _attachments(reader) if attachment[0] == COLUMNS_ATTACHMENT
+    ]
+    if len(attachments) != 1:
+        raise ValueError(f"it has {len(attachments)} attachments named {COLUMNS_ATTACHMENT}")
+    return attachments[0][1]
 
 
 def _attachments(reader: McapReader) -> Iterator[tuple[str, bytes]]:
-    for one in reader.iter_attachments():
-        yield one.name, one.data
+    for attachment in reader.iter_attachments():
+        yield attachment.name, attachment.data
 
 
 def _unreadable(problem: str, file: Path) -> ConfigurationError:

@@ -47,10 +47,10 @@ def merged_header(parts: Sequence[ShardBundle], output: Path) -> dict[str, Any]:
         output: Where the merged evidence goes.
     """
     first = parts[0].record
-    dirty = [one.record["environment"]["git"]["dirty"] for one in parts]
+    dirty = [part.record["environment"]["git"]["dirty"] for part in parts]
     git = {**first["environment"]["git"], "dirty": True if any(dirty) else dirty[0]}
     return {
-        "created": min(one.record["created"] for one in parts),
+        "created": min(part.record["created"] for part in parts),
         "tool": first["tool"],
         "command": merged_command(first["command"], output),
         "base_seed": first["base_seed"],
@@ -59,10 +59,10 @@ def merged_header(parts: Sequence[ShardBundle], output: Path) -> dict[str, Any]:
         "environment": {**first["environment"], "git": git},
         "execution": first["execution"],
         "argument": first["argument"],
-        "reuse": merged_reuse(one.record["reuse"] for one in parts),
+        "reuse": merged_reuse(part.record["reuse"] for part in parts),
         "shard": None,
         "selection": first["selection"],
-        "merged_from": [_shard_summary(one) for one in parts],
+        "merged_from": [_shard_summary(part) for part in parts],
     }
 
 
@@ -111,20 +111,20 @@ def join_records(record: RecordBuilder, parts: Sequence[ShardBundle]) -> None:
         told = part.record
         report = ItemReport("")
         report.components += [
-            _without(one, _KEYS_OF_ALL_COMPONENTS)
-            for one in components_under_test(told)
-            if one["name"]
+            _without(item, _KEYS_OF_ALL_COMPONENTS)
+            for item in components_under_test(told)
+            if item["name"]
         ]
         report.sources.update(told["component_under_test"].get("sources", {}))
-        report.cases += [_without(one, _KEYS_MADE_ANEW) for one in told["cases"]]
+        report.cases += [_without(case, _KEYS_MADE_ANEW) for case in told["cases"]]
         report.repeats += [
-            {**one["repeat"], "case": one["id"], "component": one["component"]}
-            for one in told["cases"]
-            if one["repeat"] is not None
+            {**case["repeat"], "case": case["id"], "component": case["component"]}
+            for case in told["cases"]
+            if case["repeat"] is not None
         ]
         report.requirements += map(dict, told["requirements"])
         report.monitors += map(dict, told["monitors"])
-        report.models += [{**one, "process": part.name} for one in told["models"]]
+        report.models += [{**model, "process": part.name} for model in told["models"]]
         report.notes += told["reuse"]["problems"]
         record.add(report.to_json())
         for verdict in told["verdicts"]:
@@ -146,9 +146,9 @@ def _trace_owners(parts: Iterable[ShardBundle]) -> dict[tuple[str, ...], int]:
     for part in parts:
         for episode in part.record.episodes():
             if episode["trace"] is not None:
-                one = -_TRACE_REASONS.index(episode["trace"]["kept_for"]), part.index
+                item = -_TRACE_REASONS.index(episode["trace"]["kept_for"]), part.index
                 key = _identity(episode)
-                found[key] = min(one, found.get(key, one))
+                found[key] = min(item, found.get(key, item))
     return {key: index for key, (_, index) in found.items()}
 
 
@@ -178,15 +178,17 @@ def merged_inputs(parts: Iterable[ShardBundle]) -> list[dict[str, Any]]:
     """Every input file of any part; changed, if it changed while one of them ran."""
     found: dict[tuple[str, str], dict[str, Any]] = {}
     for part in parts:
-        for one in part.record["inputs"]:
-            known = found.setdefault((one["path"], one["kind"]), dict(one))
-            known["changed"] |= one["changed"]
+        for item in part.record["inputs"]:
+            known = found.setdefault((item["path"], item["kind"]), dict(item))
+            known["changed"] |= item["changed"]
     return [found[key] for key in sorted(found)]
 
 
 def merged_cassettes(parts: Iterable[ShardBundle]) -> dict[tuple[Any, ...], Any]:
     """The cassette of each language model; see :func:`model_key`."""
-    return {model_key(one): one["cassette"] for part in parts for one in part.record["models"]}
+    return {
+        model_key(model): model["cassette"] for part in parts for model in part.record["models"]
+    }
 
 
 def model_key(model: Data) -> tuple[Any, ...]:
@@ -209,12 +211,12 @@ def merged_gate(
         searches: Of the merged record.
         objections: What stands against the merged record itself.
     """
-    codes = {one.record["gate"]["exit_code"] for one in parts}
+    codes = {part.record["gate"]["exit_code"] for part in parts}
     against = [reason for part in parts for reason in _objections(part)]
     code = NO_TESTS
     if codes != {NO_TESTS}:
-        idle = [one for one in parts if one.record["gate"]["exit_code"] == NO_TESTS]
-        against += [f"{one.name}: no test was run" for one in idle]
+        idle = [part for part in parts if part.record["gate"]["exit_code"] == NO_TESTS]
+        against += [f"{item.name}: no test was run" for item in idle]
         found = codes - {OK, NO_TESTS}
         code = found.pop() if len(found) == 1 else TESTS_FAILED if found else OK
     return Gate.of(
@@ -223,7 +225,7 @@ def merged_gate(
         searches=searches,
         interrupted=False,
         exit_code=code,
-        failed=sum(one.record["gate"]["failed"] for one in parts),
+        failed=sum(part.record["gate"]["failed"] for part in parts),
         warn_undecided=parts[0].record["gate"]["warn_undecided"],
     )
 
@@ -253,17 +255,17 @@ def check_output(output: Path, inputs: Sequence[Path]) -> None:
         ConfigurationError: If the merged evidence cannot go there.
     """
     place = output.resolve()
-    for one in inputs:
-        bundle = one.resolve()
+    for item in inputs:
+        bundle = item.resolve()
         if place == bundle or place.is_relative_to(bundle) or bundle.is_relative_to(place):
             raise _output_error(
-                "the merged evidence would go into what is merged, or around it", output, str(one)
+                "the merged evidence would go into what is merged, or around it", output, str(item)
             )
     if output.is_symlink():
         raise _output_error("the merged evidence would go where a symbolic link leads", output)
     if output.exists() and not output.is_dir():
         raise _output_error("the merged evidence goes into a directory, and this is a file", output)
-    if output.is_dir() and (held := {one.name for one in output.iterdir()} - {LOCK_FILE}):
+    if output.is_dir() and (held := {path.name for path in output.iterdir()} - {LOCK_FILE}):
         raise _output_error("this directory is not empty", output, min(held))
 
 
@@ -291,8 +293,8 @@ def copy_traces(record: SessionRecord, parts: Sequence[ShardBundle]) -> None:
     }
     for episode in record.episodes():
         if episode["trace"] is not None:
-            told = episode["trace"]
-            _copy(places[told["file"], told["sha256"]], record.directory, told)
+            trace = episode["trace"]
+            _copy(places[trace["file"], trace["sha256"]], record.directory, trace)
 
 
 def _copy(source: Path, target: Path, told: Mapping[str, Any]) -> None:
@@ -370,10 +372,12 @@ class MergeComparison:
 
     def inputs(self) -> list[dict[str, Any]]:
         """The baseline's file, as the record names its inputs."""
-        one = self.baseline
-        if one is None:
+        baseline = self.baseline
+        if baseline is None:
             return []
-        return [{"path": one.path, "kind": "baseline", "sha256": one.sha256, "changed": False}]
+        return [
+            {"path": baseline.path, "kind": "baseline", "sha256": baseline.sha256, "changed": False}
+        ]
 
 
 NO_COMPARISON = MergeComparison()
@@ -421,7 +425,7 @@ def _write_merged(
     join_records(record, parts)
     whole = record.record("complete")
     tapes = merged_cassettes(parts)
-    models = [{**one, "cassette": tapes[model_key(one)]} for one in whole["models"]]
+    models = [{**model, "cassette": tapes[model_key(model)]} for model in whole["models"]]
     whole = held.compared(replace(whole, head={**whole.head, "models": models}))
     copy_traces(whole, parts)
     against = [*record.problems, *held.objections(whole)]
@@ -432,15 +436,15 @@ def _write_merged(
 def _conclude_merged(
     record: SessionRecord, parts: Sequence[ShardBundle], gate: Gate, held: MergeComparison
 ) -> SessionRecord:
-    spent = [one.record["timings"] for one in parts]
-    ended = max(one.record["finished"] for one in parts)
+    spent = [part.record["timings"] for part in parts]
+    ended = max(part.record["finished"] for part in parts)
     return conclude_record(
         record,
         finished=None if record["status"] == "running" else ended,
         gate=gate.to_json(),
         inputs=[*merged_inputs(parts), *held.inputs()],
-        wall_seconds=sum(one["wall_seconds"] for one in spent),
-        evidence_seconds=sum(one["evidence_seconds"] for one in spent),
+        wall_seconds=sum(item["wall_seconds"] for item in spent),
+        evidence_seconds=sum(item["evidence_seconds"] for item in spent),
         # The shards took out the secrets of the machines on which they ran.
         redact=lambda same: same,
     )

@@ -48,8 +48,8 @@ class ShardBundle:
     @property
     def shard(self) -> Data:
         """Which part of which session it is."""
-        found: Data = self.record["shard"]
-        return found
+        shard: Data = self.record["shard"]
+        return shard
 
     @property
     def index(self) -> int:
@@ -59,7 +59,7 @@ class ShardBundle:
     @property
     def units(self) -> list[ShardUnit]:
         """What it holds."""
-        return [ShardUnit.from_json(one) for one in self.shard["holds"]]
+        return [ShardUnit.from_json(hold) for hold in self.shard["holds"]]
 
     @property
     def name(self) -> str:
@@ -75,19 +75,19 @@ def read_parts(directories: Iterable[Path]) -> list[ShardBundle]:
     Raises:
         ConfigurationError: If one is no intact bundle of a shard that came to its end.
     """
-    return sorted(map(_read_part, directories), key=lambda one: one.index)
+    return sorted(map(_read_part, directories), key=lambda item: item.index)
 
 
 def _read_part(directory: Path) -> ShardBundle:
-    found = verify_bundle(directory)
+    bundle = verify_bundle(directory)
     file = str(directory / RECORD_FILE)
-    if not found.intact:
-        more = len(found.problems) - 1
+    if not bundle.intact:
+        more = len(bundle.problems) - 1
         raise ConfigurationError(
             "this bundle cannot be merged, because it is not intact",
             file=file,
             key="BUNDLE",
-            found=one_line(found.problems[0], _MAX_PROBLEM_TEXT)
+            found=one_line(bundle.problems[0], _MAX_PROBLEM_TEXT)
             + (f" and {more} more" if more else ""),
             expected="an intact bundle of a shard that came to its end",
             remedy=f"see `python -m pytest_dura verify {directory}`; copy it again, or run the "
@@ -152,18 +152,18 @@ def check_complete(parts: Sequence[ShardBundle]) -> None:
 
 
 def _check_numbers(parts: Sequence[ShardBundle]) -> None:
-    for one, other in pairwise(parts):
-        if one.index == other.index:
+    for item, other in pairwise(parts):
+        if item.index == other.index:
             raise ConfigurationError(
-                f"{one.name} is there twice",
+                f"{item.name} is there twice",
                 file=other.file,
                 key="shard.index",
                 found=other.index,
-                expected=f"another shard than that of {one.file}",
+                expected=f"another shard than that of {item.file}",
                 remedy="name each shard's bundle once",
             )
     count = parts[0].shard["count"]
-    there = {one.index for one in parts}
+    there = {part.index for part in parts}
     # A record may name any number of shards: the first of those that are missing are enough.
     absent = (index for index in range(1, count + 1) if index not in there)
     missing = list(islice(absent, _MAX_LISTED_UNITS + 1))
@@ -176,7 +176,7 @@ def _check_numbers(parts: Sequence[ShardBundle]) -> None:
             f"{several} {names} of {count} {verb} missing, and without every shard there is no "
             "gate on the whole",
             key="BUNDLE",
-            found=", ".join(str(one.record.directory) for one in parts),
+            found=", ".join(str(part.record.directory) for part in parts),
             expected=f"the bundles of all {count} shards",
             remedy=f"fetch what is missing, or run it: --dura-shard={missing[0]}/{count}",
         )
@@ -184,25 +184,25 @@ def _check_numbers(parts: Sequence[ShardBundle]) -> None:
 
 def _check_units(parts: Sequence[ShardBundle]) -> None:
     holder: dict[tuple[str, str], ShardBundle] = {}
-    for one in parts:
-        for unit in one.units:
+    for part in parts:
+        for unit in part.units:
             if unit.key in holder:
                 raise ConfigurationError(
                     f"{unit.name!r} is in two shards, and would count twice",
-                    file=one.file,
+                    file=part.file,
                     key="shard.holds",
                     found=unit.name,
                     expected=f"in one shard alone; it is in {holder[unit.key].file}, too",
                     remedy="run the shards again: no two of them hold the same",
                 )
-            holder[unit.key] = one
-    found = plan_digest(unit for one in parts for unit in one.units)
-    if found != parts[0].shard["plan"]:
+            holder[unit.key] = part
+    digest = plan_digest(unit for part in parts for unit in part.units)
+    if digest != parts[0].shard["plan"]:
         raise ConfigurationError(
             "the shards together do not hold what the whole session was to run",
             file=parts[0].file,
             key="shard.plan",
-            found=f"{len(holder)} units with the digest {found}",
+            found=f"{len(holder)} units with the digest {digest}",
             expected=f"{parts[0].shard['units']} units with the digest {parts[0].shard['plan']}",
             remedy="a record was changed, or written by another version; run the shards again",
         )
@@ -238,13 +238,13 @@ def check_consistent(parts: Sequence[ShardBundle]) -> None:
             for key, value in told(part.record):
                 before, where = known.setdefault(key, (value, part))
                 if before != value:
-                    place, one, other = _first_difference(key, before, value)
+                    place, item, other = _first_difference(key, before, value)
                     raise ConfigurationError(
                         "the shards were not made alike",
                         file=part.file,
                         key=place,
                         found=other,
-                        expected=f"{shorten(one)}, as in {where.file}",
+                        expected=f"{shorten(item)}, as in {where.file}",
                         remedy=remedy,
                     )
     _check_seen(parts)
@@ -259,10 +259,10 @@ def _check_seen(parts: Sequence[ShardBundle]) -> None:
             known.setdefault(key, part)
     for part in parts:
         inputs = part.record["inputs"]
-        tests = [PurePosixPath(one["path"]) for one in inputs if one["kind"] == "test"]
+        tests = [PurePosixPath(item["path"]) for item in inputs if item["kind"] == "test"]
         for kind, path in sorted(known.keys() - _seen_files(part)):
             folder = PurePosixPath(path).parent
-            used = any(folder in one.parents for one in tests)
+            used = any(folder in test.parents for test in tests)
             if kind == "conftest" and not used and not (folder == _ROOT and _simulated(part)):
                 continue
             raise ConfigurationError(
@@ -277,7 +277,7 @@ def _check_seen(parts: Sequence[ShardBundle]) -> None:
 
 def _seen_files(part: ShardBundle) -> set[tuple[str, str]]:
     kinds = ("conftest", "configuration")
-    return {(one["kind"], one["path"]) for one in part.record["inputs"] if one["kind"] in kinds}
+    return {(item["kind"], item["path"]) for item in part.record["inputs"] if item["kind"] in kinds}
 
 
 def _simulated(part: ShardBundle) -> bool:
@@ -287,7 +287,7 @@ def _simulated(part: ShardBundle) -> bool:
 def _check_verdicts(parts: Sequence[ShardBundle]) -> None:
     searched: dict[str, ShardBundle] = {}
     for part in parts:
-        for item in {one["item"] for one in part.record["searches"]}:
+        for item in {search["item"] for search in part.record["searches"]}:
             first = searched.setdefault(item, part)
             if first is not part:
                 raise ConfigurationError(
@@ -336,13 +336,13 @@ def _check_version(part: ShardBundle) -> None:
         )
 
 
-def _first_difference(key: str, one: Any, other: Any) -> tuple[str, Any, Any]:
+def _first_difference(key: str, item: Any, other: Any) -> tuple[str, Any, Any]:
     """Where two values differ first, and by what."""
-    if isinstance(one, Mapping) and isinstance(other, Mapping):
-        for name in sorted({*one, *other}):
-            if one.get(name) != other.get(name):
-                return _first_difference(f"{key}.{name}", one.get(name), other.get(name))
-    return key, one, other
+    if isinstance(item, Mapping) and isinstance(other, Mapping):
+        for name in sorted({*item, *other}):
+            if item.get(name) != other.get(name):
+                return _first_difference(f"{key}.{name}", item.get(name), other.get(name))
+    return key, item, other
 
 
 def _session(record: SessionRecord) -> NamedValues:
@@ -361,38 +361,43 @@ def _code(record: SessionRecord) -> NamedValues:
 
 
 def _under_test(record: SessionRecord) -> NamedValues:
-    known = [one for one in components_under_test(record) if one["name"] is not None]
-    times = Counter(one["name"] for one in known)
-    for one in known:
-        told = {key: value for key, value in one.items() if key not in ("others", "sources")}
-        alone = times[one["name"]] == 1
-        made = "" if alone else f" {json.dumps([one['path'], one['params']], sort_keys=True)}"
-        yield f"component_under_test {one['name']}{made}", told
+    known = [item for item in components_under_test(record) if item["name"] is not None]
+    times = Counter(item["name"] for item in known)
+    for entry in known:
+        told = {key: value for key, value in entry.items() if key not in ("others", "sources")}
+        alone = times[entry["name"]] == 1
+        made = "" if alone else f" {json.dumps([entry['path'], entry['params']], sort_keys=True)}"
+        yield f"component_under_test {entry['name']}{made}", told
 
 
 def _read_files(record: SessionRecord) -> NamedValues:
-    for one in record["inputs"]:
-        yield f"inputs {one['kind']} {one['path']}", one["sha256"]
+    for item in record["inputs"]:
+        yield f"inputs {item['kind']} {item['path']}", item["sha256"]
 
 
 def _asked_questions(record: SessionRecord) -> NamedValues:
-    for one in record["requirements"]:
-        yield f"requirements {one['id']}", one
-    for one in record["cases"]:
-        told = {key: value for key, value in one.items() if key not in _KEYS_THAT_MAY_DIFFER}
-        yield f"cases {one['id']} with {one['component']}", told
+    for requirement in record["requirements"]:
+        yield f"requirements {requirement['id']}", requirement
+    for requirement in record["cases"]:
+        told = {
+            key: value for key, value in requirement.items() if key not in _KEYS_THAT_MAY_DIFFER
+        }
+        yield f"cases {requirement['id']} with {requirement['component']}", told
 
 
 def _measured(record: SessionRecord) -> NamedValues:
-    for one in record["monitors"]:
-        names = (one[name] for name in ("case", "component", "target", "monitor"))
-        yield f"monitors {' '.join(names)}", one
+    for monitor in record["monitors"]:
+        names = (monitor[name] for name in ("case", "component", "target", "monitor"))
+        yield f"monitors {' '.join(names)}", monitor
 
 
 def _models(record: SessionRecord) -> NamedValues:
-    for one in record["models"]:
-        told = {key: one[key] for key in ("capabilities", "cassette")}
-        yield f"models {one['component']} {one['model']} {one['fingerprint']} {one['mode']}", told
+    for model in record["models"]:
+        told = {key: model[key] for key in ("capabilities", "cassette")}
+        yield (
+            f"models {model['component']} {model['model']} {model['fingerprint']} {model['mode']}",
+            told,
+        )
 
 
 _COMPARED_VALUES: tuple[tuple[Callable[[SessionRecord], NamedValues], str], ...] = (

@@ -203,7 +203,11 @@ class SharedViolations:
         self._counts: list[int | None] = [None] * len(verdicts)
         self._wanted: dict[tuple[str, str], list[tuple[int, str]]] = {}
         for place, verdict in enumerate(verdicts):
-            valid = [one["episode"] for one in verdict["counterexamples"] if one["valid"]]
+            valid = [
+                counterexample["episode"]
+                for counterexample in verdict["counterexamples"]
+                if counterexample["valid"]
+            ]
             for episode in valid:
                 key = verdict["component"], episode
                 self._wanted.setdefault(key, []).append((place, verdict["requirement"]))
@@ -281,8 +285,8 @@ class CaseMetrics:
         Args:
             episode: Of :func:`episode_record`.
         """
-        told = episode["outcome"]
-        known = {**{key: told[key] for key in COUNTED_OUTCOMES}, **_derived(episode)}
+        outcome = episode["outcome"]
+        known = {**{key: outcome[key] for key in COUNTED_OUTCOMES}, **_derived(episode)}
         raised = [key for key, value in known.items() if value]
         self._words[episode["validity"]] += 1
         self._early += episode["termination"] == "decided"
@@ -292,14 +296,14 @@ class CaseMetrics:
         if episode["validity"] != "valid":
             return
         self._in_valid.update(raised)
-        self._sums.update({key: told[key] for key in ("recoveries", "alerts")})
+        self._sums.update({key: outcome[key] for key in ("recoveries", "alerts")})
         self._reactions.update(episode["metrics"]["reactions"])
-        self._clears |= told["gridlock"] is not None
-        if told["clearance_time"] is not None:
-            self._times.append(told["clearance_time"])
+        self._clears |= outcome["gridlock"] is not None
+        if outcome["clearance_time"] is not None:
+            self._times.append(outcome["clearance_time"])
         self._failure_modes.add(episode["metrics"])
-        if told["switching"]["decisions"]:
-            self._add_switching(told["switching"])
+        if outcome["switching"]["decisions"]:
+            self._add_switching(outcome["switching"])
         for name, value in episode["metrics"]["user"].items():
             column = self._user.setdefault(name, array("d"))
             if value is not None:
@@ -330,7 +334,7 @@ class CaseMetrics:
         return {
             "planned": planned,
             "run": self._words.total(),
-            **{word: self._words[word] for word in ("valid", "invalid", "missing")},
+            **{name: self._words[name] for name in ("valid", "invalid", "missing")},
             "ended_early": self._early,
             **{key: self._share(key, planned) for key in COUNTED_OUTCOMES},
             "clearance_time": clearance if self._clears else None,

@@ -114,8 +114,8 @@ class Counts:
     @classmethod
     def of(cls, record: SessionRecord) -> Counts:
         """Counted in the record itself, and not taken from its ``totals``."""
-        validity = Counter(one["validity"] for one in record.episodes())
-        words = Counter(one["verdict"] for one in record["verdicts"])
+        validity = Counter(episode["validity"] for episode in record.episodes())
+        words = Counter(verdict["verdict"] for verdict in record["verdicts"])
         return cls(
             gate=record["gate"]["result"],
             requirements=len(record["requirements"]),
@@ -127,5 +127,5 @@ class Counts:
             supported=words["supported"],
             violated=words["violated"],
             undecided=words["undecided"],
-            waived=sum(one["waiver"] is not None for one in record["verdicts"]),
+            waived=sum(verdict["waiver"] is not None for verdict in record["verdicts"]),
         )

@@ -71,10 +71,10 @@ def is_common(value: str) -> bool:
 
 def _password(url: str) -> str | None:
     try:
-        found = urlsplit(url).password
+        password = urlsplit(url).password
     except ValueError:  # no URL after all
         return None
-    return None if found is None else unquote(found)
+    return None if password is None else unquote(password)
 
 
 _SHELL_ARGUMENT = r"""(?:'[^']*'|"(?:\\.|[^"\\])*"|\\.|[^\s'"\\])+"""
@@ -196,8 +196,8 @@ def base64_cores(value: str) -> set[str]:
     for offset in range(3):
         encoded = base64.b64encode(b"\0" * offset + data).decode("ascii")
         core = encoded[(0, 2, 3)[offset] : (offset + len(data)) * 8 // 6]
-        for one in (core, core.translate(_URL_SAFE)):
-            found |= {one, quote(one, safe="")}
+        for item in (core, core.translate(_URL_SAFE)):
+            found |= {item, quote(item, safe="")}
     return found
 
 
@@ -236,10 +236,10 @@ _BASE64 = string.ascii_letters + string.digits + "+/-_%"
 _URL_SAFE = str.maketrans("+/", "-_")
 
 
-def _common_length(one: str, other: str) -> int:
+def _common_length(item: str, other: str) -> int:
     """Length of the common beginning."""
-    pairs = zip(one, other, strict=False)
-    return next((i for i, (a, b) in enumerate(pairs) if a != b), min(len(one), len(other)))
+    pairs = zip(item, other, strict=False)
+    return next((i for i, (a, b) in enumerate(pairs) if a != b), min(len(item), len(other)))
 
 
 def _bytes(value: str) -> bytes:
@@ -248,13 +248,13 @@ def _bytes(value: str) -> bytes:
 
 
 def _fits_base64(value: str) -> bool:
-    return all(not "\ud800" <= one <= "\udfff" or "\udc80" <= one <= "\udcff" for one in value)
+    return all(not "\ud800" <= item <= "\udfff" or "\udc80" <= item <= "\udcff" for item in value)
 
 
 def _small_hex(text: str) -> str:
     """The same with ``%2f`` for ``%2F``."""
     head, *rest = text.split("%")
-    return "%".join([head, *(one[:2].lower() + one[2:] for one in rest)])
+    return "%".join([head, *(item[:2].lower() + item[2:] for item in rest)])
 
 
 PIECE = 12
@@ -302,7 +302,7 @@ class Redactor:
     def learn(self, environ: Mapping[str, str]) -> None:
         """Take in secrets that the environment has by now; those known before stay known."""
         # Asked before whatever is written, when hardly anything has changed.
-        fresh = {name: one for name, one in environ.items() if self._seen.get(name) != one}
+        fresh = {name: item for name, item in environ.items() if self._seen.get(name) != item}
         self._seen.update(fresh)
         for name, value in secrets_of(fresh, self._globs):
             self.add(name, value)
@@ -377,8 +377,8 @@ class _Active:
             self.steps.append(_replacing(cores, encoded=True))
         if forms:
             self.steps.append(_replacing(forms))
-        self.steps += [partial(_cut_pieces, *one) for one in pieces.items()]
-        self.steps += [partial(_shaped, one) for one in shapes]
+        self.steps += [partial(_cut_pieces, *piece) for piece in pieces.items()]
+        self.steps += [partial(_shaped, shape) for shape in shapes]
 
     def __bool__(self) -> bool:
         """Whether there may be anything to redact."""
@@ -499,14 +499,14 @@ def _texts(value: Any) -> Iterator[str]:
     """Every text in plain data, keys too, in no particular order."""
     left = [value]
     while left:
-        one = left.pop()
-        if isinstance(one, str):
-            yield one
-        elif isinstance(one, Mapping):
-            yield from (key for key in one if isinstance(key, str))
-            left.extend(one.values())
-        elif isinstance(one, (list, tuple)):
-            left.extend(one)
+        item = left.pop()
+        if isinstance(item, str):
+            yield item
+        elif isinstance(item, Mapping):
+            yield from (key for key in item if isinstance(key, str))
+            left.extend(item.values())
+        elif isinstance(item, (list, tuple)):
+            left.extend(item)
 
 
 def _is_record_vocabulary(value: str) -> bool:

@@ -73,8 +73,8 @@ def schema_text() -> str:
 @cache
 def record_schema() -> dict[str, Any]:
     """The schema as data; not to be changed."""
-    found: dict[str, Any] = json.loads(schema_text())
-    return found
+    data: dict[str, Any] = json.loads(schema_text())
+    return data
 
 
 def check_record(record: SessionRecord | Mapping[str, Any]) -> list[str]:
@@ -114,13 +114,13 @@ def _vocabulary() -> frozenset[str]:
     found: set[str] = set()
     left: list[Any] = [record_schema()]
     while left:
-        one = left.pop()
-        if isinstance(one, list):
-            left += one
-        elif isinstance(one, dict):
-            left += one.values()
-            found.update(one.get("properties", {}))
-            choices = [*one.get("enum", ()), one.get("const")]
+        item = left.pop()
+        if isinstance(item, list):
+            left += item
+        elif isinstance(item, dict):
+            left += item.values()
+            found.update(item.get("properties", {}))
+            choices = [*item.get("enum", ()), item.get("const")]
             found.update(choice for choice in choices if isinstance(choice, str))
     return frozenset(found)
 
@@ -153,21 +153,22 @@ def _is_integer(_: object, value: object) -> bool:
 
 def _error_lines(errors: Iterable[ValidationError], prefix: str = "") -> Iterator[str]:
     for error in errors:
-        found = _probable_error(error)
-        yield f"{prefix}{_pointer(found.absolute_path) or ('' if prefix else '/')}: {_why(found)}"
+        probable_error = _probable_error(error)
+        pointer = _pointer(probable_error.absolute_path) or ("" if prefix else "/")
+        yield f"{prefix}{pointer}: {_why(probable_error)}"
 
 
 def _probable_error(error: ValidationError) -> ValidationError:
     """Of an error with alternatives, that of the one which was probably meant."""
     while error.context:
         branches: dict[Any, list[ValidationError]] = {}
-        for one in error.context:
-            branches.setdefault(one.relative_schema_path[0], []).append(one)
+        for item in error.context:
+            branches.setdefault(item.relative_schema_path[0], []).append(item)
         # Null is an alternative to most, and meant by none that is something else.
         close = [
-            found
-            for found in branches.values()
-            if not any(one.validator == "type" and not one.relative_path for one in found)
+            branch
+            for branch in branches.values()
+            if not any(item.validator == "type" and not item.relative_path for item in branch)
         ]
         if not close:
             break
@@ -184,7 +185,7 @@ def _why(error: Any) -> str:
     if keyword == "type":
         return f"found {_kind(found)}, expected {_alternatives(wanted, str)}"
     if keyword == "anyOf":
-        kinds = [one.validator_value for one in error.context if one.validator == "type"]
+        kinds = [item.validator_value for item in error.context if item.validator == "type"]
         return f"found {_kind(found)}, expected {_alternatives(kinds, str) or 'another form'}"
     limits = {"enum": "", "const": "", "pattern": "a text like ", "minimum": "at least "}
     told = limits.get(keyword, f"{keyword} ")
@@ -247,10 +248,10 @@ def schema_tables() -> str:
     """A table of the record's keys, and one for each kind of entry, in Markdown."""
     whole = record_schema()
     lines = ["### The record", "", *_property_table(whole)]
-    for name, one in whole["$defs"].items():
+    for name, item in whole["$defs"].items():
         if name not in HIDDEN_DEFINITIONS:
-            lines += ["", f"### {name}", "", one["description"]]
-            lines += ["", *_property_table(one)] if list(_property_rows(one, "")) else []
+            lines += ["", f"### {name}", "", item["description"]]
+            lines += ["", *_property_table(item)] if list(_property_rows(item, "")) else []
     return "\n".join([*lines, ""])
 
 
@@ -260,37 +261,37 @@ def _property_table(part: Data) -> list[str]:
 
 def _property_rows(part: Data, prefix: str) -> Iterator[str]:
     """A row for each property, and for those below it that have no table of their own."""
-    for name, one in part.get("properties", {}).items():
-        said = one.get("description", "").replace("|", "\\|")
-        yield f"| `{prefix}{name}` | {_value_text(one)} | {said} |"
-        yield from _property_rows(one, f"{prefix}{name}.")
+    for name, item in part.get("properties", {}).items():
+        text = item.get("description", "").replace("|", "\\|")
+        yield f"| `{prefix}{name}` | {_value_text(item)} | {text} |"
+        yield from _property_rows(item, f"{prefix}{name}.")
     for key, mark in (("items", "[]."), ("additionalProperties", ".*.")):
         if isinstance(part.get(key), dict):
             yield from _property_rows(part[key], f"{prefix.removesuffix('.')}{mark}")
-    for one in part.get("anyOf", ()):
-        yield from _property_rows(one, prefix)
+    for item in part.get("anyOf", ()):
+        yield from _property_rows(item, prefix)
 
 
-def _value_text(one: Data) -> str:
+def _value_text(item: Data) -> str:
     """What a key may hold, in words."""
-    if "$ref" in one:
-        name = one["$ref"].rpartition("/")[2]
+    if "$ref" in item:
+        name = item["$ref"].rpartition("/")[2]
         return f"[{name}](#{name})" if name not in HIDDEN_DEFINITIONS else "as a verdict"
-    if "anyOf" in one:
-        return " or ".join(_value_text(each) for each in one["anyOf"])
-    if "const" in one:
-        return f"`{one['const']}`"
-    if "enum" in one:
-        return ", ".join("null" if each is None else f"`{each}`" for each in one["enum"])
-    kinds = one.get("type", "anything")
-    told = " or ".join(
+    if "anyOf" in item:
+        return " or ".join(_value_text(each) for each in item["anyOf"])
+    if "const" in item:
+        return f"`{item['const']}`"
+    if "enum" in item:
+        return ", ".join("null" if each is None else f"`{each}`" for each in item["enum"])
+    kinds = item.get("type", "anything")
+    text = " or ".join(
         _TYPE_NAMES.get(kind, kind) for kind in ([kinds] if isinstance(kinds, str) else kinds)
     )
-    inner = one.get("items", one.get("additionalProperties"))
+    inner = item.get("items", item.get("additionalProperties"))
     if isinstance(inner, dict) and ("$ref" in inner or "type" in inner):
-        told = told.replace("list", f"list of {_value_text(inner)}", 1)
-        told = told.replace("mapping", f"mapping to {_value_text(inner)}", 1)
-    return told
+        text = text.replace("list", f"list of {_value_text(inner)}", 1)
+        text = text.replace("mapping", f"mapping to {_value_text(inner)}", 1)
+    return text
 
 
 _TYPE_NAMES = {

@@ -31,8 +31,8 @@ class ReuseRecord:
     def add(self, report: Data) -> None:
         """What an item told: its ``notes``, and the origins of what it ``searched``."""
         self._notes.update(report["notes"])
-        for one in report["searched"]:
-            self._searched.setdefault(one["run"], one)
+        for item in report["searched"]:
+            self._searched.setdefault(item["run"], item)
 
     def to_json(self, header: Data) -> dict[str, Any]:
         """What the record says of reuse, what follows from its episodes apart.
@@ -68,8 +68,8 @@ def origin_counts(episodes: Iterable[Data]) -> dict[str, Any]:
     """
     sessions: Counter[str] = Counter()
     changes: Counter[tuple[str, ...]] = Counter()
-    for one in episodes:
-        session, changed = one["origin"]["session"], one["origin"]["changed"]
+    for episode in episodes:
+        session, changed = episode["origin"]["session"], episode["origin"]["changed"]
         if session is not None:
             sessions[session] += 1
         elif changed is not None:
@@ -80,17 +80,21 @@ def origin_counts(episodes: Iterable[Data]) -> dict[str, Any]:
 def _origin_summary(sessions: Counter[str], changes: Counter[tuple[str, ...]]) -> dict[str, Any]:
     return {
         "taken_over": sessions.total(),
-        "sessions": [{"session": one, "episodes": sessions[one]} for one in sorted(sessions)],
-        "outdated": [{"changed": list(one), "episodes": changes[one]} for one in sorted(changes)],
+        "sessions": [
+            {"session": session, "episodes": sessions[session]} for session in sorted(sessions)
+        ],
+        "outdated": [
+            {"changed": list(change), "episodes": changes[change]} for change in sorted(changes)
+        ],
     }
 
 
 def merged_reuse(parts: Iterable[Data]) -> dict[str, Any]:
     """What the record of merged shards begins with: each of them was a session of its own."""
     told = list(parts)
-    searched = [one["searched"] for one in told if one["searched"] is not None]
+    searched = [item["searched"] for item in told if item["searched"] is not None]
     return {
-        "mode": max((one["mode"] for one in told), key=REUSE_MODES.index),
+        "mode": max((item["mode"] for item in told), key=REUSE_MODES.index),
         "session": None,
         "searched": _summed_origins(searched) if searched else None,
     }
@@ -100,11 +104,11 @@ def _summed_origins(counts: Sequence[Data]) -> dict[str, Any]:
     """The sum of several :func:`searched_counts`; no two shards make the same search."""
     sessions: Counter[str] = Counter()
     changes: Counter[tuple[str, ...]] = Counter()
-    for one in counts:
-        sessions.update({each["session"]: each["episodes"] for each in one["sessions"]})
-        changes.update({tuple(each["changed"]): each["episodes"] for each in one["outdated"]})
+    for count in counts:
+        sessions.update({each["session"]: each["episodes"] for each in count["sessions"]})
+        changes.update({tuple(each["changed"]): each["episodes"] for each in count["outdated"]})
     return {
-        "simulations": sum(one["simulations"] for one in counts),
+        "simulations": sum(count["simulations"] for count in counts),
         **_origin_summary(sessions, changes),
     }
 
@@ -123,14 +127,14 @@ def reuse_problems(record: SessionRecord) -> Iterator[str]:
             yield f"reuse: {key} is {told[key]}, and its episodes say {value}"
     if told["mode"] == "none" and (again["taken_over"] or again["outdated"]):
         yield "reuse: episodes of earlier sessions, though none was asked for"
-    if told["session"] in {one["session"] for one in again["sessions"]}:
+    if told["session"] in {session["session"] for session in again["sessions"]}:
         yield "reuse: the session took over episodes from itself"
     if (told["session"] is None) != (record["merged_from"] is not None):
         yield "reuse: a session has an id, and merged shards have none"
     yield from _searched_problems(told["mode"], told["session"], told["searched"])
-    for one in record.episodes():
-        if one["origin"]["session"] is not None and one["validity"] == "missing":
-            yield f"episode {one['id']}: it was taken over, and it is missing"
+    for episode in record.episodes():
+        if episode["origin"]["session"] is not None and episode["validity"] == "missing":
+            yield f"episode {episode['id']}: it was taken over, and it is missing"
 
 
 def _searched_problems(
@@ -142,13 +146,13 @@ def _searched_problems(
     if searched is None:
         return
     taken, again = (
-        sum(one["episodes"] for one in searched[key]) for key in ("sessions", "outdated")
+        sum(item["episodes"] for item in searched[key]) for key in ("sessions", "outdated")
     )
     if searched["taken_over"] != taken:
         yield f"reuse: {searched['taken_over']} runs of searches, and their sessions say {taken}"
     if taken + again > searched["simulations"]:
         yield f"reuse: {searched['simulations']} runs of searches, and {taken + again} origins"
-    if session in {one["session"] for one in searched["sessions"]}:
+    if session in {session["session"] for session in searched["sessions"]}:
         yield "reuse: the session took over runs of searches from itself"
 
 
@@ -205,8 +209,8 @@ def plan_digest(units: Iterable[ShardUnit]) -> str:
     have it as well.
     """
     told = [
-        [one.kind, one.name, one.items, one.episodes, one.digest]
-        for one in sorted(units, key=lambda one: one.key)
+        [unit.kind, unit.name, unit.items, unit.episodes, unit.digest]
+        for unit in sorted(units, key=lambda unit: unit.key)
     ]
     return hashlib.sha256(json.dumps(told).encode()).hexdigest()
 
@@ -224,11 +228,11 @@ def split_units(units: Iterable[ShardUnit], count: int) -> list[list[ShardUnit]]
     """
     shards: list[list[ShardUnit]] = [[] for _ in range(count)]
     loads = [(0, 0, index) for index in range(count)]  # a heap
-    for unit in sorted(units, key=lambda one: (-one.episodes, -one.items, one.key)):
+    for unit in sorted(units, key=lambda unit: (-unit.episodes, -unit.items, unit.key)):
         episodes, items, index = loads[0]
         shards[index].append(unit)
         heapreplace(loads, (episodes + unit.episodes, items + unit.items, index))
-    return [sorted(shard, key=lambda one: one.key) for shard in shards]
+    return [sorted(shard, key=lambda item: item.key) for shard in shards]
 
 
 def shard_problems(record: SessionRecord) -> Iterator[str]:
@@ -245,7 +249,7 @@ def _shard_part_problems(record: SessionRecord) -> Iterator[str]:
         yield "shard: it is a shard, and merged from shards"
     if shard["index"] > shard["count"]:
         yield f"shard: {shard['index']} of {shard['count']}"
-    held = [ShardUnit.from_json(one) for one in shard["holds"]]
+    held = [ShardUnit.from_json(hold) for hold in shard["holds"]]
     keys = [unit.key for unit in held]
     if keys != sorted(set(keys)):
         yield "shard: its units are not sorted, or one is listed twice"
@@ -268,18 +272,18 @@ def _merged_problems(record: SessionRecord) -> Iterator[str]:
     if (
         not parts
         or len(parts) != parts[0]["count"]
-        or any(one["index"] != number for number, one in enumerate(parts, 1))
+        or any(part["index"] != number for number, part in enumerate(parts, 1))
     ):
         yield "merged_from: not every shard once"
         return
-    if len({(one["count"], one["plan"]) for one in parts}) > 1:
+    if len({(part["count"], part["plan"]) for part in parts}) > 1:
         yield "merged_from: shards of several plans"
-    if record["created"] != min(one["created"] for one in parts):
+    if record["created"] != min(part["created"] for part in parts):
         yield "created: not when the first of its shards began"
     if record["status"] == "complete" and record["finished"] != max(
-        one["finished"] for one in parts
+        part["finished"] for part in parts
     ):
         yield "finished: not when the last of its shards ended"
-    failed = [one["index"] for one in parts if one["gate"] != "passed" or one["exit_code"]]
+    failed = [part["index"] for part in parts if part["gate"] != "passed" or part["exit_code"]]
     if failed and record["gate"]["result"] == "passed":
         yield f"gate: passed, although shard {failed[0]} did not pass"

@@ -43,9 +43,9 @@ def episode_name(about: Mapping[str, Any]) -> str:
 
 def slug(text: str) -> str:
     """The text as the part of a file's name; two texts may have the same one."""
-    found = re.sub(r"[^A-Za-z0-9._-]+", "-", text[: 4 * MAX_SLUG])
-    found = re.sub(r"\.{2,}", ".", found).lstrip(".-")[:MAX_SLUG].rstrip(".-")
-    return f"_{found}"[:MAX_SLUG] if _DEVICE.match(found) else found or "episode"
+    sub = re.sub(r"[^A-Za-z0-9._-]+", "-", text[: 4 * MAX_SLUG])
+    sub = re.sub(r"\.{2,}", ".", sub).lstrip(".-")[:MAX_SLUG].rstrip(".-")
+    return f"_{sub}"[:MAX_SLUG] if _DEVICE.match(sub) else sub or "episode"
 
 
 def trace_path(about: Mapping[str, Any]) -> str:
@@ -122,19 +122,19 @@ class Trace:
                 told = redact(texts)
                 if told is not texts:
                     decisions[name] = np.array(told, dtype=np.str_)[places]
-        said = self.recording
+        recording = self.recording
         return replace(
             self,
             about=redact(self.about),
             decisions=decisions,
             events=redact(self.events),
             recording=replace(
-                said,
-                explanations=_redacted(said.explanations, redact),
-                reasons=_redacted(said.reasons, redact),
-                recoveries=_redacted(said.recoveries, redact),
-                accounts=_redacted_accounts(said.accounts, redact),
-                problem=None if said.problem is None else redact(said.problem),
+                recording,
+                explanations=_redacted(recording.explanations, redact),
+                reasons=_redacted(recording.reasons, redact),
+                recoveries=_redacted(recording.recoveries, redact),
+                accounts=_redacted_accounts(recording.accounts, redact),
+                problem=None if recording.problem is None else redact(recording.problem),
             ),
         )
 
@@ -161,8 +161,8 @@ def _redacted_accounts(
 
 
 def _event_data(event: Event) -> dict[str, Any]:
-    told: dict[str, Any] = plain_data(event.to_json())
-    return told | ({"wall_clock": True} if event.wall_clock else {})
+    data: dict[str, Any] = plain_data(event.to_json())
+    return data | ({"wall_clock": True} if event.wall_clock else {})
 
 
 ABSENT = "nothing"
@@ -195,12 +195,12 @@ class Difference:
         """One line."""
         place = "" if self.tick is None else f"tick {self.tick}"
         place += "" if self.time is None else f" ({self.time:.3f} s)"
-        told = f"{place}, " if place else ""
-        told += f"{self.column}: recorded {self.recorded}, replayed {self.replayed}"
+        text = f"{place}, " if place else ""
+        text += f"{self.column}: recorded {self.recorded}, replayed {self.replayed}"
         if self.also:
             more = f" and {len(self.also) - 4} more" if len(self.also) > 4 else ""
-            told += f"; at this tick also {', '.join(self.also[:4])}{more}"
-        return told
+            text += f"; at this tick also {', '.join(self.also[:4])}{more}"
+        return text
 
 
 def first_difference(
@@ -215,14 +215,16 @@ def first_difference(
         replayed: The other.
         covered: Whether to look only at what the episode's digest covers.
     """
-    found = [one for one in _column_difference(recorded, replayed) if one.covered or not covered]
-    timed = [one for one in found if one.tick is not None]
+    column_difference = [
+        item for item in _column_difference(recorded, replayed) if item.covered or not covered
+    ]
+    timed = [item for item in column_difference if item.tick is not None]
     if timed:
-        tick = min(one.tick for one in timed if one.tick is not None)
-        first, *others = [one for one in timed if one.tick == tick]
+        tick = min(item.tick for item in timed if item.tick is not None)
+        first, *others = [item for item in timed if item.tick == tick]
         time = _time(recorded, replayed, tick)
-        return replace(first, time=time, also=tuple(one.column for one in others))
-    return next(iter([*_other_differences(recorded, replayed), *found]), None)
+        return replace(first, time=time, also=tuple(item.column for item in others))
+    return next(iter([*_other_differences(recorded, replayed), *column_difference]), None)
 
 
 def _time(recorded: Trace, replayed: Trace, tick: int) -> float | None:
@@ -237,12 +239,12 @@ def _column_difference(recorded: Trace, replayed: Trace) -> Iterator[Difference]
     for name in dict.fromkeys([*left, *right]):
         covered = name == "time" or name.startswith(("signals.", "decisions."))
         if name not in left or name not in right:
-            own, other = ("such a column" if name in one else ABSENT for one in (left, right))
+            own, other = ("such a column" if name in item else ABSENT for item in (left, right))
             yield Difference(name, own, other, covered=covered)
             continue
-        found = _first_place(left[name], right[name])
-        if found is not None:
-            tick, own, other = found
+        place = _first_place(left[name], right[name])
+        if place is not None:
+            tick, own, other = place
             yield Difference(name, own, other, tick, covered=covered)
 
 
@@ -255,7 +257,7 @@ def _first_place(left: NDArray[Any], right: NDArray[Any]) -> tuple[int | None, s
     place = int(places[0]) if len(places) else shared
     if place == len(left) == len(right):
         return None
-    words = [_value_text(one[place]) if place < len(one) else ABSENT for one in (left, right)]
+    words = [_value_text(item[place]) if place < len(item) else ABSENT for item in (left, right)]
     return place, words[0], words[1]
 
 
@@ -309,7 +311,7 @@ def _other_differences(recorded: Trace, replayed: Trace) -> Iterator[Difference]
     for key in ("termination", "validity", "failure"):
         values = recorded.about.get(key), replayed.about.get(key)
         if values[0] != values[1]:
-            own, other = (ABSENT if one is None else _value_text(one) for one in values)
+            own, other = (ABSENT if value is None else _value_text(value) for value in values)
             yield Difference(key, own, other)
 
 
@@ -320,5 +322,5 @@ def _events(trace: Trace) -> list[dict[str, Any]]:
 def _event_text(event: dict[str, Any] | None) -> str:
     if event is None:
         return ABSENT
-    told = " ".join(str(event.get(key, "")) for key in ("kind", "subject", "detail"))
-    return f"{one_line(told, 200, hashed=True)} {event.get('data') or ''}".strip()
+    text = " ".join(str(event.get(key, "")) for key in ("kind", "subject", "detail"))
+    return f"{one_line(text, 200, hashed=True)} {event.get('data') or ''}".strip()

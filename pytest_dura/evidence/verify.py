@@ -50,9 +50,9 @@ from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict, JudgedEpi
 
 def format_problems(record: SessionRecord, counts: Counts) -> Iterator[str]:
     """Everything in which the formats differ from the record."""
-    for one in all_formats():
-        for problem in _problems_of_format(one, record, counts):
-            yield f"{one.FILE}: {problem}"
+    for item in all_formats():
+        for problem in _problems_of_format(item, record, counts):
+            yield f"{item.FILE}: {problem}"
 
 
 def other_version(record: SessionRecord) -> str | None:
@@ -62,22 +62,22 @@ def other_version(record: SessionRecord) -> str | None:
     return None if version == import_module("pytest_dura").__version__ else version
 
 
-def _problems_of_format(one: Format, record: SessionRecord, counts: Counts) -> Iterator[str]:
+def _problems_of_format(item: Format, record: SessionRecord, counts: Counts) -> Iterator[str]:
     try:
-        yield from _format_differences(one, record, counts)
+        yield from _format_differences(item, record, counts)
     except Exception as error:  # a damaged record may break what renders it anywhere
         yield f"cannot be read back ({type(error).__name__}: {error})"
 
 
-def _format_differences(one: Format, record: SessionRecord, counts: Counts) -> Iterator[str]:
-    text = (record.directory / one.FILE).read_bytes().decode()
-    told, held = one.read_counts(text).to_json(), counts.to_json()
+def _format_differences(item: Format, record: SessionRecord, counts: Counts) -> Iterator[str]:
+    text = (record.directory / item.FILE).read_bytes().decode()
+    told, held = item.read_counts(text).to_json(), counts.to_json()
     for name in held:
         if told[name] != held[name]:
             yield f"states {name} = {told[name]}, and the record holds {held[name]}"
-    if other_version(record) is None and text != _as_read_back(one.render(record)):
+    if other_version(record) is None and text != _as_read_back(item.render(record)):
         yield "not as it is rendered from the record"
-    broken = getattr(one, "broken_references", None)
+    broken = getattr(item, "broken_references", None)
     if broken is not None:
         yield from broken(text, record)
     for fragment in re.findall(r"report\.html#([\w.:~+%/-]+)", text):
@@ -112,11 +112,11 @@ def recomputed_problems(record: SessionRecord) -> Iterator[str]:
     for episode in record.episodes():
         hidden += count_redactions(episode)
     yield from _differences("redacted", record["redacted"], dict(hidden))
-    cases = {(one["id"], one["component"]) for one in record["cases"]}
-    for number, one in enumerate(record["monitors"]):
-        if (one["case"], one["component"]) not in cases:
+    cases = {(case["id"], case["component"]) for case in record["cases"]}
+    for number, monitor in enumerate(record["monitors"]):
+        if (monitor["case"], monitor["component"]) not in cases:
             yield f"monitors/{number}: its case is not listed"
-        yield from _monitor_problems(f"monitors/{number}", one)
+        yield from _monitor_problems(f"monitors/{number}", monitor)
 
 
 def _case_problems(record: SessionRecord) -> Iterator[str]:
@@ -135,27 +135,28 @@ def _case_problems(record: SessionRecord) -> Iterator[str]:
             key = episode["case"], episode["component"]
             metrics[key].add(episode)
             heard[key].add(episode["spec"]["run"])
-    told = [one["also_without"] for one in record["verdicts"]]
-    yield from _differences("verdicts: also_without", told, shared.to_json())
+    also_withouts = [verdict["also_without"] for verdict in record["verdicts"]]
+    yield from _differences("verdicts: also_without", also_withouts, shared.to_json())
     yield from _differences("overall", record["overall"], pooled.to_json())
     again = effectiveness(record["verdicts"], record["monitors"], courses)
     yield from _differences("effectiveness", record["effectiveness"], again)
     judged = verdicts_on_cases(record["verdicts"])
-    for one in record["cases"]:
-        key, name = (one["id"], one["component"]), f"case {one['id']}"
+    for case in record["cases"]:
+        key, name = (case["id"], case["component"]), f"case {case['id']}"
         yield from _differences(
-            f"{name}: metrics", one["metrics"], metrics[key].to_json(one["planned"])
+            f"{name}: metrics", case["metrics"], metrics[key].to_json(case["planned"])
         )
-        missing = missing_runs(one, judged.get(key, []), heard[key])
-        yield from _differences(name, {key: one[key] for key in missing}, missing)
-        override = one["runs_override"]
-        if override is not None and one["planned"] not in (0, override):
-            yield f"{name}: {one['planned']} runs planned, and --dura-runs={override} replaces them"
+        missing = missing_runs(case, judged.get(key, []), heard[key])
+        yield from _differences(name, {key: case[key] for key in missing}, missing)
+        override = case["runs_override"]
+        if override is not None and case["planned"] not in (0, override):
+            yield f"{name}: {case['planned']} runs planned,"
+            f" and --dura-runs={override} replaces them"
 
 
-def _monitor_problems(name: str, one: Data) -> Iterator[str]:
-    again = MonitorQuality.from_json(one)
-    yield from _differences(name, one, {"case": one["case"], **again.to_json()})
+def _monitor_problems(name: str, item: Data) -> Iterator[str]:
+    again = MonitorQuality.from_json(item)
+    yield from _differences(name, item, {"case": item["case"], **again.to_json()})
     times = again.delays if again.horizon is None else again.lead_times
     if len(times) != again.true_positives or (again.delays and again.lead_times):
         yield f"{name}: {again.true_positives} true positives, and {len(times)} times of them"
@@ -167,8 +168,8 @@ def _monitor_problems(name: str, one: Data) -> Iterator[str]:
 
 def _differences(name: str, told: Any, again: Any) -> Iterator[str]:
     """The first place at which two pieces of plain data differ, if there is one."""
-    for place, one, other in _element_differences(name, told, plain_data(again)):
-        yield f"{place} is {one}, and the record gives {other}"
+    for place, item, other in _element_differences(name, told, plain_data(again)):
+        yield f"{place} is {item}, and the record gives {other}"
         return
 
 
@@ -186,8 +187,8 @@ def _element_differences(name: str, told: Any, again: Any) -> Iterator[tuple[str
     elif isinstance(told, list) and isinstance(again, list):
         if len(told) != len(again):
             yield f"{name}: its number", str(len(told)), str(len(again))
-        for number, (one, other) in enumerate(zip(told, again, strict=False)):
-            yield from _element_differences(f"{name}/{number}", one, other)
+        for number, (item, other) in enumerate(zip(told, again, strict=False)):
+            yield from _element_differences(f"{name}/{number}", item, other)
     elif told != again or isinstance(told, bool) != isinstance(again, bool):
         yield name, repr(told)[:80], repr(again)[:80]
 
@@ -209,22 +210,22 @@ class RejudgedCount:
 
 def trace_problems(record: SessionRecord, rejudged: RejudgedCount) -> Iterator[str]:
     """Everything in which traces differ from the record; counts what was judged again."""
-    requirements = {one["id"]: one for one in record["requirements"]}
+    requirements = {requirement["id"]: requirement for requirement in record["requirements"]}
     verdicts: dict[tuple[str, str], list[tuple[int, Data]]] = defaultdict(list)
-    for number, one in enumerate(record["verdicts"]):
-        if one["requirement"] in requirements:  # another one is told as such
-            verdicts[one["case"], one["component"]].append((number, one))
+    for number, verdict in enumerate(record["verdicts"]):
+        if verdict["requirement"] in requirements:  # another one is told as such
+            verdicts[verdict["case"], verdict["component"]].append((number, verdict))
     for episode in record.episodes():
         claims = [
-            _Claim.of(number, one, requirements[one["requirement"]], episode)
-            for number, one in verdicts[episode["case"], episode["component"]]
-            if rests_on(one, episode)
+            _Claim.of(number, verdict, requirements[verdict["requirement"]], episode)
+            for number, verdict in verdicts[episode["case"], episode["component"]]
+            if rests_on(verdict, episode)
         ]
-        violated = any(one.counterexample is not None for one in claims)
+        violated = any(claim.counterexample is not None for claim in claims)
         for problem in _retention_problems(record, episode, violated=violated):
             yield f"{RECORD_FILE}: episode {episode['id']}: {problem}"
         if episode["trace"] is None:
-            rejudged.left_out += sum(one.counterexample is not None for one in claims)
+            rejudged.left_out += sum(claim.counterexample is not None for claim in claims)
             continue
         name = episode["trace"]["file"]
         try:
@@ -239,7 +240,7 @@ def _retention_problems(record: SessionRecord, episode: Data, *, violated: bool)
     level, trace = record["evidence_level"], episode["trace"]
     if trace is None:
         # One that could not be written is told, and so is an episode that ran differently again.
-        told = any(one.startswith("infrastructure: ") for one in record["gate"]["reasons"])
+        told = any(reason.startswith("infrastructure: ") for reason in record["gate"]["reasons"])
         if not told and (level == "all" or (level == "violations" and violated)):
             yield f"it has no trace, at the evidence level {level}"
         return
@@ -272,7 +273,11 @@ class _Claim:
     @classmethod
     def of(cls, number: int, verdict: Data, requirement: Data, episode: Data) -> _Claim:
         """Without a requirement where it cannot be judged on a trace alone."""
-        listed = [one for one in verdict["counterexamples"] if one["episode"] == episode["id"]]
+        listed = [
+            counterexample
+            for counterexample in verdict["counterexamples"]
+            if counterexample["episode"] == episode["id"]
+        ]
         check = verdict["check"]
         by_formula = check and not is_function_path(check) and verdict["paired"] is None
         judged_by = Requirement.from_json({**requirement, "check": check}) if by_formula else None
@@ -290,21 +295,21 @@ def _problems_of_trace(
     for key in ("id", "case", "component", "seed", "digest", "validity", "termination", "failure"):
         if trace.about[key] != episode[key]:
             yield f"its {key} is {trace.about[key]!r}, and the record says {episode[key]!r}"
-    if [_comparable_event(one) for one in trace.events] != episode["events"]:
+    if [_comparable_event(event) for event in trace.events] != episode["events"]:
         yield f"its events are not those of {episode['id']} in the record"
     again = _trace_episode(trace, episode)
     measured = outcome_figures(again)
     for key in ("flagged", "collided", "clearance_time", "gridlock", "switching"):
         if plain_data(measured[key]) != episode["outcome"][key]:
             yield f"its {key} is {measured[key]}, and the record says {episode['outcome'][key]}"
-    for one in claims:
-        if one.requirement is None:
-            rejudged.left_out += one.counterexample is not None
+    for claim in claims:
+        if claim.requirement is None:
+            rejudged.left_out += claim.counterexample is not None
         else:
             rejudged.judged += 1
-            found = judge_episode(one.requirement, again)
-            rejudged.found[one.number, episode["id"]] = found
-            yield from _rejudged_problems(found, one.counterexample)
+            found = judge_episode(claim.requirement, again)
+            rejudged.found[claim.number, episode["id"]] = found
+            yield from _rejudged_problems(found, claim.counterexample)
 
 
 def _comparable_event(event: Data) -> dict[str, Any]:
@@ -312,18 +317,20 @@ def _comparable_event(event: Data) -> dict[str, Any]:
     return {key: value for key, value in event.items() if key != "wall_clock"}
 
 
-def _rejudged_problems(found: EpisodeVerdict, counterexample: Data | None) -> Iterator[str]:
+def _rejudged_problems(verdict: EpisodeVerdict, counterexample: Data | None) -> Iterator[str]:
     if counterexample is None:
-        if found.verdict == "violated":
+        if verdict.verdict == "violated":
             yield (
-                f"violates {found.requirement} at {found.time} s by {found.margin}, "
+                f"violates {verdict.requirement} at {verdict.time} s"
+                f" by {verdict.margin}, "
                 "and the record does not say so"
             )
-    elif (found.verdict, found.time, found.margin) != (
+    elif (verdict.verdict, verdict.time, verdict.margin) != (
         "violated", counterexample["time"], counterexample["margin"],
     ):  # fmt: skip
         yield (
-            f"{found.requirement} on it is {found.verdict} at {found.time} s by {found.margin}, "
+            f"{verdict.requirement} on it is {verdict.verdict} at {verdict.time} s"
+            f" by {verdict.margin}, "
             f"and the record says violated at {counterexample['time']} s by "
             f"{counterexample['margin']}"
         )
@@ -331,14 +338,14 @@ def _rejudged_problems(found: EpisodeVerdict, counterexample: Data | None) -> It
 
 def _trace_episode(trace: Trace, episode: Data) -> JudgedEpisode:
     """The episode as far as formulas look at it."""
-    names = {one.name for one in fields(FaultRecord)}
+    names = {item.name for item in fields(FaultRecord)}
     # Nothing is built here, and a bare instance could not be.
-    roles = {name: {"path": one["path"]} for name, one in episode["spec"]["roles"].items()}
+    roles = {name: {"path": role["path"]} for name, role in episode["spec"]["roles"].items()}
     faults = [
-        FaultRecord(**{key: value for key, value in one.items() if key in names})
-        for one in episode["faults"]
+        FaultRecord(**{key: value for key, value in fault.items() if key in names})
+        for fault in episode["faults"]
     ]
-    tallies = {name: Tally(**one) for name, one in episode["metrics"]["tallies"].items()}
+    tallies = {name: Tally(**tally) for name, tally in episode["metrics"]["tallies"].items()}
     return JudgedEpisode.of(
         Episode(
             spec=EpisodeSpec.from_json({**episode["spec"], "roles": roles}),
@@ -418,33 +425,33 @@ def verify_bundle(directory: Path, junit: Path | None = None) -> Verification:
     odd = [name for name in odd if not (directory / name).is_file()]
     if odd:  # reading a pipe would wait for ever
         return Verification([f"{name}: no file, where a bundle holds files only" for name in odd])
-    found = Verification([], len(names))
+    verification = Verification([], len(names))
     try:
         record = read_session_record(directory)
     except ConfigurationError as error:
-        found.problems += [*manifest_problems(directory), f"{RECORD_FILE}: {error}"]
-        return found
-    found.problems += manifest_problems(directory, _kept_episodes(record, names))
+        verification.problems += [*manifest_problems(directory), f"{RECORD_FILE}: {error}"]
+        return verification
+    verification.problems += manifest_problems(directory, _kept_episodes(record, names))
     try:
-        found.problems += _schema_problems(record)
-        if any(one.startswith(f"{RECORD_FILE}: schema") for one in found.problems):
-            return found  # sums and references of what has another shape say nothing
-        found.counts = Counts.of(record)
-        found.problems += record_problems(record, found.counts)
+        verification.problems += _schema_problems(record)
+        if any(problem.startswith(f"{RECORD_FILE}: schema") for problem in verification.problems):
+            return verification  # sums and references of what has another shape say nothing
+        verification.counts = Counts.of(record)
+        verification.problems += record_problems(record, verification.counts)
     except DAMAGE_ERRORS as error:
-        found.problems.append(f"{RECORD_FILE}: damaged ({type(error).__name__}: {error})")
-        return found
-    found.problems += _extra_files(record)
-    found.not_rendered = other_version(record)
-    found.problems += format_problems(record, found.counts)
-    found.problems += trace_problems(record, found.rejudged)
+        verification.problems.append(f"{RECORD_FILE}: damaged ({type(error).__name__}: {error})")
+        return verification
+    verification.problems += _extra_files(record)
+    verification.not_rendered = other_version(record)
+    verification.problems += format_problems(record, verification.counts)
+    verification.problems += trace_problems(record, verification.rejudged)
     try:
-        found.problems += derived_problems(record, found.rejudged)
+        verification.problems += derived_problems(record, verification.rejudged)
     except DAMAGE_ERRORS as error:
-        found.problems.append(f"{RECORD_FILE}: damaged ({type(error).__name__}: {error})")
+        verification.problems.append(f"{RECORD_FILE}: damaged ({type(error).__name__}: {error})")
     if junit is not None:
-        found.problems += junit_problems(record, junit)
-    return found
+        verification.problems += junit_problems(record, junit)
+    return verification
 
 
 def _kept_episodes(record: SessionRecord, names: Iterable[str]) -> list[str]:
@@ -458,7 +465,9 @@ def _kept_episodes(record: SessionRecord, names: Iterable[str]) -> list[str]:
 def _extra_files(record: SessionRecord) -> Iterator[str]:
     """Files that the manifest lists and that no bundle has."""
     made = {RECORD_FILE, *RENDERED_FILES}
-    made.update(one["trace"]["file"] for one in record.episodes() if one["trace"] is not None)
+    made.update(
+        episode["trace"]["file"] for episode in record.episodes() if episode["trace"] is not None
+    )
     for name in sorted(set(listed_files(record.directory)) - made):
         yield f"{name}: in the manifest, and no file of this bundle"
 

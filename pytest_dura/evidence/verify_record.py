@@ -56,7 +56,7 @@ def _input_problems(episode: Data, case: Data, base_seed: int) -> Iterator[str]:
     if name != f"{spec['case']}#{spec['run']}" or episode["case"] != spec["case"]:
         yield f"its spec is that of {spec['case']}#{spec['run']}"
     faults = [
-        [(one["id"], one.get("type"), one.get("target")) for one in of["faults"]]
+        [(fault["id"], fault.get("type"), fault.get("target")) for fault in of["faults"]]
         for of in (case, spec)
     ]
     if spec["scenario"]["name"] != case["scenario"] or faults[0] != faults[1]:
@@ -69,7 +69,9 @@ def _input_problems(episode: Data, case: Data, base_seed: int) -> Iterator[str]:
         episode["failure"] is None and episode["invalid_reason"] is not None
     ):
         yield f"{episode['validity']}, because {episode['invalid_reason']!r}"
-    missing = {one["id"] for one in spec["faults"]} - {one["id"] for one in episode["faults"]}
+    missing = {fault["id"] for fault in spec["faults"]} - {
+        fault["id"] for fault in episode["faults"]
+    }
     if missing:
         yield f"nothing is said of its faults {', '.join(sorted(missing))}"
 
@@ -79,10 +81,10 @@ def _metric_problems(episode: Data) -> Iterator[str]:
     metrics, faults = episode["metrics"], episode["faults"]
     counts = {
         "planned": len(faults),
-        "succeeded": sum(one["manifested_at"] is not None for one in faults),
-        "detected": sum(one["detected_at"] is not None for one in faults),
-        "recovered": sum(one["recovered_at"] is not None for one in faults),
-        "impact_ticks": sum(one["flagged_ticks"] for one in faults),
+        "succeeded": sum(fault["manifested_at"] is not None for fault in faults),
+        "detected": sum(fault["detected_at"] is not None for fault in faults),
+        "recovered": sum(fault["recovered_at"] is not None for fault in faults),
+        "impact_ticks": sum(fault["flagged_ticks"] for fault in faults),
     }
     if metrics["faults"] != counts:
         yield f"its faults are {metrics['faults']}, and they come to {counts}"
@@ -102,11 +104,11 @@ def _metric_problems(episode: Data) -> Iterator[str]:
     for event in episode["events"]:
         if event["kind"] == "fault_manifested":
             first.setdefault(event["subject"], event["time"])
-    for one in faults:
-        if one["manifested_at"] != first.get(one["id"]):
+    for item in faults:
+        if item["manifested_at"] != first.get(item["id"]):
             yield (
-                f"{one['id']} manifested at {one['manifested_at']} s, and its events "
-                f"say {first.get(one['id'])}"
+                f"{item['id']} manifested at {item['manifested_at']} s, and its events "
+                f"say {first.get(item['id'])}"
             )
 
 
@@ -138,10 +140,11 @@ def _chain_problems(episode: Data) -> Iterator[str]:
 
 def _tally_problems(metrics: Data, decisions: int) -> Iterator[str]:
     """Whether no more was told than there were decisions to tell of."""
-    for name, one in metrics["tallies"].items():
+    for name, tally in metrics["tallies"].items():
         for part, whole in (("hits", "of"), ("null_hits", "null_of")):
-            if not one[part] <= one[whole] <= decisions:
-                yield f"{one[part]} of {one[whole]} for {name} ({part}), in {decisions} decisions"
+            if not tally[part] <= tally[whole] <= decisions:
+                yield f"{tally[part]} of {tally[whole]} for {name} ({part}),"
+                f" in {decisions} decisions"
     for key, word in (("answer_seconds", "times"), ("answer_ages", "ages")):
         if len(metrics[key]) > decisions:
             yield f"the {word} of {len(metrics[key])} answers, in {decisions} decisions"
@@ -156,17 +159,17 @@ SILENT_SHARE = 0.2
 def search_problems(record: SessionRecord) -> Iterator[str]:
     """Everything in which searches contradict themselves or the record, and what rests on them."""
     yield from _search_in_rate_problems(record)
-    listed = {one["id"]: one for one in record["requirements"]}
-    described = {one["name"] for one in components_under_test(record)}
-    told: Counter[bytes] = Counter()
-    for one in record["searches"]:
-        place = f"search by {one['item']} on {one['case']}"
-        told[canonical({key: value for key, value in one.items() if key != "waiver"})] += 1
-        if one["component"] not in described:
-            yield f"{place}: {one['component']} is not described"
-        for problem in (*_search_count_problems(one), *_outcome_problems(one, listed)):
+    listed = {requirement["id"]: requirement for requirement in record["requirements"]}
+    described = {item["name"] for item in components_under_test(record)}
+    counter: Counter[bytes] = Counter()
+    for search in record["searches"]:
+        place = f"search by {search['item']} on {search['case']}"
+        counter[canonical({key: value for key, value in search.items() if key != "waiver"})] += 1
+        if search["component"] not in described:
+            yield f"{place}: {search['component']} is not described"
+        for problem in (*_search_count_problems(search), *_outcome_problems(search, listed)):
             yield f"{place}: {problem}"
-    if any(count > 1 for count in told.values()):
+    if any(count > 1 for count in counter.values()):
         yield "searches: one of them is listed twice"
 
 
@@ -180,65 +183,65 @@ def _search_in_rate_problems(record: SessionRecord) -> Iterator[str]:
     for case in record["cases"]:
         if EPISODE_MARK in case["id"] and (case["planned"] or case["metrics"]["run"]):
             yield f"case {case['id']}: a search chose it, and there are metrics of it"
-    for one in record["verdicts"]:
-        name = f"verdict {one['requirement']} on {one['case']}"
-        if EPISODE_MARK in one["case"]:
+    for verdict in record["verdicts"]:
+        name = f"verdict {verdict['requirement']} on {verdict['case']}"
+        if EPISODE_MARK in verdict["case"]:
             yield f"{name}: a search chose the case, and no rate can be made of it"
-        for found in one["counterexamples"]:
-            if EPISODE_MARK in found["episode"]:
-                yield f"{name}: a search chose its counterexample {found['episode']}"
+        for counterexample in verdict["counterexamples"]:
+            if EPISODE_MARK in counterexample["episode"]:
+                yield f"{name}: a search chose its counterexample {counterexample['episode']}"
 
 
-def _search_count_problems(one: Data) -> Iterator[str]:
+def _search_count_problems(item: Data) -> Iterator[str]:
     """Whether its sums are those of its searchers."""
-    total = one["simulations"]
-    if not 0 < total <= one["budget"]:
-        yield f"{total} simulations, and its budget is {one['budget']}"
-    if one["unknown"] > total:
-        yield f"{one['unknown']} of {total} simulations said nothing"
-    if one["idle"] > total:
-        yield f"an added fault never came to act in {one['idle']} of {total} simulations"
-    done = sum(searcher["simulations"] for searcher in one["searchers"])
+    total = item["simulations"]
+    if not 0 < total <= item["budget"]:
+        yield f"{total} simulations, and its budget is {item['budget']}"
+    if item["unknown"] > total:
+        yield f"{item['unknown']} of {total} simulations said nothing"
+    if item["idle"] > total:
+        yield f"an added fault never came to act in {item['idle']} of {total} simulations"
+    done = sum(searcher["simulations"] for searcher in item["searchers"])
     if done != total:
         yield f"{total} simulations, and its searchers did {done}"
-    names = [outcome["requirement"] for outcome in one["outcomes"]]
+    names = [outcome["requirement"] for outcome in item["outcomes"]]
     if not names or len(set(names)) < len(names):
         yield f"it is for the requirements {', '.join(names) or 'of nobody'}"
-    yield from _searcher_problems(one, names)
+    yield from _searcher_problems(item, names)
 
 
-def _searcher_problems(one: Data, names: Sequence[str]) -> Iterator[str]:
+def _searcher_problems(item: Data, names: Sequence[str]) -> Iterator[str]:
     for kind in ("searchers", "baselines"):
-        if len({searcher["name"] for searcher in one[kind]}) < len(one[kind]):
+        if len({searcher["name"] for searcher in item[kind]}) < len(item[kind]):
             yield f"one of its {kind} is listed twice"
-        for searcher in one[kind]:
+        for searcher in item[kind]:
             yield from (
                 f"{searcher['name']}: {each}" for each in _problems_of_searcher(searcher, names)
             )
-    for baseline in one["baselines"]:
+    for baseline in item["baselines"]:
         if not baseline["trivial"]:
             yield f"{baseline['name']} learns, and is no baseline"
-        if baseline["simulations"] > one["simulations"]:
+        if baseline["simulations"] > item["simulations"]:
             yield f"{baseline['name']}: a baseline of {baseline['simulations']} simulations"
 
 
-def _problems_of_searcher(one: Data, names: Sequence[str]) -> Iterator[str]:
-    if set(one["best"]) != set(names) or set(one["first"]) != set(names):
+def _problems_of_searcher(item: Data, names: Sequence[str]) -> Iterator[str]:
+    if set(item["best"]) != set(names) or set(item["first"]) != set(names):
         yield "its figures are of other requirements"
-    for name, first in one["first"].items():
-        if first is not None and first > one["simulations"]:
-            yield f"violated {name} at {first} of its {one['simulations']} simulations"
+    for name, first in item["first"].items():
+        if first is not None and first > item["simulations"]:
+            yield f"violated {name} at {first} of its {item['simulations']} simulations"
 
 
-def _outcome_problems(one: Data, listed: Mapping[str, Data]) -> Iterator[str]:
-    for outcome in one["outcomes"]:
+def _outcome_problems(item: Data, listed: Mapping[str, Data]) -> Iterator[str]:
+    for outcome in item["outcomes"]:
         name = outcome["requirement"]
         problems = [
-            *_outcome_status_problems(one, outcome),
-            *_first_violation_problems(one, outcome),
+            *_outcome_status_problems(item, outcome),
+            *_first_violation_problems(item, outcome),
         ]
         if outcome["counterexample"] is not None:
-            problems += _counterexample_problems(one, outcome["counterexample"])
+            problems += _counterexample_problems(item, outcome["counterexample"])
         if name not in listed:
             problems.append("the requirement is not listed")
         elif listed[name]["check"] not in ("", outcome["check"]):
@@ -246,7 +249,7 @@ def _outcome_problems(one: Data, listed: Mapping[str, Data]) -> Iterator[str]:
         yield from (f"{name}: {problem}" for problem in problems)
 
 
-def _outcome_status_problems(one: Data, outcome: Data) -> Iterator[str]:
+def _outcome_status_problems(item: Data, outcome: Data) -> Iterator[str]:
     """Whether what was found allows the word."""
     word, found = outcome["word"], outcome["counterexample"]
     if (found is not None) != (word in VIOLATED_OUTCOMES):
@@ -257,23 +260,23 @@ def _outcome_status_problems(one: Data, outcome: Data) -> Iterator[str]:
             yield f"more repeats than {repeats['runs']}"
         confirmed = 0 < repeats["runs"] == repeats["violated"] == repeats["equal"]
         if confirmed != (word == "falsified"):
-            told = f"{repeats['violated']} violated and {repeats['equal']} equal"
-            yield f"{word}, and of {repeats['runs']} replays {told}"
-        if not one["baselines"]:
+            text = f"{repeats['violated']} violated and {repeats['equal']} equal"
+            yield f"{word}, and of {repeats['runs']} replays {text}"
+        if not item["baselines"]:
             yield f"{word}, and no baseline stands beside it"
     else:
-        silent = one["unknown"] > SILENT_SHARE * one["simulations"]
+        silent = item["unknown"] > SILENT_SHARE * item["simulations"]
         if silent and word == NOTHING_FOUND:
-            told = f"{one['unknown']} of {one['simulations']}"
-            yield f"{word}, though {told} simulations said nothing of a requirement"
+            text = f"{item['unknown']} of {item['simulations']}"
+            yield f"{word}, though {text} simulations said nothing of a requirement"
         if not silent and word == "undecided":
-            yield f"{word}, and only {one['unknown']} simulations said nothing of a requirement"
+            yield f"{word}, and only {item['unknown']} simulations said nothing of a requirement"
 
 
-def _first_violation_problems(one: Data, outcome: Data) -> Iterator[str]:
+def _first_violation_problems(item: Data, outcome: Data) -> Iterator[str]:
     """Whether its first violation and its least robustness are those of its searchers."""
-    name, total = outcome["requirement"], one["simulations"]
-    hits, met = (_first_violations(one[kind], name) for kind in ("searchers", "baselines"))
+    name, total = outcome["requirement"], item["simulations"]
+    hits, met = (_first_violations(item[kind], name) for kind in ("searchers", "baselines"))
     if outcome["counterexample"] is None:
         if outcome["simulations"] != total or outcome["searcher"] is not None:
             yield f"nothing violated it, in {outcome['simulations']} of {total} simulations"
@@ -286,7 +289,7 @@ def _first_violation_problems(one: Data, outcome: Data) -> Iterator[str]:
         yield f"{outcome['searcher']} found it, and violated nothing"
     elif not hits[outcome["searcher"]] <= outcome["simulations"] <= total:
         yield f"violated at simulation {outcome['simulations']} of {total}"
-    known = [each["best"].get(name) for each in one["searchers"]]
+    known = [each["best"].get(name) for each in item["searchers"]]
     least = min((best for best in known if best is not None), default=None)
     if outcome["best"] != least:
         yield f"its least robustness is {outcome['best']}, and its searchers say {least}"
@@ -298,12 +301,12 @@ def _first_violations(searchers: Sequence[Data], requirement: str) -> dict[str, 
     return {who: first for who, first in firsts.items() if first is not None}
 
 
-def _counterexample_problems(one: Data, found: Data) -> Iterator[str]:
-    if not found["case"].startswith(f"{one['scenario']}{EPISODE_MARK}"):
-        yield f"its counterexample {found['case']} is of another scenario than {one['scenario']}"
+def _counterexample_problems(case: Data, found: Data) -> Iterator[str]:
+    if not found["case"].startswith(f"{case['scenario']}{EPISODE_MARK}"):
+        yield f"its counterexample {found['case']} is of another scenario than {case['scenario']}"
     told = found["scenario"].get("name"), found["scenario"].get("seed")
-    if told != (one["scenario"], found["seed"]):
-        yield f"its counterexample is {one['scenario']} with seed {found['seed']}, and says {told}"
+    if told != (case["scenario"], found["seed"]):
+        yield f"its counterexample is {case['scenario']} with seed {found['seed']}, and says {told}"
     paths = [change["path"] for change in found["changes"]]
     if len(set(paths)) < len(paths):
         yield "a parameter of its counterexample changed twice"
@@ -337,17 +340,19 @@ def record_problems(record: SessionRecord, counts: Counts) -> Iterator[str]:
 
 def _all_problems(record: SessionRecord, counts: Counts) -> Iterator[str]:
     yield from _session_problems(record, counts)
-    cases = {(one["id"], one["component"]): one for one in record["cases"]}
-    requirements = {one["id"] for one in record["requirements"]}
+    cases = {(case["id"], case["component"]): case for case in record["cases"]}
+    requirements = {requirement["id"] for requirement in record["requirements"]}
     ids: set[EpisodeKey] = set()
     sums: dict[EpisodeKey, Counter[str]] = defaultdict(Counter)
     known: set[bytes] = set()
     digests: dict[EpisodeKey, set[str]] = {
-        (one["repeat"]["episode"], one["component"]): set()
-        for one in record["cases"]
-        if one["repeat"] is not None
+        (case["repeat"]["episode"], case["component"]): set()
+        for case in record["cases"]
+        if case["repeat"] is not None
     }
-    described = {one["name"] for one in _component_problems(record)} | {"none"}
+    described = {component_problem["name"] for component_problem in _component_problems(record)} | {
+        "none"
+    }
     for episode in record.episodes():
         ids.add((episode["id"], episode["component"]))
         if (episode["id"], episode["component"]) in digests:
@@ -370,8 +375,8 @@ def _all_problems(record: SessionRecord, counts: Counts) -> Iterator[str]:
         repeated = case["repeat"] and (case["repeat"]["episode"], case["component"])
         for problem in repeat_problems(case, digests.get(repeated, ())):
             yield f"case {case['id']}: {problem}"
-    for one in record["verdicts"]:
-        yield from _verdict_problems(one, cases, requirements, ids)
+    for verdict in record["verdicts"]:
+        yield from _verdict_problems(verdict, cases, requirements, ids)
     yield from _question_problems(record)
     yield from _coverage_problems(record)
     yield from _gate_problems(record)
@@ -384,18 +389,22 @@ def _session_problems(record: SessionRecord, counts: Counts) -> Iterator[str]:
         yield f"the session is {record['status']}: its evidence is incomplete"
     if record["totals"] != counts.to_json():
         yield f"totals: {record['totals']}, and it holds {counts.to_json()}"
-    cases = {(one["id"], one["component"]): one for one in record["cases"]}
-    requirements = {one["id"] for one in record["requirements"]}
+    cases = {(case["id"], case["component"]): case for case in record["cases"]}
+    requirements = {requirement["id"] for requirement in record["requirements"]}
     if len(cases) < len(record["cases"]):
         yield "cases: one of them is listed twice"
     if len(requirements) < len(record["requirements"]):
         yield "requirements: one of them is listed twice"
-    hashed = {(one["path"], one["sha256"]) for one in record["inputs"]}
-    for file in (file for one in _component_problems(record) for file in one.get("files") or ()):
+    hashed = {(item["path"], item["sha256"]) for item in record["inputs"]}
+    for file in (
+        file
+        for component_problem in _component_problems(record)
+        for file in component_problem.get("files") or ()
+    ):
         if (file["path"], file["sha256"]) not in hashed:
             yield f"inputs: {file['path']} of the component is not among them"
     yield from _source_problems(record)
-    for tape in (one["cassette"] for one in record["models"] if one["cassette"]):
+    for tape in (model["cassette"] for model in record["models"] if model["cassette"]):
         if (tape["file"], tape["sha256"]) not in hashed:
             yield f"inputs: the cassette {tape['file']} is not among them as it was replayed"
     if record["timings"]["evidence_seconds"] > record["timings"]["wall_seconds"]:
@@ -406,8 +415,8 @@ def _source_problems(record: SessionRecord) -> Iterator[str]:
     """Whether the digests of components come out of those of their files."""
     sources = record["component_under_test"].get("sources", {})
     used = set()
-    for one in _component_problems(record):
-        name, digest = f"component {one['name']}", one.get("digest")
+    for component_problem in _component_problems(record):
+        name, digest = f"component {component_problem['name']}", component_problem.get("digest")
         if digest is None:
             continue
         used.add(digest)
@@ -418,9 +427,9 @@ def _source_problems(record: SessionRecord) -> Iterator[str]:
         # Without the name that was a secret it cannot be made again.
         if not holds_redaction(list(named)) and digest_of(named) != digest:
             yield f"{name}: its digest is not that of its files"
-        if one["file_count"] != len(named):
-            yield f"{name}: {one['file_count']} files, and {len(named)} are listed"
-        for file in one["files"]:
+        if component_problem["file_count"] != len(named):
+            yield f"{name}: {component_problem['file_count']} files, and {len(named)} are listed"
+        for file in component_problem["files"]:
             if file["sha256"] not in named.values():
                 yield f"{name}: {file['path']} is none of the files that its digest is made of"
     for digest in sorted(set(sources) - used):
@@ -430,27 +439,32 @@ def _source_problems(record: SessionRecord) -> Iterator[str]:
 def _question_problems(record: SessionRecord) -> Iterator[str]:
     """Whether each question is answered once, and is the one that its requirement asks."""
     asked: Counter[str] = Counter()
-    listed = {one["id"]: one for one in record["requirements"]}
-    for one in record["verdicts"]:
-        yield from _problems_of_question(one, listed.get(one["requirement"]))
-        parts = [one[name] for name in ("requirement", "case", "component", "item", "check")]
-        asked[canonical([*parts, one["paired"], one["method"], _limit_problems(one)]).decode()] += 1
+    listed = {requirement["id"]: requirement for requirement in record["requirements"]}
+    for verdict in record["verdicts"]:
+        yield from _problems_of_question(verdict, listed.get(verdict["requirement"]))
+        parts = [verdict[name] for name in ("requirement", "case", "component", "item", "check")]
+        asked[
+            canonical(
+                [*parts, verdict["paired"], verdict["method"], _limit_problems(verdict)]
+            ).decode()
+        ] += 1
     for question, count in asked.items():
         if count > 1:
             yield f"verdicts: {question} is answered twice"
 
 
-def _problems_of_question(one: Data, requirement: Data | None) -> Iterator[str]:
+def _problems_of_question(verdict: Data, requirement: Data | None) -> Iterator[str]:
     """Whether what was asked is what the requirement says, as far as it says it."""
     if requirement is None:
         return
-    name = f"verdict {one['requirement']} on {one['case']}"
-    if requirement["check"] and one["check"] not in ("", requirement["check"]):
-        yield f"{name}: judged by {one['check']!r}, and its check is {requirement['check']!r}"
-    if requirement["at_most"] is not None and _limit_problems(one) != [
+    name = f"verdict {verdict['requirement']} on {verdict['case']}"
+    if requirement["check"] and verdict["check"] not in ("", requirement["check"]):
+        yield f"{name}: judged by {verdict['check']!r}, and its check is {requirement['check']!r}"
+    if requirement["at_most"] is not None and _limit_problems(verdict) != [
         requirement["at_most"], requirement["confidence"],
     ]:  # fmt: skip
-        yield f"{name}: judged by {_limit_problems(one)}, and its rate and confidence are others"
+        yield f"{name}: judged by {_limit_problems(verdict)},"
+        " and its rate and confidence are others"
 
 
 def _limit_problems(verdict: Data) -> list[Any]:
@@ -474,7 +488,7 @@ def _add_episode(sums: Counter[str], episode: Data) -> None:
 
 def _case_sum_problems(case: Data, sums: Mapping[str, int]) -> Iterator[str]:
     metrics = case["metrics"]
-    told = {word: metrics[word] for word in ("run", "valid", "invalid", "missing", "ended_early")}
+    told = {name: metrics[name] for name in ("run", "valid", "invalid", "missing", "ended_early")}
     for key in _COUNTED:
         for over in ("valid", "run"):
             if metrics[key] is not None:
@@ -485,67 +499,74 @@ def _case_sum_problems(case: Data, sums: Mapping[str, int]) -> Iterator[str]:
 
 
 def _verdict_problems(
-    one: Data, cases: Mapping[EpisodeKey, Data], requirements: set[str], episodes: set[EpisodeKey]
+    verdict: Data,
+    cases: Mapping[EpisodeKey, Data],
+    requirements: set[str],
+    episodes: set[EpisodeKey],
 ) -> Iterator[str]:
-    name = f"verdict {one['requirement']} on {one['case']}"
-    if one["requirement"] not in requirements:
+    name = f"verdict {verdict['requirement']} on {verdict['case']}"
+    if verdict["requirement"] not in requirements:
         yield f"{name}: the requirement is not listed"
-    if (one["case"], one["component"]) not in cases:
+    if (verdict["case"], verdict["component"]) not in cases:
         yield f"{name}: the case is not listed"
-    named = [counterexample["episode"] for counterexample in one["counterexamples"]]
-    for episode in (*named, *one["open"], *one["unseen_crashes"]):
-        if (episode, one["component"]) not in episodes:
+    named = [counterexample["episode"] for counterexample in verdict["counterexamples"]]
+    for episode in (*named, *verdict["open"], *verdict["unseen_crashes"]):
+        if (episode, verdict["component"]) not in episodes:
             yield f"{name}: its episode {episode} is not listed"
-    yield from _verdict_count_problems(name, one)
-    yield from _verdict_status_problems(name, one)
+    yield from _verdict_count_problems(name, verdict)
+    yield from _verdict_status_problems(name, verdict)
 
 
-def _verdict_count_problems(name: str, one: Data) -> Iterator[str]:
+def _verdict_count_problems(name: str, verdict: Data) -> Iterator[str]:
     """Whether the counts of a verdict go together."""
-    if one["episodes"] + one["invalid"] + one["missing"] != one["run"]:
-        yield f"{name}: valid, invalid and missing episodes do not add up to {one['run']}"
-    valid = sum(counterexample["valid"] for counterexample in one["counterexamples"])
-    listed = valid, len(one["counterexamples"]) - valid
-    if (one["violations"], one["without_effect"]) != listed:
-        counts = f"{one['violations']} violations, {one['without_effect']} without effect"
+    if verdict["episodes"] + verdict["invalid"] + verdict["missing"] != verdict["run"]:
+        yield f"{name}: valid, invalid and missing episodes do not add up to {verdict['run']}"
+    valid = sum(counterexample["valid"] for counterexample in verdict["counterexamples"])
+    listed = valid, len(verdict["counterexamples"]) - valid
+    if (verdict["violations"], verdict["without_effect"]) != listed:
+        counts = f"{verdict['violations']} violations, {verdict['without_effect']} without effect"
         yield f"{name}: {counts}, and {listed[0]} and {listed[1]} counterexamples"
-    if one["violations"] + len(one["open"]) > one["episodes"]:
-        yield f"{name}: more violations and open episodes than the {one['episodes']} valid ones"
-    if one["without_effect"] > one["invalid"]:
-        yield f"{name}: more violations without effect than the {one['invalid']} invalid episodes"
+    if verdict["violations"] + len(verdict["open"]) > verdict["episodes"]:
+        yield f"{name}: more violations and open episodes than the {verdict['episodes']} valid ones"
+    if verdict["without_effect"] > verdict["invalid"]:
+        yield f"{name}: more violations without effect than the"
+        f" {verdict['invalid']} invalid episodes"
 
 
-def _bound_problems(name: str, one: Data) -> Iterator[str]:
+def _bound_problems(name: str, verdict: Data) -> Iterator[str]:
     """Whether the bound is that of the counts, and there is none of runs that are all equal."""
-    bound = one["bound"]
-    if one["situation"] is not None:
+    bound = verdict["bound"]
+    if verdict["situation"] is not None:
         if bound["upper"] is not None:
             yield f"{name}: its runs are equal, and a rate is bound"
-    elif bound["method"] == EXACT_METHOD and one["episodes"]:
-        worst = one["violations"] + len(one["open"])
-        upper = upper_bound(min(worst, one["episodes"]), one["episodes"], bound["confidence"])
+    elif bound["method"] == EXACT_METHOD and verdict["episodes"]:
+        worst = verdict["violations"] + len(verdict["open"])
+        upper = upper_bound(
+            min(worst, verdict["episodes"]), verdict["episodes"], bound["confidence"]
+        )
         if bound["upper"] is None or not isclose(bound["upper"], upper, rel_tol=1e-9):
             yield f"{name}: the bound is {bound['upper']}, and its counts give {upper}"
 
 
-def _verdict_status_problems(name: str, one: Data) -> Iterator[str]:
+def _verdict_status_problems(name: str, verdict: Data) -> Iterator[str]:
     """Whether the counts allow the word; the statistics are computed again where n is fixed."""
-    bound, word = one["bound"], one["verdict"]
+    bound, word = verdict["bound"], verdict["verdict"]
     exact = bound["method"] == EXACT_METHOD
-    yield from _bound_problems(name, one)
-    broken = one["violations"] or one["without_effect"]
-    if word == "violated" and not broken and one["pairs"] is None:
+    yield from _bound_problems(name, verdict)
+    broken = verdict["violations"] or verdict["without_effect"]
+    if word == "violated" and not broken and verdict["pairs"] is None:
         yield f"{name}: violated without a violation"
     if word != "supported":
         return
-    if one["missing"] or not one["episodes"]:
-        yield f"{name}: supported, {one['episodes']} episodes valid and {one['missing']} missing"
-    if one["run"] + one["saved"] < one["planned"]:
-        yield f"{name}: supported with {one['run']} of {one['planned']} planned runs"
-    if bound["at_most"] is None and (one["violations"] or one["open"]):
-        counts = f"{one['violations']} violations and {len(one['open'])} open episodes"
+    if verdict["missing"] or not verdict["episodes"]:
+        yield f"{name}: supported, {verdict['episodes']} episodes valid"
+        f" and {verdict['missing']} missing"
+    if verdict["run"] + verdict["saved"] < verdict["planned"]:
+        yield f"{name}: supported with {verdict['run']} of {verdict['planned']} planned runs"
+    if bound["at_most"] is None and (verdict["violations"] or verdict["open"]):
+        counts = f"{verdict['violations']} violations and {len(verdict['open'])} open episodes"
         yield f"{name}: supported with {counts}"
-    if one["without_effect"] or one["unseen_crashes"]:
+    if verdict["without_effect"] or verdict["unseen_crashes"]:
         yield f"{name}: supported, although an invalid run violates it or a crash violates nothing"
     too_high = exact and bound["at_most"] is not None
     if too_high and (bound["upper"] is None or bound["upper"] > bound["at_most"]):
@@ -555,8 +576,8 @@ def _verdict_status_problems(name: str, one: Data) -> Iterator[str]:
 def _coverage_problems(record: SessionRecord) -> Iterator[str]:
     """Whether each verdict has its cell, and each tested cell its verdict."""
     decided: dict[tuple[str, str], set[str]] = defaultdict(set)
-    for one in record["verdicts"]:
-        decided[one["requirement"], one["case"]].add(one["verdict"])
+    for verdict in record["verdicts"]:
+        decided[verdict["requirement"], verdict["case"]].add(verdict["verdict"])
     cells = defaultdict(set)
     for cell in record["coverage"]["cells"]:
         if cell["verdict"] is not None:
@@ -572,16 +593,16 @@ def _gate_problems(record: SessionRecord) -> Iterator[str]:
     gate = record["gate"]
     accepted = {"supported"} | ({"undecided"} if gate["warn_undecided"] else set())
     against = [
-        f"{one['requirement']} on {one['case']} is {one['verdict']}"
-        for one in record["verdicts"]
-        if one["verdict"] not in accepted and one["waiver"] is None
+        f"{verdict['requirement']} on {verdict['case']} is {verdict['verdict']}"
+        for verdict in record["verdicts"]
+        if verdict["verdict"] not in accepted and verdict["waiver"] is None
     ]
     against += [
-        sentence(outcome["requirement"], one["case"], word)
-        for one in record["searches"]
-        for outcome in one["outcomes"]
-        if one["waiver"] is None and (word := outcome_status(one, outcome)) != NOTHING_FOUND
-        if word != "undecided" or not gate["warn_undecided"]
+        sentence(outcome["requirement"], search["case"], status)
+        for search in record["searches"]
+        for outcome in search["outcomes"]
+        if search["waiver"] is None and (status := outcome_status(search, outcome)) != NOTHING_FOUND
+        if status != "undecided" or not gate["warn_undecided"]
     ]
     if gate["result"] == "passed":
         if against or record["status"] != "complete" or gate["exit_code"] != 0:

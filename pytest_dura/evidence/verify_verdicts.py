@@ -49,10 +49,14 @@ def margin_problems(verdict: Data, on_traces: Iterable[EpisodeVerdict]) -> Itera
         on_traces: What traces say of its episodes.
     """
     margins = verdict["margins"]
-    listed = [one["margin"] for one in verdict["counterexamples"] if one["valid"]]
+    listed = [
+        counterexample["margin"]
+        for counterexample in verdict["counterexamples"]
+        if counterexample["valid"]
+    ]
     order = [
-        (not one["valid"], one["margin"] or 0.0, one["episode"])
-        for one in verdict["counterexamples"]
+        (not counterexample["valid"], counterexample["margin"] or 0.0, counterexample["episode"])
+        for counterexample in verdict["counterexamples"]
     ]
     if order != sorted(order):
         yield "its counterexamples are not in the order of their margins"
@@ -60,7 +64,7 @@ def margin_problems(verdict: Data, on_traces: Iterable[EpisodeVerdict]) -> Itera
         yield f"the margin is {verdict['margin']}, and its distribution {margins}"
     elif margins is not None:
         yield from _distribution_problems(
-            verdict, [one for one in listed if one is not None], on_traces
+            verdict, [item for item in listed if item is not None], on_traces
         )
 
 
@@ -76,7 +80,11 @@ def _distribution_problems(
         yield f"its least margin is {verdict['margin']}, and its distribution has {margins['min']}"
     if not len(listed) <= margins["n"] <= verdict["episodes"]:
         yield f"{margins['n']} margins of {verdict['episodes']} episodes"
-    traced = [one.margin for one in on_traces if has_margin(one) and one.margin is not None]
+    traced = [
+        on_trace.margin
+        for on_trace in on_traces
+        if has_margin(on_trace) and on_trace.margin is not None
+    ]
     for margin in (*listed, *traced):
         if not margins["min"] <= margin <= margins["max"]:
             yield f"its margins begin at {margins['min']}, and one is {margin}"
@@ -106,11 +114,11 @@ def pair_problems(verdict: Data, recovered: int | None) -> Iterator[str]:
     from pytest_dura.requirements.statistics.comparison import mcnemar
 
     open_pairs = pairs["incomplete"]
-    complete = sum(pairs[word] for word in _PAIR_COUNTS)
+    complete = sum(pairs[pair_count] for pair_count in _PAIR_COUNTS)
     if not pairs["pairs"] == complete + open_pairs == verdict["run"]:
         yield f"the table of its pairs does not add up to {verdict['run']}"
-    acted = sum(pairs[f"acted_{word}"] for word in _PAIR_COUNTS)
-    if any(pairs[f"acted_{word}"] > pairs[word] for word in _PAIR_COUNTS):
+    acted = sum(pairs[f"acted_{pair_count}"] for pair_count in _PAIR_COUNTS)
+    if any(pairs[f"acted_{pair_count}"] > pairs[pair_count] for pair_count in _PAIR_COUNTS):
         yield "recovery acted in more of its pairs than there are"
     if recovered is not None and not acted <= recovered <= acted + open_pairs:
         yield f"recovery acted in {acted} of its pairs, and in {recovered} of its runs"
@@ -144,7 +152,7 @@ def _change_problems(verdict: Data) -> Iterator[str]:
     over = [value - bound for value in change["values"] if value is not None]
     # Values that equal the bound but for rounding violate nothing.
     slack = _ROUNDING * max(1.0, abs(bound))
-    least, most = (sum(one > shift for one in over) for shift in (slack, -slack))
+    least, most = (sum(item > shift for item in over) for shift in (slack, -slack))
     lost = len(change["lost"])
     if not least + lost <= verdict["violations"] <= most + lost:
         yield f"{verdict['violations']} pairs violate it, and its changes give {least + lost}"
@@ -190,7 +198,7 @@ class _Case:
             episode["termination"],
             metrics["proposals"],
             metrics["valid_proposals"],
-            tuple(one["id"] for one in episode["faults"] if one["manifested_at"] is None),
+            tuple(fault["id"] for fault in episode["faults"] if fault["manifested_at"] is None),
             metrics["recoveries"] > 0,
             episode["trajectory"],
             episode["drawn"],
@@ -224,25 +232,25 @@ def verdict_problems(record: SessionRecord, judged: TraceVerdicts) -> Iterator[s
     for episode in record.episodes():
         if episode["planned"]:
             cases[episode["case"], episode["component"]].add(episode)
-    listed = {(one["id"], one["component"]): one for one in record["cases"]}
-    known = {one["id"]: one for one in record["requirements"]}
-    of_cases = {(one["id"], one["component"]): one["requirements"] for one in record["cases"]}
+    listed = {(case["id"], case["component"]): case for case in record["cases"]}
+    known = {requirement["id"]: requirement for requirement in record["requirements"]}
+    of_cases = {(case["id"], case["component"]): case["requirements"] for case in record["cases"]}
     verdicts_on: dict[tuple[str, str], list[Data]] = defaultdict(list)
-    for one in record["verdicts"]:
-        verdicts_on[one["case"], one["component"]].append(one)
-    for number, one in enumerate(record["verdicts"]):
-        name = f"verdict {one['requirement']} on {one['case']}"
-        own, other = cases[one["case"], one["component"]], None
-        case = listed.get((one["case"], one["component"]), _UNLISTED)
-        if one["planned"] > case["planned"]:
-            yield f"{name}: {one['planned']} runs planned, and fewer of its case"
-        if one["pairs"] is not None:
-            other = cases[one["pairs"]["case"], one["component"]]
+    for verdict in record["verdicts"]:
+        verdicts_on[verdict["case"], verdict["component"]].append(verdict)
+    for number, verdict in enumerate(record["verdicts"]):
+        name = f"verdict {verdict['requirement']} on {verdict['case']}"
+        own, other = cases[verdict["case"], verdict["component"]], None
+        case = listed.get((verdict["case"], verdict["component"]), _UNLISTED)
+        if verdict["planned"] > case["planned"]:
+            yield f"{name}: {verdict['planned']} runs planned, and fewer of its case"
+        if verdict["pairs"] is not None:
+            other = cases[verdict["pairs"]["case"], verdict["component"]]
         on_traces = {episode: was for (at, episode), was in judged.items() if at == number}
-        place = one["case"], one["component"]
-        seen = _violating_episodes(verdicts_on[place], one["run"], of_cases.get(place, ()))
-        asked = known.get(one["requirement"], {})
-        check = _VerdictCheck(one, asked, own, other, on_traces, seen, case_situations(case))
+        place = verdict["case"], verdict["component"]
+        seen = _violating_episodes(verdicts_on[place], verdict["run"], of_cases.get(place, ()))
+        asked = known.get(verdict["requirement"], {})
+        check = _VerdictCheck(verdict, asked, own, other, on_traces, seen, case_situations(case))
         for problem in check.problems():
             yield f"{name}: {problem}"
 
@@ -257,10 +265,10 @@ def _violating_episodes(
         runs: How many runs of it are looked at.
         requirements: Those of the case.
     """
-    judged = {one["requirement"] for one in verdicts if one["run"] >= runs}
+    judged = {verdict["requirement"] for verdict in verdicts if verdict["run"] >= runs}
     if not judged.issuperset(requirements):
         return None
-    return {counter["episode"] for one in verdicts for counter in one["counterexamples"]}
+    return {counter["episode"] for verdict in verdicts for counter in verdict["counterexamples"]}
 
 
 @dataclass(frozen=True)
@@ -279,76 +287,77 @@ class _VerdictCheck:
 
     def problems(self) -> Iterator[str]:
         yield from margin_problems(self.verdict, self.on_traces.values())
-        one, unheard = self.verdict, self._unheard()
-        if one["spoilt"] is not None:
-            spoilt = one["spoilt"]["episode"]
+        item, unheard = self.verdict, self._unheard()
+        if item["spoilt"] is not None:
+            spoilt = item["spoilt"]["episode"]
             if all(run.episode != spoilt for run in self.own.runs.values()):
                 yield f"{spoilt} says nothing of it, and is none of its runs"
         if unheard is not None:
-            yield f"it rests on {one['run']} runs, and {unheard} is not among the episodes"
+            yield f"it rests on {item['run']} runs, and {unheard} is not among the episodes"
             return
-        if self.own.alike and one["situation"] != (found := self._situation()):
-            told = _situation_text(one["situation"])
-            yield f"its runs are {told}, and their trajectories say {_situation_text(found)}"
-        if one["pairs"] is not None:
-            recovered = sum(self.own.runs[number].recovered for number in range(one["run"]))
-            yield from pair_problems(one, recovered if self.own.alike else None)
+        if self.own.alike and item["situation"] != (situation := self._situation()):
+            situation_text = _situation_text(item["situation"])
+            yield f"its runs are {situation_text}, and their trajectories say"
+            f" {_situation_text(situation)}"
+        if item["pairs"] is not None:
+            recovered = sum(self.own.runs[number].recovered for number in range(item["run"]))
+            yield from pair_problems(item, recovered if self.own.alike else None)
             return
         looked_at = self._looked_at()
-        violated = {counterexample["episode"] for counterexample in one["counterexamples"]}
+        violated = {counterexample["episode"] for counterexample in item["counterexamples"]}
         # A violation that was seen before an infrastructure error counts.
         valid = sum(
             run.validity == "valid" or (run.validity == "missing" and run.episode in violated)
             for run in looked_at
         )
-        if one["episodes"] > valid:
-            yield f"{one['episodes']} episodes are valid to it, and {valid} are"
+        if item["episodes"] > valid:
+            yield f"{item['episodes']} episodes are valid to it, and {valid} are"
         if violated - {run.episode for run in looked_at}:
             yield f"{min(violated)} is its counterexample, and none of its runs"
         yield from self._early_ends(looked_at)
-        if len(looked_at) == one["run"] and self.own.alike:
+        if len(looked_at) == item["run"] and self.own.alike:
             yield from self._decided_again(looked_at)
 
     def _early_ends(self, runs: Sequence[_Run]) -> Iterator[str]:
         """Whether runs that are open, crashed or without effect ended in such a way."""
-        one = self.verdict
+        verdict = self.verdict
         ends = {run.episode: run for run in runs}
-        for episode in one["open"]:
+        for episode in verdict["open"]:
             if episode in ends and ends[episode].termination not in EARLY_ENDS:
                 yield f"{episode} is open, and it ended by {ends[episode].termination}"
-        for episode in one["unseen_crashes"]:
+        for episode in verdict["unseen_crashes"]:
             if episode in ends and ends[episode].termination != "critical":
                 yield f"{episode} crashed unseen, and it ended by {ends[episode].termination}"
-        for violated in one["counterexamples"]:
+        for violated in verdict["counterexamples"]:
             run = ends.get(violated["episode"])
             if run is not None and violated["valid"] == (run.validity == "invalid"):
                 yield f"{run.episode} is {run.validity}, and its violation says otherwise"
         if self.seen_elsewhere is None:
             return
         for run in runs:
-            seen = run.episode in self.seen_elsewhere or run.episode in one["unseen_crashes"]
-            if run.termination == "critical" and not seen and one["verdict"] == "supported":
+            seen = run.episode in self.seen_elsewhere or run.episode in verdict["unseen_crashes"]
+            if run.termination == "critical" and not seen and verdict["verdict"] == "supported":
                 yield f"supported, although {run.episode} crashed and violates nothing"
 
     def _situation(self) -> Situation | None:
         """What its runs are, by their trajectories."""
-        one = self.verdict
-        if not one["check"]:
+        verdict = self.verdict
+        if not verdict["check"]:
             self.own.add_to(self.situations, self.own.runs)
-            return self.situations.situation if one["run"] >= one["planned"] > 1 else None
+            return self.situations.situation if verdict["run"] >= verdict["planned"] > 1 else None
         for case in (self.own, self.twins):
             if case is not None:
-                case.add_to(self.situations, range(one["run"]))
+                case.add_to(self.situations, range(verdict["run"]))
         return self.situations.situation
 
     def _unheard(self) -> str | None:
         """A run that it rests on and that is not recorded."""
-        one = self.verdict
-        if not one["check"]:
+        verdict = self.verdict
+        if not verdict["check"]:
             # A test on single episodes, of which a part may have been chosen.
-            return None if one["run"] <= len(self.own.runs) else "one of them"
+            return None if verdict["run"] <= len(self.own.runs) else "one of them"
         for case in (self.own, self.twins):
-            for number in range(one["run"]):
+            for number in range(verdict["run"]):
                 if case is not None and number not in case.runs:
                     return f"number {number}"
         return None
@@ -361,13 +370,15 @@ class _VerdictCheck:
         return [chosen[number] for number in sorted(chosen)]
 
     def _decided_again(self, runs: Sequence[_Run]) -> Iterator[str]:
-        found = self._words(runs)
-        if found is None:
-            one = self.verdict
-            counts = ", ".join(f"{one[name]} {name}" for name in ("episodes", "invalid", "missing"))
+        words = self._words(runs)
+        if words is None:
+            item = self.verdict
+            counts = ", ".join(
+                f"{item[name]} {name}" for name in ("episodes", "invalid", "missing")
+            )
             yield f"its runs do not come to {counts}"
             return
-        told, sure = found
+        told, sure = words
         if not sure and (self._sequential or any(run.idle for run in told)):
             return  # which ones they are matters, and is not known
         again = [self._judged(told, until) for until in (False, True)]
@@ -388,50 +399,53 @@ class _VerdictCheck:
 
     def _words(self, runs: Sequence[_Run]) -> tuple[list[EpisodeVerdict], bool] | None:
         """What each run came to, and whether that is known or one way in which it can be."""
-        one = self.verdict
-        violated = {said["episode"]: said for said in one["counterexamples"]}
+        verdict = self.verdict
+        violated = {
+            counterexample["episode"]: counterexample
+            for counterexample in verdict["counterexamples"]
+        }
         left = Counter(
-            satisfied=one["episodes"] - one["violations"] - len(one["open"]),
-            open=len(one["open"]),
-            invalid=one["invalid"] - one["without_effect"],
-            missing=one["missing"],
-            violated=one["violations"] + one["without_effect"],
+            satisfied=verdict["episodes"] - verdict["violations"] - len(verdict["open"]),
+            open=len(verdict["open"]),
+            invalid=verdict["invalid"] - verdict["without_effect"],
+            missing=verdict["missing"],
+            violated=verdict["violations"] + verdict["without_effect"],
         )
-        sure, vacuous, found = True, one["vacuous"], []
+        sure, vacuous, found = True, verdict["vacuous"], []
         least = Counter(
             run.validity
             for run in runs
-            if run.episode not in violated and run.episode not in one["open"]
+            if run.episode not in violated and run.episode not in verdict["open"]
         )
         exact = least["valid"] == left["satisfied"] and least["invalid"] == left["invalid"]
         for run in runs:
             traced, said = self.on_traces.get(run.episode), violated.get(run.episode)
-            word: EpisodeStatus = "satisfied"
+            text: EpisodeStatus = "satisfied"
             if said is not None:
-                word = "violated"
-            elif run.episode in one["open"]:
-                word = "open"
+                text = "violated"
+            elif run.episode in verdict["open"]:
+                text = "open"
             elif traced is not None and traced.verdict != "violated":
-                word = traced.verdict
+                text = traced.verdict
             elif run.validity != "valid":
                 # An invalid one may be missing to a function that fails.
-                word = "missing" if run.validity == "missing" or not left["invalid"] else "invalid"
+                text = "missing" if run.validity == "missing" or not left["invalid"] else "invalid"
             elif not left["satisfied"]:
-                word = "invalid" if left["invalid"] else "missing"
-            known = said is not None or traced is not None or word == "open"
+                text = "invalid" if left["invalid"] else "missing"
+            known = said is not None or traced is not None or text == "open"
             sure &= exact or known
-            left[word] -= 1
-            empty = vacuous > 0 and word == "satisfied" and (traced is None or traced.vacuous)
+            left[text] -= 1
+            empty = vacuous > 0 and text == "satisfied" and (traced is None or traced.vacuous)
             vacuous -= empty
             margin, time = (None, None) if said is None else (said["margin"], said["time"])
             if said is None and traced is not None:
                 margin, empty = traced.margin, traced.vacuous
             found.append(
                 EpisodeVerdict(
-                    one["requirement"],
+                    verdict["requirement"],
                     run.episode,
-                    one["component"],
-                    word,
+                    verdict["component"],
+                    text,
                     margin,
                     time,
                     "",
@@ -439,40 +453,40 @@ class _VerdictCheck:
                     run.valid_proposals,
                     empty,
                     run.idle,
-                    without_effect=word == "violated" and run.validity == "invalid",
+                    without_effect=text == "violated" and run.validity == "invalid",
                     ended=run.termination if run.termination in EARLY_ENDS else "",
-                    unseen_crash=run.episode in one["unseen_crashes"],
+                    unseen_crash=run.episode in verdict["unseen_crashes"],
                 )
             )
         return None if any(left.values()) else (found, sure)
 
-    def _judged(self, told: Sequence[EpisodeVerdict], until: bool) -> CampaignVerdict | None:
+    def _judged(self, verdicts: Sequence[EpisodeVerdict], until: bool) -> CampaignVerdict | None:
         """The verdict again; ``None`` if it would have taken another number of runs."""
-        one, bound = self.verdict, self.verdict["bound"]
+        item, bound = self.verdict, self.verdict["bound"]
         judge = CampaignJudge(
             Requirement(
-                id=one["requirement"],
+                id=item["requirement"],
                 at_most=bound["at_most"],
                 confidence=bound["confidence"],
-                method=None if one["method"] == EVERY_EPISODE else one["method"],
-                p0=self.requirement.get("p0") if one["method"] == "sprt" else None,
+                method=None if item["method"] == EVERY_EPISODE else item["method"],
+                p0=self.requirement.get("p0") if item["method"] == "sprt" else None,
             ),
-            one["case"],
-            planned=one["planned"],
-            component=one["component"],
+            item["case"],
+            planned=item["planned"],
+            component=item["component"],
             until_decided=until,
         )
-        for verdict in told:
-            over = judge.decided or len(judge.verdicts) == one["planned"]
-            if one["check"] and judge.sequential and over:
+        for verdict in verdicts:
+            over = judge.decided or len(judge.verdicts) == item["planned"]
+            if item["check"] and judge.sequential and over:
                 return None
             judge.add(verdict)
-        judge.situation = one["situation"]
-        if one["check"] and judge.situation == REPEATED:
-            return judge.verdict() if len(told) == EQUAL_RUNS else None
-        if one["check"]:
-            enough = judge.decided or len(told) == one["planned"]
-            if not (enough if judge.sequential else len(told) == self._plan()):
+        judge.situation = item["situation"]
+        if item["check"] and judge.situation == REPEATED:
+            return judge.verdict() if len(verdicts) == EQUAL_RUNS else None
+        if item["check"]:
+            enough = judge.decided or len(verdicts) == item["planned"]
+            if not (enough if judge.sequential else len(verdicts) == self._plan()):
                 return None
         return judge.verdict()
 
@@ -487,14 +501,22 @@ class _VerdictCheck:
         return int(end)
 
     def _agrees(self, again: CampaignVerdict) -> bool:
-        one = self.verdict
-        if one["run"] == 0 and one["verdict"] == "undecided":
+        verdict = self.verdict
+        if verdict["run"] == 0 and verdict["verdict"] == "undecided":
             return True
         bound = plain_data(asdict(again.bound))
-        if (again.method, again.saved, bound) != (one["method"], one["saved"], one["bound"]):
+        if (again.method, again.saved, bound) != (
+            verdict["method"],
+            verdict["saved"],
+            verdict["bound"],
+        ):
             return False
-        if one["verdict"] == "undecided" and again.verdict == "supported":
-            return bool(one["reason"].startswith("infrastructure: nondeterministic"))
+        if verdict["verdict"] == "undecided" and again.verdict == "supported":
+            return bool(verdict["reason"].startswith("infrastructure: nondeterministic"))
         spoilt = None if again.spoilt is None else again.spoilt.verdict
-        told = None if one["spoilt"] is None else one["spoilt"]["verdict"]
-        return (again.verdict, again.reason, spoilt) == (one["verdict"], one["reason"], told)
+        told = None if verdict["spoilt"] is None else verdict["spoilt"]["verdict"]
+        return (again.verdict, again.reason, spoilt) == (
+            verdict["verdict"],
+            verdict["reason"],
+            told,
+        )

@@ -54,7 +54,7 @@ class Address:
     def of_any_machine(self) -> Address:
         """Without environment variables, which say where workers find their devices and folders."""
         parts = {
-            name: one for name, one in self.parts.items() if not name.startswith(VARIABLE_PREFIX)
+            name: part for name, part in self.parts.items() if not name.startswith(VARIABLE_PREFIX)
         }
         return Address(address_name(parts), parts)
 
@@ -69,11 +69,11 @@ class _Code:
     @classmethod
     def joined(cls, codes: Sequence[_Code | None]) -> _Code | None:
         """That of several files; ``None`` if one of them is not known, or there is none."""
-        known = [one for one in codes if one is not None]
+        known = [code for code in codes if code is not None]
         if not known or len(known) < len(codes):
             return None
-        variables = frozenset().union(*(one.variables for one in known))
-        return cls(" ".join(one.digest for one in known), variables)
+        variables = frozenset().union(*(item.variables for item in known))
+        return cls(" ".join(episode.digest for episode in known), variables)
 
 
 class Addresses:
@@ -95,14 +95,17 @@ class Addresses:
         if task.local:
             return None
         parts = {**describe_machine(), **_inputs(task)}
-        codes = {f"{name} {one.path}": self._of_part(one) for name, one in task.parts.items()}
+        codes = {f"{name} {part.path}": self._of_part(part) for name, part in task.parts.items()}
         for name, metric in sorted(task.metrics.items()):
             codes[f"metric {name}"] = self._of_files(metric, partial(_file_of, metric))
         for name, code in codes.items():
             if code is None:
                 return None
             parts[f"code of the {name}"] = code.digest
-            parts |= {VARIABLE_PREFIX + one: describe_variable(one) for one in code.variables}
+            parts |= {
+                VARIABLE_PREFIX + variable: describe_variable(variable)
+                for variable in code.variables
+            }
         answers = model_answers(task)
         if answers is not None:
             parts["answers of language models"] = answers
@@ -115,7 +118,7 @@ class Addresses:
     def _of_files(self, key: Hashable, files: Callable[[], Iterable[_File]]) -> _Code | None:
         """The code of the files that something is defined in, looked for once."""
         if key not in self._known:
-            found = [self._code(*one) for one in files()]
+            found = [self._code(*file) for file in files()]
             self._known[key] = _Code.joined(found)
         return self._known[key]
 
@@ -137,11 +140,11 @@ def address_name(parts: Mapping[str, str]) -> str:
 
 def _files_of(part: RoleSpec) -> dict[_File, None]:
     """Where a part is defined: its class or function, and what its path names, if it differs."""
-    found = _file_of(part.resolve())
+    file = _file_of(part.resolve())
     module = part.path.partition(":")[0]
     if not isinstance(part, LocalRole):
-        found |= _file_of_module(module)
-    return found
+        file |= _file_of_module(module)
+    return file
 
 
 def _file_of(target: Callable[..., Any]) -> dict[_File, None]:
@@ -169,15 +172,15 @@ def model_answers(task: EpisodeTask) -> str | None:
     parameters of the role say all that is known.
     """
     module = sys.modules.get(_MODELS)
-    asked = any(isinstance(one.params.get("model"), str) for one in task.spec.roles.values())
+    asked = any(isinstance(role.params.get("model"), str) for role in task.spec.roles.values())
     if module is None or not asked:
         return None
     session = module.in_use()
     if session is None or session.cassette is None or session.mode != "replay":
         return "live" if session is None else str(session.mode)
     file = session.cassette.file
-    told = file.stat()
-    return f"replay {_digest_of(file, told.st_size, told.st_mtime_ns)}"
+    stat = file.stat()
+    return f"replay {_digest_of(file, stat.st_size, stat.st_mtime_ns)}"
 
 
 @cache
@@ -204,8 +207,8 @@ def _inputs(task: EpisodeTask) -> dict[str, str]:
     }
     if task.judging:
         # All that ends an episode; another rate or wording makes no other one of it.
-        judging = [one.to_json() for one in task.judging]
-        groups["requirements that end it"] = [[one["check"], one["paired"]] for one in judging]
+        judging = [item.to_json() for item in task.judging]
+        groups["requirements that end it"] = [[item["check"], item["paired"]] for item in judging]
     if spec.timeouts is not None:
         groups["recorded timeouts"] = list(spec.timeouts)
     return {
@@ -214,7 +217,7 @@ def _inputs(task: EpisodeTask) -> dict[str, str]:
         "seed": str(spec.seed),
         "kept for viewers": str(task.recorded),
         "repetition": str(task.again),
-        **{name: hashlib.sha256(canonical(one)).hexdigest() for name, one in groups.items()},
+        **{name: hashlib.sha256(canonical(group)).hexdigest() for name, group in groups.items()},
     }
 
 

@@ -161,9 +161,13 @@ class EpisodeCache:
                 if not is_named(handle, file):
                     os.close(handle)  # its former holder was done with it in between
                     continue
-                told = os.read(handle, 200).decode(errors="replace").partition(" ")
+                partition = os.read(handle, 200).decode(errors="replace").partition(" ")
                 # Of another session it says nothing: what was wrong may be mended.
-                attempts = int(told[0]) if told[0].isdigit() and told[2] == self.session else 0
+                attempts = (
+                    int(partition[0])
+                    if partition[0].isdigit() and partition[2] == self.session
+                    else 0
+                )
                 os.lseek(handle, 0, os.SEEK_SET)
                 os.ftruncate(handle, 0)
                 os.write(handle, f"{attempts + 1} {self.session}".encode())
@@ -250,9 +254,9 @@ class EpisodeCache:
 
 def _make_folder(folder: Path) -> None:
     """Make a folder of episodes, which are not redacted: for the owner alone, if it is new."""
-    for one in (folder.parent, folder):
-        one.parent.mkdir(parents=True, exist_ok=True)
-        one.mkdir(mode=0o700, exist_ok=True)
+    for item in (folder.parent, folder):
+        item.parent.mkdir(parents=True, exist_ok=True)
+        item.mkdir(mode=0o700, exist_ok=True)
 
 
 def _mark_used(file: Path) -> None:
@@ -266,7 +270,7 @@ def _entry(line: bytes, address: Address | None = None) -> CacheEntry:
     try:
         head: Any = json.loads(line)
         changed = head["changed"]
-        found = CacheEntry(
+        entry = CacheEntry(
             head["id"],
             head["component"],
             head["session"],
@@ -275,13 +279,13 @@ def _entry(line: bytes, address: Address | None = None) -> CacheEntry:
         )
     except (LookupError, RecursionError, TypeError, ValueError) as error:
         raise DamagedEpisodeError(f"{type(error).__name__}: {error}") from None
-    told = [found.id, found.component, found.session, *found.parts, *found.parts.values()]
-    told += found.changed or ()
-    if head.get("format") != _FORMAT or not all(isinstance(one, str) for one in told):
+    told = [entry.id, entry.component, entry.session, *entry.parts, *entry.parts.values()]
+    told += entry.changed or ()
+    if head.get("format") != _FORMAT or not all(isinstance(item, str) for item in told):
         raise DamagedEpisodeError("its beginning is not as we write it")
-    if address is not None and found.parts != address.parts:
+    if address is not None and entry.parts != address.parts:
         raise DamagedEpisodeError("it is not the episode of this name")
-    return found
+    return entry
 
 
 MIN_AGE = 3600.0
@@ -334,9 +338,9 @@ def prune(
         )
     now = time.time()
     found = sorted(
-        (told.st_mtime, told.st_size, file)
+        (or_none.st_mtime, or_none.st_size, file)
         for file in _files(directory, EPISODE)
-        if (told := _stat_or_none(file)) is not None
+        if (or_none := _stat_or_none(file)) is not None
     )
     left = sum(size for _, size, _ in found)
     removed = removed_bytes = 0
@@ -386,8 +390,8 @@ def read_size(text: str) -> int:
 
 
 def _number(text: str, units: dict[str, float] | dict[str, int]) -> float | None:
-    found = re.fullmatch(r"([0-9]{1,9}(?:\.[0-9]{1,9})?)([A-Za-z])", text)
-    return None if found is None or found[2] not in units else float(found[1]) * units[found[2]]
+    match = re.fullmatch(r"([0-9]{1,9}(?:\.[0-9]{1,9})?)([A-Za-z])", text)
+    return None if match is None or match[2] not in units else float(match[1]) * units[match[2]]
 
 
 def _files(directory: Path, kind: str) -> Iterator[Path]:
@@ -419,8 +423,8 @@ def _remove_leftovers(directory: Path, now: float) -> None:
     """What killed processes left: half-written files, and claims that nobody holds."""
     for kind in (NEW, CLAIM):
         for file in _files(directory, kind):
-            told = _stat_or_none(file)
-            if told is None or now - told.st_mtime <= MIN_AGE:
+            or_none = _stat_or_none(file)
+            if or_none is None or now - or_none.st_mtime <= MIN_AGE:
                 continue
             if kind == NEW:
                 _remove(file)

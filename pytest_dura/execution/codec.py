@@ -55,8 +55,8 @@ def pack(episode: Episode) -> bytes:
         "trajectory": episode.trajectory,
         "drawn": episode.drawn,
         "time": columns.add(episode.time),
-        "signals": {name: columns.add(one) for name, one in episode.signals.items()},
-        "decisions": {name: columns.add(one) for name, one in episode.decisions.items()},
+        "signals": {name: columns.add(signal) for name, signal in episode.signals.items()},
+        "decisions": {name: columns.add(decision) for name, decision in episode.decisions.items()},
         "events": [{**event.to_json(), "wall_clock": event.wall_clock} for event in episode.events],
         "faults": [asdict(fault) for fault in episode.faults],
         "termination": episode.termination,
@@ -174,7 +174,7 @@ def _check_texts(head: Data) -> None:
     texts = [head["termination"], *(() if head["failure"] is None else (head["failure"],))]
     texts += [event[name] for event in head["events"] for name in ("kind", "subject", "detail")]
     texts += [fault[name] for fault in head["faults"] for name in ("id", "target")]
-    if not all(isinstance(one, str) for one in texts):
+    if not all(isinstance(text, str) for text in texts):
         raise TypeError("what should be a text is none")
 
 
@@ -194,9 +194,9 @@ def _metrics(metrics: DependabilityMetrics, columns: _Columns) -> Data:
     told = {name: value for name, value in vars(metrics).items() if name != "faults"}
     for name in SERIES:
         told[name] = {
-            key: [_listed(one, columns) for one in two] for key, two in told[name].items()
+            key: [_listed(item, columns) for item in two] for key, two in told[name].items()
         }
-    return {**told, "tallies": {name: asdict(one) for name, one in metrics.tallies.items()}}
+    return {**told, "tallies": {name: asdict(tally) for name, tally in metrics.tallies.items()}}
 
 
 def _listed(values: list[Any], columns: _Columns) -> int | list[Any]:
@@ -214,7 +214,7 @@ def _listed(values: list[Any], columns: _Columns) -> int | list[Any]:
 def _metrics_of(told: Data, columns: list[NDArray[Any]]) -> DependabilityMetrics:
     series = {
         name: {
-            key: tuple(columns[one].tolist() if isinstance(one, int) else one for one in two)
+            key: tuple(columns[item].tolist() if isinstance(item, int) else item for item in two)
             for key, two in told[name].items()
         }
         for name in SERIES
@@ -222,15 +222,15 @@ def _metrics_of(told: Data, columns: list[NDArray[Any]]) -> DependabilityMetrics
     made = {
         "violations": Counter(told["violations"]),
         "reactions": Counter(told["reactions"]),
-        "recoveries": [tuple(one) for one in told["recoveries"]],
-        "tallies": {name: Tally(**one) for name, one in told["tallies"].items()},
+        "recoveries": [tuple(recovery) for recovery in told["recoveries"]],
+        "tallies": {name: Tally(**tally) for name, tally in told["tallies"].items()},
     }
     return replace(DependabilityMetrics(), **{**told, **series, **made})
 
 
 def _recording(recording: Recording, columns: _Columns) -> Data:
     told = dict(vars(recording))
-    told["flags"] = {name: columns.add(one) for name, one in recording.flags.items()}
+    told["flags"] = {name: columns.add(flag) for name, flag in recording.flags.items()}
     scene = recording.scene
     if scene is not None:
         told["scene"] = {

@@ -37,13 +37,13 @@ def silence_logs() -> Callable[[], None]:
         for name in sorted(logging.root.manager.loggerDict)
         if name.partition(".")[0] in _NAMES
     ]
-    before = [one.disabled for one in silenced]
-    for one in silenced:
-        one.disabled = True
+    before = [item.disabled for item in silenced]
+    for entry in silenced:
+        entry.disabled = True
 
     def loud() -> None:
-        for one, was in zip(silenced, before, strict=True):
-            one.disabled = was
+        for item, was in zip(silenced, before, strict=True):
+            item.disabled = was
 
     return loud
 
@@ -100,7 +100,7 @@ def _pool(client: Mapping[str, Any]) -> ProcessPool:
 def _process_environment(client: Mapping[str, Any]) -> ProcessEnvironment:
     """What the worker finds, after those folders of the client's project that are here as well."""
     own = ProcessEnvironment.here()
-    shared = [one for one in client["path"] if Path(one).exists()]
+    shared = [item for item in client["path"] if Path(item).exists()]
     folder = client["folder"] if Path(client["folder"]).is_dir() else own.folder
     return ProcessEnvironment(list(dict.fromkeys([*shared, *own.path])), folder)
 
@@ -188,18 +188,20 @@ def compare_workers(client: Any, address: str, told: Mapping[str, Any]) -> int:
             raise no_workers_error(address, SECONDS_TO_FIRST_WORKER) from None
         threads: dict[str, int] = client.nthreads()
         asked = {
-            one: client.submit(
+            thread: client.submit(
                 reply_with_machine,
                 told,
-                workers=[one],
+                workers=[thread],
                 key=f"dura-look-{uuid.uuid4().hex}",
                 pure=False,
             )
-            for one in threads
+            for thread in threads
         }
-        equal = [one for one, task in asked.items() if _is_equal(client, address, one, task, end)]
+        equal = [
+            item for item, task in asked.items() if _is_equal(client, address, item, task, end)
+        ]
         if equal:
-            return sum(threads[one] for one in equal)
+            return sum(threads[item] for item in equal)
 
 
 def _is_equal(client: Any, address: str, worker: str, task: Any, end: float) -> bool:
@@ -210,7 +212,7 @@ def _is_equal(client: Any, address: str, worker: str, task: Any, end: float) -> 
     """
     where = f"the Dask worker {worker}"
     try:
-        found = json.loads(result_of(_answer(client, worker, task, end)))
+        data = json.loads(result_of(_answer(client, worker, task, end)))
     except Exception as error:  # whatever goes wrong there
         if client.status == "running" and worker not in client.nthreads():
             return False
@@ -220,7 +222,7 @@ def _is_equal(client: Any, address: str, worker: str, task: Any, end: float) -> 
             found=address,
             remedy="start workers in an environment with the same pytest-dura",
         ) from None
-    refuse_differences(where, describe_machine(), found)
+    refuse_differences(where, describe_machine(), data)
     return True
 
 
@@ -315,7 +317,7 @@ class DaskExecutor(Executor):
     def __init__(self, address: str) -> None:
         self.address = address
         here = ProcessEnvironment.here()
-        shared = [one for one in here.path if not is_installed(Path(one))]
+        shared = [item for item in here.path if not is_installed(Path(item))]
         self._told = {"token": uuid.uuid4().hex, "path": shared, "folder": here.folder}
         self._asked: dict[Future[Any], Any] = {}
         self._lock, self._landing = threading.Lock(), threading.Lock()
@@ -452,16 +454,16 @@ class DaskExecutor(Executor):
         while not self._closed.wait(_POLL_SECONDS):
             try:
                 # As `Client.nthreads`, which would wait for a scheduler that is stopped for ever.
-                found = self._client.sync(
+                sync = self._client.sync(
                     self._client.scheduler.ncores, callback_timeout=SECONDS_WITHOUT_ANSWER
                 )
-                self.width = max(1, sum(found.values()))
+                self.width = max(1, sum(sync.values()))
             except Exception:  # whatever Dask raises then: the scheduler does not answer
                 if not self._closed.is_set():
                     self._lost, self.is_lost = scheduler_lost_error(self.address), True
                     self._give_up(self._lost)
                 return
-            without = 0.0 if found else without + _POLL_SECONDS
+            without = 0.0 if sync else without + _POLL_SECONDS
             self.is_lost = without >= SECONDS_WITHOUT_WORKERS
             if self.is_lost:
                 # Whoever asks from now on until there is one does not wait as long once more.

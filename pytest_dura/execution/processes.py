@@ -56,7 +56,7 @@ class ProcessEnvironment:
     def here(cls) -> ProcessEnvironment:
         """As they are in this process now."""
         folder = Path.cwd()
-        return cls([str(folder / one) for one in sys.path], str(folder))
+        return cls([str(folder / item) for item in sys.path], str(folder))
 
 
 class WorkerEndedError(Exception):
@@ -155,8 +155,8 @@ class WorkerProcess:
                 write_frame(self._calls, data)  # a process that was stopped reads nothing
             except OSError:
                 raise self._ended(seconds, late) from None
-            found = self._reply(seconds, late)
-        return found[1:], found[:1] != RETIRES
+            reply = self._reply(seconds, late)
+        return reply[1:], reply[:1] != RETIRES
 
     def kill(self) -> None:
         """End it and what it started. Its call raises in the thread that waits for the reply."""

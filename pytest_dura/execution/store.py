@@ -33,7 +33,7 @@ MAX_MEMORY_BYTES = 64_000_000
 """Bytes that they may take, which is what as many of 15 s do."""
 _NUMBER = 32
 """Bytes that a number in a list takes."""
-_STORED = tuple(one.name for one in fields(Episode) if one.name != "spec")
+_STORED = tuple(item.name for item in fields(Episode) if item.name != "spec")
 
 
 def key_of(task: EpisodeTask) -> EpisodeKey:
@@ -53,8 +53,8 @@ def size_of(episode: Episode) -> int:
         scene = episode.recording.scene
         columns += [] if scene is None else [scene.truth.poses, scene.percept.poses]
     series = (two for name in SERIES for two in getattr(episode.metrics, name).values())
-    listed = sum(len(one) for two in series for one in two)
-    return sum(one.nbytes for one in columns) + _NUMBER * listed
+    listed = sum(len(item) for two in series for item in two)
+    return sum(column.nbytes for column in columns) + _NUMBER * listed
 
 
 class EpisodeMemory:
@@ -104,7 +104,7 @@ class EpisodeMemory:
             episode: The episode.
             elsewhere: Whether it is kept elsewhere, too, and may be forgotten here.
         """
-        self._kept |= {id(one): one for one in task.local}
+        self._kept |= {id(item): item for item in task.local}
         self._put(key_of(task), episode, elsewhere=elsewhere)
 
     def _put(self, key: EpisodeKey, episode: JudgedEpisode, *, elsewhere: bool) -> None:
@@ -113,10 +113,10 @@ class EpisodeMemory:
             self._taken += self._sizes[key]
         self._recent[key] = episode, elsewhere
         while self._taken > self._room or len(self._recent) > self._most:
-            oldest, (one, kept_elsewhere) = self._recent.popitem(last=False)
+            oldest, (item, kept_elsewhere) = self._recent.popitem(last=False)
             self._taken -= self._sizes.pop(oldest)
             if not kept_elsewhere:
-                self._spill(oldest, one)
+                self._spill(oldest, item)
 
     def _spill(self, key: EpisodeKey, episode: JudgedEpisode) -> None:
         if key in self._spilt:
@@ -190,8 +190,10 @@ class EarlierEpisodes:
         if not known:
             return None
         changes = [tuple(address.changed(parts)) for parts in known]
-        self.outdated[key_of(task)] = found = min(changes, key=lambda one: (len(one), one))
-        return found
+        self.outdated[key_of(task)] = change = min(
+            changes, key=lambda change: (len(change), change)
+        )
+        return change
 
     def origin(self, key: EpisodeKey) -> dict[str, Any]:
         """Where an episode comes from, as the record tells it; see :meth:`miss`."""
@@ -318,10 +320,10 @@ class EpisodeStore:
         task = replace(task.repeated(), recorded=False)
         address = None if self.execution.inside else self._address(task)
         try:
-            found = self.execution.submit(task, address).result()
+            result = self.execution.submit(task, address).result()
         except ProcessLostError as error:
-            found = missing_episode(task.spec, str(error))
-        return JudgedEpisode.of(unpack(found, task.spec) if isinstance(found, bytes) else found)
+            result = missing_episode(task.spec, str(error))
+        return JudgedEpisode.of(unpack(result, task.spec) if isinstance(result, bytes) else result)
 
     def holds(self, task: EpisodeTask) -> bool:
         """Whether an episode need not be simulated: this process has it, or it is on the shelf."""
@@ -349,9 +351,9 @@ class EpisodeStore:
         while True:
             flight = self._flights.get(address.name)
             if flight is None:
-                found = self._shelved(task, address)
-                if found is not None:
-                    return found, True
+                shelved = self._shelved(task, address)
+                if shelved is not None:
+                    return shelved, True
                 flight = self._begun(task, address, wait=time.monotonic() < end)
             if flight is not None:
                 self._begin_ahead(ahead)
@@ -462,9 +464,9 @@ class EpisodeStore:
 
     def _landed(self, flight: _Flight) -> tuple[JudgedEpisode, bool]:
         try:
-            found = flight.future.result()
+            result = flight.future.result()
         except ProcessLostError as error:
-            found = missing_episode(flight.task.spec, str(error))
+            result = missing_episode(flight.task.spec, str(error))
         except CallFailedError:
             self.lost = True
             raise
@@ -475,17 +477,17 @@ class EpisodeStore:
             self.is_broken = True
             raise flight.broken
         self.simulated += 1
-        if isinstance(found, bytes):
-            found = unpack(found, flight.task.spec)
-        return JudgedEpisode.of(found), flight.kept
+        if isinstance(result, bytes):
+            result = unpack(result, flight.task.spec)
+        return JudgedEpisode.of(result), flight.kept
 
     def _address(self, task: EpisodeTask) -> Address | None:
         """Made once for a task, which is asked about again and again while it waits."""
         known = vars(task)
         if "address" not in known:
             known["address"] = self._addresses.of(task)
-        found: Address | None = known["address"]
-        return found
+        address: Address | None = known["address"]
+        return address
 
     def _note(self, problem: Exception) -> None:
         # Without the file's name: it is another one for each episode.
@@ -511,5 +513,5 @@ def _packed(flight: _Flight) -> bytes | None:
         return pack(missing_episode(flight.task.spec, str(error)))
     if error is not None:
         return None
-    found: Episode | bytes = flight.future.result()
-    return found if isinstance(found, bytes) else pack(found)
+    result: Episode | bytes = flight.future.result()
+    return result if isinstance(result, bytes) else pack(result)

@@ -137,10 +137,12 @@ class EpisodeTask:
     @cached_property
     def local(self) -> tuple[Any, ...]:
         """What gives it a meaning in this process only: bare instances, classes of a function."""
-        found = [
-            one for part in self.parts.values() if (one := _process_local_target(part)) is not None
+        parts = [
+            local_target
+            for part in self.parts.values()
+            if (local_target := _process_local_target(part)) is not None
         ]
-        return (*found, *(one for one in self.metrics.values() if not is_named(one)))
+        return (*parts, *(metric for metric in self.metrics.values() if not is_named(metric)))
 
     @cached_property
     def portable(self) -> bool:
@@ -149,10 +151,13 @@ class EpisodeTask:
 
     def to_json(self) -> Data:
         """Plain data of a portable task, from which :meth:`from_json` makes an equal one."""
-        paths = {name: f"{one.__module__}:{one.__qualname__}" for name, one in self.metrics.items()}
+        paths = {
+            name: f"{metric.__module__}:{metric.__qualname__}"
+            for name, metric in self.metrics.items()
+        }
         return {
             "spec": self.spec.to_json(),
-            "judging": [one.to_json() for one in self.judging],
+            "judging": [requirement.to_json() for requirement in self.judging],
             "metrics": paths,
             "recorded": self.recorded,
             "again": self.again,
@@ -168,7 +173,7 @@ class EpisodeTask:
         """
         return cls(
             EpisodeSpec.from_json(data["spec"]),
-            tuple(Requirement.from_json(one) for one in data["judging"]),
+            tuple(Requirement.from_json(item) for item in data["judging"]),
             {name: RoleSpec(path).resolve() for name, path in data["metrics"].items()},
             data["recorded"],
             data["again"],

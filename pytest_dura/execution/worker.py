@@ -72,10 +72,10 @@ def result_of(reply: bytes) -> bytes:
     if kind == _RESULT:
         return body
     if kind == _CONFIGURATION:
-        told = json.loads(body)
-        if told["found"] is not None:
-            told["found"] = _Shown(told["found"])
-        raise ConfigurationError(**told)
+        data = json.loads(body)
+        if data["found"] is not None:
+            data["found"] = _Shown(data["found"])
+        raise ConfigurationError(**data)
     if kind == _LOST:
         raise ProcessLostError(body.decode())
     raise CallFailedError(f"a process that simulates failed: {body.decode(errors='replace')}")
@@ -169,8 +169,8 @@ def _memory() -> int:
     """Bytes of memory that this process has; 0 where that is not told."""
     try:
         # The peak that getrusage tells is on Linux that of whoever started this process, if higher.
-        told = Path("/proc/self/statm").read_bytes().split()
-        return int(told[1]) * os.sysconf("SC_PAGE_SIZE")
+        split = Path("/proc/self/statm").read_bytes().split()
+        return int(split[1]) * os.sysconf("SC_PAGE_SIZE")
     except OSError:
         pass
     if sys.platform == "win32":

@@ -93,27 +93,27 @@ def parse_condition(text: str) -> Condition:
     """
     terms = []
     for part in re.split(r"\band\b", text):
-        found = _TERM.match(part)
-        if found is None:
+        match = _TERM.match(part)
+        if match is None:
             raise RefusedError(
                 f"{part.strip()!r} is not a comparison such as 'odometry.speed > 5'",
                 f"a path, one of {' '.join(_COMPARISONS)}, and a number; several are joined by"
                 " 'and'",
                 "correct the condition",
             )
-        target = Target.parse(found["path"])
+        target = Target.parse(match["path"])
         if (target.channel == TIME) == bool(target.field):
             raise RefusedError(
-                f"{found['path']!r} is no number",
+                f"{match['path']!r} is no number",
                 f"channel.field, channel.{COUNT}, abs(channel.field) or {TIME}",
                 "say which number of the channel is meant",
             )
-        sign, bound = _COMPARISONS[found["sign"]], float(found["bound"])
+        sign, bound = _COMPARISONS[match["sign"]], float(match["bound"])
         if not math.isfinite(bound):
             raise RefusedError(
-                f"{found['bound']} in {part.strip()!r} is not a finite number", "a finite number"
+                f"{match['bound']} in {part.strip()!r} is not a finite number", "a finite number"
             )
-        terms.append(_Term(target, bool(found["abs"]), sign, bound))
+        terms.append(_Term(target, bool(match["abs"]), sign, bound))
     return Condition(text, tuple(terms))
 
 

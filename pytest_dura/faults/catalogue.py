@@ -26,14 +26,14 @@ def fault_error(
     kind: type[Fault], data: Mapping[str, Any], error: ValidationError
 ) -> ConfigurationError:
     """The first thing that is wrong with a fault; ``key`` is the path within it."""
-    found = error.errors()
+    errors = error.errors()
     # A misspelt key is also a missing one; the misspelling is what helps.
-    first = next((one for one in found if one["type"] == "extra_forbidden"), found[0])
+    first = next((item for item in errors if item["type"] == "extra_forbidden"), errors[0])
     place = _place(data, first)
     # Where a value may be of several types, each tells what is wrong; the one that fits has more
     # to say than that its type is another one.
-    same_place = [one for one in found if _place(data, one) == place]
-    first = next((one for one in same_place if not one["type"].endswith("_type")), first)
+    same_place = [item for item in errors if _place(data, item) == place]
+    first = next((item for item in same_place if not item["type"].endswith("_type")), first)
     problem, expected, remedy = _described(kind, first, place[-1] if place else "")
     value = first["input"]
     shown = first["type"] != "missing" and not isinstance(value, Mapping)
@@ -120,9 +120,11 @@ def _holder(kind: type[BaseModel], path: Sequence[Any]) -> type[BaseModel] | Non
     options = [kind]
     for part in path:
         if _is_tag(part):
-            options = [one for one in options if f"<{one.__name__.lower()}>" == part]
+            options = [option for option in options if f"<{option.__name__.lower()}>" == part]
         elif isinstance(part, str):
-            fields = [one.model_fields[part] for one in options if part in one.model_fields]
+            fields = [
+                option.model_fields[part] for option in options if part in option.model_fields
+            ]
             options = list(_models(fields[0].annotation)) if fields else []
     return options[0] if options else None
 

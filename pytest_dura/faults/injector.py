@@ -85,7 +85,7 @@ def _same_of_type(before: Any, after: Any) -> bool:
             is_same_value(before[k], after[k]) for k in before
         )
     if is_dataclass(before) and "__eq__" in vars(type(before)):
-        names = (one.name for one in fields(before) if one.compare)
+        names = (field.name for field in fields(before) if field.compare)
         return all(is_same_value(getattr(before, name), getattr(after, name)) for name in names)
     try:
         return bool(before == after)
@@ -248,7 +248,7 @@ class FaultLife:
             self._held = self._in_window(time) and self._condition.holds(channels, time)
             return self._held and not held
         if self._pending:
-            waiting = [one for one in self._pending if one > time + TOLERANCE]
+            waiting = [item for item in self._pending if item > time + TOLERANCE]
             reached = len(waiting) < len(self._pending)
             self._pending = waiting
             return reached
@@ -301,8 +301,8 @@ class CampaignInjector(FaultInjector):
             ConfigurationError: For two faults of one id.
         """
         self._lives: dict[str, FaultLife] = {}
-        for one in context.faults:
-            fault = load_fault(one)
+        for item in context.faults:
+            fault = load_fault(item)
             if fault.id in self._lives:
                 raise ConfigurationError(
                     f"two faults have the id {fault.id!r}",
@@ -342,10 +342,10 @@ class CampaignInjector(FaultInjector):
             self._direct(directed, view.time)
         if not self._started and not self._ended:
             return _IDLE
-        told = Injection(tuple(self._started), tuple(self._ended))
+        injection = Injection(tuple(self._started), tuple(self._ended))
         self._started.clear()
         self._ended.clear()
-        return told
+        return injection
 
     def corrupt(
         self, channels: Mapping[str, Any], time: float

@@ -215,7 +215,9 @@ def check_condition_targets(
         if channel is None or target.is_command or not _is_readable(target, channel):
             known = [name for name in possible_targets("number", channels) if COMMAND not in name]
             known += _rows(channels)
-            counts = [f"{name}.count" for name, one in channels.items() if one.kind in _COUNTED]
+            counts = [
+                f"{name}.count" for name, channel in channels.items() if channel.kind in _COUNTED
+            ]
             near = difflib.get_close_matches(str(target), [*known, *counts], n=1)
             raise ConfigurationError(
                 f"a condition cannot read {str(target)!r}",
@@ -248,7 +250,7 @@ def _is_readable(target: Target, channel: Channel) -> bool:
 def _acts_on_rows(acts_on: Kind, target: Target, channel: Channel) -> bool:
     """Whether the target is a row of an array, or a number in a row, that suits a fault."""
     indices = target.field.split(".")
-    if channel.kind != "array" or not all(one.isdecimal() for one in indices):
+    if channel.kind != "array" or not all(index.isdecimal() for index in indices):
         return False
     depth = 2 if channel.columns else 1
     if len(indices) == 2 and int(indices[1]) >= channel.columns:
@@ -261,19 +263,19 @@ def _acts_on_rows(acts_on: Kind, target: Target, channel: Channel) -> bool:
 def _rows(channels: Mapping[str, Channel]) -> list[str]:
     """The numbers in arrays, as messages show them."""
     return [
-        f"{name}.<row>" + (f".<0 to {one.columns - 1}>" if one.columns else "")
-        for name, one in channels.items()
-        if one.kind == "array"
+        f"{name}.<row>" + (f".<0 to {channel.columns - 1}>" if channel.columns else "")
+        for name, channel in channels.items()
+        if channel.kind == "array"
     ]
 
 
 def possible_targets(acts_on: Kind, channels: Mapping[str, Channel]) -> list[str]:
     """All targets on which faults of a kind can act, in the order of the channels."""
-    numbers = [f"{name}.{field}" for name, one in channels.items() for field in one.fields]
+    numbers = [f"{name}.{field}" for name, channel in channels.items() for field in channel.fields]
     if acts_on == "number":
         return numbers
     if acts_on == "command":
         return [name for name in numbers if Target.parse(name).is_command]
     if acts_on == "any":
         return [*(name for name in channels if name not in MESSAGES), *numbers]
-    return [name for name, one in channels.items() if one.kind in _HOLDS[acts_on]]
+    return [name for name, channel in channels.items() if channel.kind in _HOLDS[acts_on]]

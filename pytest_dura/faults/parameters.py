@@ -92,8 +92,8 @@ def spans_of(kind: type[BaseModel]) -> Mapping[str, Span | Choices]:
     model = parameters_of(kind)
     if model is None:
         return {}
-    found = {name: _values(name, one) for name, one in model.model_fields.items()}
-    return {f"{PARAMETERS}.{name}": one for name, one in found.items() if one is not None}
+    found = {name: _values(name, model_field) for name, model_field in model.model_fields.items()}
+    return {f"{PARAMETERS}.{name}": item for name, item in found.items() if item is not None}
 
 
 def parameters_of(kind: type[BaseModel]) -> type[BaseModel] | None:
@@ -105,7 +105,7 @@ def parameters_of(kind: type[BaseModel]) -> type[BaseModel] | None:
 
 def declared_span(field: FieldInfo) -> Span | None:
     """The span in the annotation of a parameter, if it has one."""
-    return next((one for one in field.metadata if isinstance(one, Span)), None)
+    return next((item for item in field.metadata if isinstance(item, Span)), None)
 
 
 def _values(name: str, field: FieldInfo) -> Span | Choices | None:
@@ -117,13 +117,13 @@ def _values(name: str, field: FieldInfo) -> Span | Choices | None:
     words = _choices(field.annotation)
     if words is None or field.default not in words:
         return None
-    return Choices((field.default, *(one for one in words if one != field.default)))
+    return Choices((field.default, *(item for item in words if item != field.default)))
 
 
 def _whole(name: str, span: Span) -> Choices:
     """The whole numbers of a span, the mildest first."""
     ends = span.low, span.high, span.mildest
-    if not all(float(one).is_integer() for one in ends):
+    if not all(float(end).is_integer() for end in ends):
         raise ConfigurationError(
             "the span of a whole number does not begin and end at one",
             key=f"{PARAMETERS}.{name}",
@@ -131,7 +131,7 @@ def _whole(name: str, span: Span) -> Choices:
             expected="whole numbers",
         )
     low, high, mildest = map(int, ends)
-    return Choices(tuple(sorted(range(low, high + 1), key=lambda one: abs(one - mildest))))
+    return Choices(tuple(sorted(range(low, high + 1), key=lambda index: abs(index - mildest))))
 
 
 def _choices(annotation: Any) -> tuple[Any, ...] | None:

@@ -117,10 +117,10 @@ def _tried(span: Span | None, chosen: bool) -> str:
 
 def _fields(model: type[BaseModel]) -> Iterator[list[str]]:
     schema = model.model_json_schema()
-    for name, one in schema.get("properties", {}).items():
-        default = "required" if name in schema.get("required", ()) else _value(one.get("default"))
-        values = _values(one, schema.get("$defs", {}))
-        yield [f"`{name}`", values, default, _cell(one.get("description", ""))]
+    for name, item in schema.get("properties", {}).items():
+        default = "required" if name in schema.get("required", ()) else _value(item.get("default"))
+        values = _values(item, schema.get("$defs", {}))
+        yield [f"`{name}`", values, default, _cell(item.get("description", ""))]
 
 
 def _values(schema: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
@@ -129,13 +129,13 @@ def _values(schema: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
         named = definitions[schema["$ref"].rpartition("/")[2]]
         return "{" + ", ".join(named.get("properties", {})) + "}"
     if "anyOf" in schema:
-        return ", ".join(dict.fromkeys(_values(one, definitions) for one in schema["anyOf"]))
+        return ", ".join(dict.fromkeys(_values(item, definitions) for item in schema["anyOf"]))
     if "enum" in schema or "const" in schema:
         choices = schema.get("enum") or [schema["const"]]
-        return ", ".join(f"`{one}`" for one in choices)
+        return ", ".join(f"`{choice}`" for choice in choices)
     if schema.get("type") == "array":
         items = schema.get("prefixItems") or [schema.get("items", {})]
-        inner = ", ".join(dict.fromkeys(_values(one, definitions) for one in items))
+        inner = ", ".join(dict.fromkeys(_values(item, definitions) for item in items))
         count = f"{schema['maxItems']} of " if "maxItems" in schema else "list of "
         return count + inner
     if schema.get("type") == "object":
@@ -209,7 +209,9 @@ def _text(said: str | None) -> str:
 def _cell(said: str) -> str:
     """A text on one line, with paragraphs kept apart, that cannot end a table's cell."""
     paragraphs = inspect.cleandoc(said).split("\n\n")
-    return "<br>".join(" ".join(_text(one).split()) for one in paragraphs).replace("|", "\\|")
+    return "<br>".join(" ".join(_text(paragraph).split()) for paragraph in paragraphs).replace(
+        "|", "\\|"
+    )
 
 
 if __name__ == "__main__":

@@ -147,7 +147,7 @@ def resolved(value: Any) -> Any:
 
 def _field_names(value: Any) -> tuple[str, ...]:
     if is_dataclass(value) and not isinstance(value, type):
-        return tuple(one.name for one in fields(value))
+        return tuple(field.name for field in fields(value))
     return getattr(value, "_fields", ())
 
 

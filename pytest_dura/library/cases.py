@@ -51,14 +51,14 @@ def select_cases(cases: list[Case], globs: Sequence[str]) -> list[Case]:
         return cases
     kept: set[str] = set()
     for glob in globs:
-        found = {
+        ids = {
             case.id
             for case in cases
             if fnmatchcase(case.id, glob) or fnmatchcase(case.scenario.name, glob)
         }
-        if not found:
+        if not ids:
             raise no_match_error(glob, [case.id for case in cases], "case")
-        kept |= found
+        kept |= ids
     return [case for case in cases if case.id in kept]
 
 
@@ -282,9 +282,9 @@ def expand_cases(
     chosen = list(scenarios.values() if isinstance(scenarios, Mapping) else scenarios)
     if faults is not None and select:
         # Faults that are given need to fit the scenarios that are chosen, not all of them.
-        chosen = [one for one in chosen if may_match_scenario(one.name, select)] or chosen
+        chosen = [item for item in chosen if may_match_scenario(item.name, select)] or chosen
     cases: dict[str, Case] = {}
-    for scenario in sorted(chosen, key=lambda one: one.name):
+    for scenario in sorted(chosen, key=lambda item: item.name):
         known = read.get(scenario.name)
         if known is None:
             own = tuple(parse_scenario_fault(scenario, i) for i in range(len(scenario.faults)))
@@ -311,16 +311,16 @@ def case_with_faults(scenario: Scenario, faults: FaultCampaign) -> Case:
     Raises:
         ConfigurationError: For an unknown fault, and for a campaign of several cases.
     """
-    found = expand_cases([scenario], [faults])
-    if len(found) > 1:
+    cases = expand_cases([scenario], [faults])
+    if len(cases) > 1:
         raise ConfigurationError(
-            f"these faults make {len(found)} cases, and one is asked for",
+            f"these faults make {len(cases)} cases, and one is asked for",
             key="faults",
             found=faults,
             expected="the faults of one case, such as ghost-obstacle",
-            remedy=f"for example {found[0].id!r}",
+            remedy=f"for example {cases[0].id!r}",
         )
-    return found[0]
+    return cases[0]
 
 
 def _planned(
@@ -336,8 +336,8 @@ def _planned(
     if campaigns is None and known is not None:
         return [faults for each in known.campaigns for faults in each]
     found: list[Faults] = []
-    for one in chosen:
-        found += expand_campaign(scenario, own, one)
+    for item in chosen:
+        found += expand_campaign(scenario, own, item)
         check_case_count(len(found), "faults")
     return found
 
@@ -362,7 +362,7 @@ class SearchedCase(Case):
     def __repr__(self) -> str:
         """What was chosen, and not what every case of the scenario has."""
         faults = [
-            {key: _without_none(one) for key, one in fault.items() if key != BY_CHANCE}
+            {key: _without_none(item) for key, item in fault.items() if key != BY_CHANCE}
             for fault in self.faults
         ]
         scenario = self.scenario
@@ -399,7 +399,7 @@ def make_searched_case(
     own = case.scenario.plain()
     planned = [parse_fault(case.scenario, fault) for fault in faults]
     check_chains(planned)
-    given = [_writable_fault(one) for one in planned]
+    given = [_writable_fault(fault) for fault in planned]
     own |= {"world": dict(world), "faults": given, "seed": seed, "runs": 1}
     own["requirements"] = list(case.requirements)
     for key in ("variation", "campaigns"):
@@ -423,5 +423,5 @@ def _writable_fault(fault: Mapping[str, Any]) -> dict[str, Any]:
 def _without_none(value: Any) -> Any:
     """A part of a fault without what it does not have."""
     if isinstance(value, Mapping):
-        return {key: one for key, one in value.items() if one is not None}
+        return {key: item for key, item in value.items() if item is not None}
     return value

@@ -29,13 +29,13 @@ def check_scenario(scenario: Scenario) -> tuple[list[ConfigurationError], Scenar
     The faults are ``None`` if one of them cannot be used, and if there are too many to keep: then
     expanding the scenario says so.
     """
-    found: list[ConfigurationError] = []
+    errors: list[ConfigurationError] = []
 
     def attempt(key: str, check: Callable[..., Any], *args: Any) -> Any:
         try:
             return check(*args)
         except ConfigurationError as error:
-            found.append(_place(scenario, error, key))
+            errors.append(_place(scenario, error, key))
             return None
 
     simulator = attempt("simulator", _simulator, scenario)
@@ -51,10 +51,10 @@ def check_scenario(scenario: Scenario) -> tuple[list[ConfigurationError], Scenar
         for path in scenario.variation:
             key = f"variation.{path}"
             attempt(key, _check_variation, scenario, simulator, world, faults, path)
-        if not found:
+        if not errors:
             for fault in faults.values():
                 attempt("variation", _check_together, scenario, fault)
-    return found, read
+    return errors, read
 
 
 def _own_faults(
@@ -77,15 +77,15 @@ def _campaigns(
     scenario: Scenario, own: Faults, attempt: Callable[..., Any]
 ) -> ScenarioFaults | None:
     """The faults of all cases; each entry is looked at, however many there are."""
-    found: list[list[Faults]] = []
+    faults: list[list[Faults]] = []
     cases, complete = 0, True
     for index, campaign in enumerate(scenario.campaigns):
         made = attempt(f"campaigns.{index}", expand_campaign, scenario, own, campaign)
         cases += len(made or ())
         complete = complete and made is not None and cases <= MAX_CASES
         if complete:
-            found.append(made)
-    return ScenarioFaults(own, tuple(found)) if complete else None
+            faults.append(made)
+    return ScenarioFaults(own, tuple(faults)) if complete else None
 
 
 def _place(scenario: Scenario, error: ConfigurationError, key: str) -> ConfigurationError:

@@ -92,13 +92,13 @@ def _read_text(path: Path) -> str:
     file = str(path)
     try:
         if not path.is_file():
-            found = (
+            text = (
                 "a directory" if path.is_dir() else "nothing" if not path.exists() else "a device"
             )
             raise ConfigurationError(
                 "this is not a readable file",
                 file=file,
-                found=found if path.exists() else "nothing at this path",
+                found=text if path.exists() else "nothing at this path",
                 expected="a YAML file",
                 remedy="check the path",
             )
@@ -377,7 +377,7 @@ def translate(
 ) -> ConfigurationError:
     """One message for all that pydantic found in a document, or in its part at a key."""
     found = [_translate(model, document, at, problem) for problem in error.errors()]
-    return combine_errors(sorted(found, key=lambda one: (one.line or 0, one.key or "")))
+    return combine_errors(sorted(found, key=lambda item: (item.line or 0, item.key or "")))
 
 
 def _translate(
@@ -427,15 +427,15 @@ def _meaning(holder: type[BaseModel], name: str) -> str:
 def _model_at(model: type[BaseModel], parts: list[str]) -> type[BaseModel]:
     """The model whose fields stand under a path; the nearest one above for free mappings."""
     annotation: Any = model
-    found = model
+    candidate = model
     for part in parts:
         options = list(_models(annotation))
         owner = next((option for option in options if part in option.model_fields), None)
         if owner is not None:
             annotation = owner.model_fields[part].annotation
         candidates = list(_models(annotation))
-        found = candidates[0] if candidates else found
-    return found
+        candidate = candidates[0] if candidates else candidate
+    return candidate
 
 
 def _models(annotation: Any) -> Iterator[type[BaseModel]]:

@@ -117,7 +117,7 @@ def _check_keys(word: str, keys: Iterable[str]) -> None:
                 remedy="name a key of the fault, such as parameters.offset",
             )
         within = [
-            one for one, longer in paths.items() if one != key and longer[: len(path)] == path
+            item for item, longer in paths.items() if item != key and longer[: len(path)] == path
         ]
         if within:
             raise ConfigurationError(
@@ -165,7 +165,7 @@ def _id_part(value: Any) -> str:
     if isinstance(value, float):
         return f"{value:g}"
     text = str(value).lower() if isinstance(value, bool) else str(value)
-    return "".join(one if one.isalnum() or one in "_.-" else "_" for one in text)
+    return "".join(item if item.isalnum() or item in "_.-" else "_" for item in text)
 
 
 def _model(model: type[Any], data: Mapping[str, Any]) -> Any:
@@ -227,8 +227,8 @@ def read_campaigns(path: Path) -> list[FileEntry]:
         ConfigurationError: If the file cannot be read, or has another form.
     """
     document = read_yaml(path)
-    found = document.data.get("campaigns")
-    if set(document.data) != {"campaigns"} or not isinstance(found, list) or not found:
+    campaigns = document.data.get("campaigns")
+    if set(document.data) != {"campaigns"} or not isinstance(campaigns, list) or not campaigns:
         raise ConfigurationError(
             "this is no file of fault campaigns",
             file=document.file,
@@ -238,7 +238,7 @@ def read_campaigns(path: Path) -> list[FileEntry]:
             expected="the key `campaigns` alone, with a list",
             remedy="for example campaigns: [none, ghost-obstacle]",
         )
-    return [FileEntry(one, document, index) for index, one in enumerate(found)]
+    return [FileEntry(item, document, index) for index, item in enumerate(campaigns)]
 
 
 def expand_campaign(scenario: Scenario, own: Faults, campaign: object) -> list[Faults]:
@@ -282,7 +282,7 @@ def expand_campaign(scenario: Scenario, own: Faults, campaign: object) -> list[F
 
 def _are_faults(campaign: Sequence[Any]) -> bool:
     # An empty list would read as a campaign, and be a run without any fault.
-    return bool(campaign) and all(isinstance(one, (str, Mapping)) for one in campaign)
+    return bool(campaign) and all(isinstance(item, (str, Mapping)) for item in campaign)
 
 
 def _single_fault(scenario: Scenario, own: Faults, fault: dict[str, Any]) -> Faults:
@@ -348,7 +348,7 @@ def _matching(scenario: Scenario, text: str) -> list[str] | None:
             expected="faults with a `target`, since the domain of its simulator is not known",
             remedy="name each fault as data: {type: ..., target: ..., activation: {at: ...}}",
         )
-    found = usable if text == CATALOGUE else [one for one in usable if fnmatchcase(one, text)]
+    found = usable if text == CATALOGUE else [item for item in usable if fnmatchcase(item, text)]
     if not found:
         raise ConfigurationError(
             f"no fault of the catalogue matches {text!r}",
@@ -362,11 +362,11 @@ def _matching(scenario: Scenario, text: str) -> list[str] | None:
 
 def _joint_faults(scenario: Scenario, own: Faults, names: Sequence[SingleFault]) -> Faults:
     chosen: dict[str, dict[str, Any]] = {}
-    for one in names:
+    for name in names:
         fault = (
-            parse_fault(scenario, one)
-            if isinstance(one, Mapping)
-            else _fault_of_name(scenario, own, one)
+            parse_fault(scenario, name)
+            if isinstance(name, Mapping)
+            else _fault_of_name(scenario, own, name)
         )
         if chosen.setdefault(fault["id"], fault) != fault:
             raise ConfigurationError(

@@ -97,12 +97,12 @@ def load_library(paths: Sequence[Path | str], *, builtin: bool = True) -> Librar
         ],
     )
     theirs = {str(file) for path in own for file in _files(path)}
-    plain = {name: one.requirement for name, one in requirements.items()}
+    plain = {name: requirement.requirement for name, requirement in requirements.items()}
     unused = unused_requirements(scenarios, requirements, theirs)
     warnings = [
         *unmatched_globs(scenarios, requirements, theirs),
     ]
-    defined_in = {name: one.document.file for name, one in requirements.items()}
+    defined_in = {name: requirement.document.file for name, requirement in requirements.items()}
     return Library(scenarios, plain, tuple(warnings), unused, defined_in, faults)
 
 
@@ -125,8 +125,8 @@ def load_requirements(paths: Sequence[Path | str]) -> dict[str, Requirement]:
         ConfigurationError: One for all that is wrong in any requirement file, and two
             requirements of one id.
     """
-    found = _requirements(_documents([Path(path) for path in paths]))
-    return {name: one.requirement for name, one in found.items()}
+    requirements = _requirements(_documents([Path(path) for path in paths]))
+    return {name: verdict.requirement for name, verdict in requirements.items()}
 
 
 def select_names(names: Iterable[str], globs: Sequence[str]) -> list[str]:
@@ -203,12 +203,12 @@ def _requirements(documents: Sequence[Document]) -> dict[str, LocatedRequirement
     found: dict[str, LocatedRequirement] = {}
 
     def add(document: Document) -> None:
-        for one in read_requirements(document):
-            name = one.requirement.id
-            before = found.setdefault(name, one)
-            if before is not one:
+        for requirement in read_requirements(document):
+            name = requirement.requirement.id
+            before = found.setdefault(name, requirement)
+            if before is not requirement:
                 raise _duplicate_error(
-                    "requirement", name, (before.document, before.key), (document, one.key)
+                    "requirement", name, (before.document, before.key), (document, requirement.key)
                 )
 
     _map_collecting_errors(

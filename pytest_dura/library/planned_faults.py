@@ -149,13 +149,13 @@ def check_chains(faults: Sequence[Mapping[str, Any]]) -> None:
     """
     by_id = {fault["id"]: fault for fault in faults}
     after = {name: fault["activation"].get("after") for name, fault in by_id.items()}
-    waits = {name: one["fault"] for name, one in after.items() if one is not None}
+    waits = {name: item["fault"] for name, item in after.items() if item is not None}
     for index, name in enumerate(by_id):
         if name not in waits:
             continue
         first, key = waits[name], f"faults.{index}.activation.after"
         if first not in by_id:
-            others = [one for one in by_id if one != name]
+            others = [item for item in by_id if item != name]
             near = did_you_mean(first, others) if others else ""
             raise ConfigurationError(
                 f"the fault {name!r} waits for {first!r}, which is not planned with it",

@@ -190,11 +190,12 @@ def unmatched_globs(
 ) -> list[str]:
     """Globs under ``applies_to`` in ``theirs`` files that match no scenario: a misspelt one."""
     return [
-        f"{one.document.file}:{one.document.line_of(f'requirements.{one.index}.applies_to.{i}')}: "
+        f"{requirement.document.file}:"
+        f"{requirement.document.line_of(f'requirements.{requirement.index}.applies_to.{i}')}: "
         f"the requirement {name!r} applies to {glob!r}, which matches no scenario"
-        for name, one in requirements.items()
-        if one.document.file in theirs
-        for i, glob in enumerate(one.requirement.applies_to)
+        for name, requirement in requirements.items()
+        if requirement.document.file in theirs
+        for i, glob in enumerate(requirement.requirement.applies_to)
         if not any(fnmatchcase(scenario, glob) for scenario in scenarios)
     ]
 
@@ -301,9 +302,9 @@ def _known_signals(domain: Domain | None, formula: Formula) -> tuple[str, ...] |
         name
         for prefix, names in later.items()
         for name in (
-            [one for one in formula.signals if one.startswith(prefix)]
+            [signal for signal in formula.signals if signal.startswith(prefix)]
             if names is None
-            else [prefix + one for one in names]
+            else [prefix + name for name in names]
         )
     ]
     return (*truth, *named, *LOOP_SIGNALS)
@@ -317,7 +318,7 @@ def unused_requirements(
     """The ids of the requirements in ``theirs`` files that no scenario uses, with their places."""
     used = {name for scenario in scenarios.values() for name in scenario.requirements}
     return {
-        name: f"{one.document.file}:{one.line}"
-        for name, one in requirements.items()
-        if name not in used and one.document.file in theirs
+        name: f"{requirement.document.file}:{requirement.line}"
+        for name, requirement in requirements.items()
+        if name not in used and requirement.document.file in theirs
     }

@@ -108,8 +108,8 @@ def generator_of_option(text: str) -> RoleSpec:
     key = "--dura-generator"
     short = {
         name: path
-        for one in DOMAINS.values()
-        for name, path in one.short_names.get("generator", {}).items()
+        for domain in DOMAINS.values()
+        for name, path in domain.short_names.get("generator", {}).items()
     }
     if ":" not in text and text not in short:
         raise ConfigurationError(

@@ -19,15 +19,15 @@ DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
 def scenario_schema() -> dict[str, Any]:
     """The scenario's own keys, each domain's world, and each fault type's parameters."""
-    worlds = {alias: model for alias, one in DOMAINS.items() if (model := world_model(one))}
+    worlds = {alias: model for alias, domain in DOMAINS.items() if (model := world_model(domain))}
     faults = {name: fault_class(name) for name in sorted(FAULT_TYPES)}
     models: list[type[BaseModel]] = [Scenario, FaultEntry, *worlds.values(), *faults.values()]
     references, combined = models_json_schema([(model, "validation") for model in models])
     definitions = combined["$defs"]
 
     def definition(model: Any) -> dict[str, Any]:
-        found: dict[str, Any] = definitions[_name(references[model, "validation"])]
-        return found
+        definition: dict[str, Any] = definitions[_name(references[model, "validation"])]
+        return definition
 
     scenario = definitions.pop(_name(references[Scenario, "validation"]))
     scenario["allOf"] = [

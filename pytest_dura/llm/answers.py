@@ -116,16 +116,16 @@ def read_answer(answer: Answer, schema: Mapping[str, Any]) -> Reading:
     if len(answer.text) > LONGEST:
         return Reading("malformed", f"a text of {len(answer.text)} characters")
     try:
-        said = json.loads(
+        data = json.loads(
             answer.text, object_pairs_hook=_without_repeats, parse_constant=_no_number
         )
         answer.text.encode()
-        json.dumps(said, ensure_ascii=False).encode()  # escapes may hide half a character
+        json.dumps(data, ensure_ascii=False).encode()  # escapes may hide half a character
     except (ValueError, RecursionError) as error:
         return Reading("malformed", _shortened(f"no JSON: {error}"))
-    if not isinstance(said, dict):
-        return Reading("malformed", f"JSON, but no object: {type(said).__name__}")
-    return _checked(said, schema)
+    if not isinstance(data, dict):
+        return Reading("malformed", f"JSON, but no object: {type(data).__name__}")
+    return _checked(data, schema)
 
 
 def _checked(said: dict[str, Any], schema: Mapping[str, Any]) -> Reading:
@@ -136,7 +136,8 @@ def _checked(said: dict[str, Any], schema: Mapping[str, Any]) -> Reading:
     else:
         return Reading(ANSWERED, said=said)
     unknown = all(
-        one["loc"] == ("maneuver",) and one["type"] == "literal_error" for one in problems
+        problem["loc"] == ("maneuver",) and problem["type"] == "literal_error"
+        for problem in problems
     )
     if unknown and isinstance(said["maneuver"], str):
         return Reading("unknown_action", _shortened(f"maneuver {said['maneuver']!r}"))
@@ -152,9 +153,9 @@ def _answer_model(schema: bytes) -> type[BaseModel]:
     The library jsonschema reads any schema, and takes seconds to import where its optional
     dependencies are installed.
     """
-    told = json.loads(schema)
-    properties = told.get("properties")
-    fields: Any = {name: _value_type(one) for name, one in (properties or {}).items()}
+    data = json.loads(schema)
+    properties = data.get("properties")
+    fields: Any = {name: _value_type(item) for name, item in (properties or {}).items()}
     config = ConfigDict(extra="allow" if properties is None else "forbid", strict=True)
     form: type[BaseModel] = create_model("Answer", __config__=config, **fields)
     return form

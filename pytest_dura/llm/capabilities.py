@@ -70,7 +70,7 @@ class Capabilities:
             raise _refused(unknown[0], data[unknown[0]], "one of " + ", ".join(_KINDS))
         if data["structured"] not in LEVELS:
             raise _refused("structured", data["structured"], "one of " + ", ".join(LEVELS))
-        if not all(isinstance(one, str) for pair in data["words"].items() for one in pair):
+        if not all(isinstance(item, str) for pair in data["words"].items() for item in pair):
             raise _refused("words", data["words"], "texts by name")
         return cls(**{**data, "words": dict(data["words"])})
 
@@ -139,8 +139,8 @@ class ServerListing:
     def of(cls, listing: str, why_not: str, model: str, said: Iterable[str]) -> ServerListing:
         """From the body of ``GET /models``, or why there is none, and the answers' fingerprints."""
         entries = _entries(listing)
-        models = tuple(str(one["id"]) for one in entries)
-        entry = next((one for one in entries if one["id"] == model), {})
+        models = tuple(str(entry["id"]) for entry in entries)
+        entry = next((entry for entry in entries if entry["id"] == model), {})
         told = set(said)
         names = [name for name in _STABLE if name in entry]
         words = f"the list of models tells {', '.join(names)}" if entry else (
@@ -161,7 +161,7 @@ class ServerListing:
         meta = self.entry.get("meta")
         places = [self.entry.get(name) for name in _CONTEXTS]
         places.append(meta.get("n_ctx") if isinstance(meta, dict) else None)
-        return next((one for one in places if type(one) is int and one > 0), None)
+        return next((place for place in places if type(place) is int and place > 0), None)
 
 
 def _entries(listing: str) -> list[dict[str, Any]]:
@@ -171,9 +171,9 @@ def _entries(listing: str) -> list[dict[str, Any]]:
         return []
     data = found.get("data") if isinstance(found, dict) else None
     return [
-        one
-        for one in (data if isinstance(data, list) else [])
-        if isinstance(one, dict) and isinstance(one.get("id"), str)
+        item
+        for item in (data if isinstance(data, list) else [])
+        if isinstance(item, dict) and isinstance(item.get("id"), str)
     ]
 
 
@@ -300,8 +300,8 @@ class ProbeCalls:
 
 def status_of(answer: Answer) -> int | None:
     """The HTTP status with which a server refused, where it was that."""
-    found = re.match(r"HTTP (\d{3}): ", answer.detail) if answer.failure else None
-    return int(found[1]) if found else None
+    match = re.match(r"HTTP (\d{3}): ", answer.detail) if answer.failure else None
+    return int(match[1]) if match else None
 
 
 SEED = 7

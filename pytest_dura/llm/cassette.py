@@ -46,7 +46,7 @@ def answer_of(data: Mapping[str, Any]) -> Answer:
     seconds, usage = data["seconds"], data["usage"]
     fits = type(seconds) in (int, float) and math.isfinite(seconds) and seconds >= 0.0
     _need(fits, "seconds of an answer are no time")
-    counts = isinstance(usage, dict) and all(type(one) is int for one in usage.values())
+    counts = isinstance(usage, dict) and all(type(item) is int for item in usage.values())
     _need(counts, "usage of an answer holds no counts")
     return Answer.from_json(data)
 
@@ -59,13 +59,13 @@ def check_request(data: Mapping[str, Any]) -> None:
     """
     _need(set(data) == set(_REQUEST), "a request has other entries")
     _need(isinstance(data["messages"], list), "a request has no list of messages")
-    for one in data["messages"]:
+    for message in data["messages"]:
         _need(
-            isinstance(one, dict)
-            and set(one) == {"role", "text", "images"}
-            and isinstance(one["text"], str)
-            and isinstance(one["images"], list)
-            and all(isinstance(image, dict) and "name" in image for image in one["images"]),
+            isinstance(message, dict)
+            and set(message) == {"role", "text", "images"}
+            and isinstance(message["text"], str)
+            and isinstance(message["images"], list)
+            and all(isinstance(image, dict) and "name" in image for image in message["images"]),
             "a message of a request is none",
         )
 
@@ -247,10 +247,10 @@ class CassetteFile:
         Raises:
             ConfigurationError: If it holds something else.
         """
-        found = self.value(text)
-        if not isinstance(found, dict):
+        value = self.value(text)
+        if not isinstance(value, dict):
             raise self.damaged("an entry is no object")
-        return found
+        return value
 
     @contextmanager
     def errors(self) -> Iterator[None]:
@@ -329,8 +329,8 @@ class Cassette(CassetteFile):
         Raises:
             ConfigurationError: If the file cannot be read.
         """
-        found = self.rows("SELECT answer FROM exchanges WHERE key = ?", key)
-        return self._answer(found[0][0]) if found else None
+        rows = self.rows("SELECT answer FROM exchanges WHERE key = ?", key)
+        return self._answer(rows[0][0]) if rows else None
 
     def add(self, exchange: Exchange) -> Answer:
         """Store an exchange, unless there is one under its key.
@@ -344,8 +344,8 @@ class Cassette(CassetteFile):
         texts: dict[str, str] = {}
         request = _without_texts(exchange.request, texts)
         with self.errors(), self.transaction() as execute:
-            for one in sorted(texts.items()):
-                execute("INSERT OR IGNORE INTO texts VALUES (?, ?)", one)
+            for text in sorted(texts.items()):
+                execute("INSERT OR IGNORE INTO texts VALUES (?, ?)", text)
             execute(
                 "INSERT OR IGNORE INTO exchanges (key, model, fingerprint, request, answer,"
                 " created) VALUES (?, ?, ?, ?, ?, ?)",
@@ -392,13 +392,13 @@ class Cassette(CassetteFile):
         Raises:
             ConfigurationError: If the file cannot be read.
         """
-        found = self.rows(
+        rows = self.rows(
             "SELECT description FROM models WHERE model = ? AND base_url = ? AND session = ?",
             _json(model),
             _json(base_url),
             session,
         )
-        return self._description(found[0][0]) if found else None
+        return self._description(rows[0][0]) if rows else None
 
     def descriptions(self) -> list[Data]:
         """What is stored of all models, in the order in which it was.
@@ -444,13 +444,15 @@ class Cassette(CassetteFile):
         Raises:
             ConfigurationError: If it is not in the file.
         """
-        found = self.rows("SELECT text FROM texts WHERE sha256 = ?", sha256)
-        if not found:
+        rows = self.rows("SELECT text FROM texts WHERE sha256 = ?", sha256)
+        if not rows:
             raise self.damaged("it lacks a text of an exchange")
-        return self.value(found[0][0])
+        return self.value(rows[0][0])
 
     def _with_texts(self, request: Data) -> Data:
-        messages = [{**one, "text": self.text(one["text"])} for one in request["messages"]]
+        messages = [
+            {**message, "text": self.text(message["text"])} for message in request["messages"]
+        ]
         found = {**request, "messages": messages, "schema": self.text(request["schema"])}
         return self._checked(found, check_request)
 
@@ -482,7 +484,7 @@ def _without_texts(request: Data, texts: dict[str, str]) -> dict[str, Any]:
         texts[digest] = _json(value)
         return digest
 
-    messages = [{**one, "text": kept(one["text"])} for one in request["messages"]]
+    messages = [{**message, "text": kept(message["text"])} for message in request["messages"]]
     return {**request, "messages": messages, "schema": kept(request["schema"])}
 
 
@@ -503,8 +505,8 @@ def cassette_lines(file: Path) -> Iterator[str]:
     """
     cassette = Cassette(file, writable=False)
     try:
-        for one in cassette.descriptions():
-            yield _line({"described": one})
+        for description in cassette.descriptions():
+            yield _line({"described": description})
         for exchange in cassette.exchanges():
             told = {key: value for key, value in vars(exchange).items() if key != "answer"}
             yield _line({**told, "answer": exchange.answer.to_json()})

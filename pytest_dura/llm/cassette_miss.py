@@ -44,46 +44,46 @@ def explain_miss(cassette: Cassette, asked: Data, fingerprint: str) -> str:
     best: Exchange | None = None
     best_score: tuple[int, ...] = ()
     compared = 0
-    for one in cassette.exchanges(asked["model"]):
-        score = _likeness(one, asked, fingerprint)
+    for exchange in cassette.exchanges(asked["model"]):
+        score = _likeness(exchange, asked, fingerprint)
         if best is None or score > best_score:
-            best, best_score = one, score
+            best, best_score = exchange, score
         compared += 1
         if compared == LOOKED_AT:
             break
-    told = f"the cassette {cassette.file.name} has no answer to a request to {asked['model']!r}"
+    text = f"the cassette {cassette.file.name} has no answer to a request to {asked['model']!r}"
     if best is None:
-        models = sorted({str(one["model"]) for one in cassette.descriptions()})
+        models = sorted({str(description["model"]) for description in cassette.descriptions()})
         known = f"it knows {shorten(models)}" if len(cassette) else "it is empty"
-        return _bounded(f"{told}: of this model it has none; {known}")
-    found = list(_differences(best, asked, fingerprint))
-    differs = "; ".join(found) or "what was taken out of it as a secret"
-    return _bounded(f"{told}; from the nearest of {compared} recorded ones it differs in {differs}")
+        return _bounded(f"{text}: of this model it has none; {known}")
+    differences = list(_differences(best, asked, fingerprint))
+    differs = "; ".join(differences) or "what was taken out of it as a secret"
+    return _bounded(f"{text}; from the nearest of {compared} recorded ones it differs in {differs}")
 
 
 def _bounded(text: str) -> str:
     return text if len(text) <= LONGEST else text[: LONGEST - 1] + "…"
 
 
-def _likeness(one: Exchange, asked: Data, fingerprint: str) -> tuple[int, ...]:
-    pairs = list(zip(one.request["messages"], asked["messages"], strict=False))
+def _likeness(exchange: Exchange, asked: Data, fingerprint: str) -> tuple[int, ...]:
+    pairs = list(zip(exchange.request["messages"], asked["messages"], strict=False))
     equal = sum(recorded == new for recorded, new in pairs)
     lines = next((_common(old, new) for old, new in pairs if old != new), 0)
-    same = sum(one.request[name] == asked[name] for name in (*_PARAMETERS, "schema"))
-    sample = one.request["sample"] == asked["sample"]
-    return equal, sample, lines, same, one.fingerprint == fingerprint
+    same = sum(exchange.request[name] == asked[name] for name in (*_PARAMETERS, "schema"))
+    sample = exchange.request["sample"] == asked["sample"]
+    return equal, sample, lines, same, exchange.fingerprint == fingerprint
 
 
-def _common(one: Data, other: Data) -> int:
+def _common(item: Data, other: Data) -> int:
     """Lines that two messages have in common."""
-    first, second = (set(message["text"].splitlines()) for message in (one, other))
+    first, second = (set(message["text"].splitlines()) for message in (item, other))
     return len(first & second)
 
 
-def _differences(one: Exchange, asked: Data, fingerprint: str) -> Iterator[str]:
-    recorded = one.request
-    if one.fingerprint != fingerprint:
-        yield f"the server's fingerprint ({_was(one.fingerprint, fingerprint)})"
+def _differences(exchange: Exchange, asked: Data, fingerprint: str) -> Iterator[str]:
+    recorded = exchange.request
+    if exchange.fingerprint != fingerprint:
+        yield f"the server's fingerprint ({_was(exchange.fingerprint, fingerprint)})"
     for name in _PARAMETERS:
         if recorded[name] != asked[name]:
             yield f"{name} ({_was(recorded[name], asked[name])})"
@@ -118,7 +118,7 @@ def _in_text(old: Data, new: Data) -> str:
     for number, (was, is_now) in enumerate(zip_longest(before, now)):
         if was != is_now:
             headings = (_HEADING.match(line) for line in reversed(now[: number + 1]))
-            block = next((f", block {found[1]}" for found in headings if found), "")
+            block = next((f", block {heading[1]}" for heading in headings if heading), "")
             return f"line {number + 1}{block} ({_was(*_from_difference(was, is_now))})"
     return "the ends of its lines"
 

@@ -46,10 +46,10 @@ _FILTERED = ("content_filter", "content_policy_violation", "ResponsibleAIPolicyV
 
 def refusal_of(status: int, body: bytes) -> Answer:
     """The answer where a server tells of an error, with whatever status."""
-    told, code = _error(body)
-    told = told.strip() or _phrase(status)
-    shown = f" ({code})" if code and code not in told else ""
-    detail = short_text(f"HTTP {status}: {told}{shown}")
+    strip, code = _error(body)
+    strip = strip.strip() or _phrase(status)
+    shown = f" ({code})" if code and code not in strip else ""
+    detail = short_text(f"HTTP {status}: {strip}{shown}")
     return Answer(failure="refused" if code in _FILTERED else "unavailable", detail=detail)
 
 
@@ -75,10 +75,10 @@ def _error(body: bytes) -> tuple[str, str]:
     """Message and code of an error's body, in any of the forms that servers use."""
     text = body.decode(errors="replace")
     try:
-        found = json.loads(text)
+        data = json.loads(text)
     except (ValueError, RecursionError):
         return text, ""
-    error = found.get("error") or found if isinstance(found, dict) else found
+    error = data.get("error") or data if isinstance(data, dict) else data
     if not isinstance(error, dict):
         return (error if isinstance(error, str) else text), ""
     told = next((error[key] for key in ("message", "detail", "title") if error.get(key)), text)
@@ -110,16 +110,16 @@ def object_of(body: bytes) -> dict[str, Any]:
         raise BadBodyError("empty", "the body of the response is empty")
     text = _decoded(body)
     try:
-        found = json.loads(text, parse_constant=_no_number)
+        data = json.loads(text, parse_constant=_no_number)
     except json.JSONDecodeError as error:
         if _ends_early(text, error):
             raise _cut(body) from None
         raise BadBodyError("malformed", f"the body is no JSON: {text[:80]}") from None
     except (ValueError, RecursionError) as error:  # NaN, endless digits, endless nesting
         raise BadBodyError("malformed", f"the body is no JSON: {error}") from None
-    if not isinstance(found, dict):
-        raise BadBodyError("malformed", f"JSON, but no object: {type(found).__name__}")
-    return found
+    if not isinstance(data, dict):
+        raise BadBodyError("malformed", f"JSON, but no object: {type(data).__name__}")
+    return data
 
 
 def _decoded(body: bytes) -> str:
@@ -238,7 +238,7 @@ def body_of(request: Request, base_url: str) -> dict[str, Any]:
     bound = "max_completion_tokens" if host.endswith(".openai.com") else "max_tokens"
     body: dict[str, Any] = {
         "model": request.model,
-        "messages": [_message_body(one) for one in request.messages],
+        "messages": [_message_body(message) for message in request.messages],
         "temperature": request.temperature,
         bound: request.max_tokens,
     }
@@ -392,8 +392,8 @@ class OpenAiClient:
         if isinstance(error, openai.APITimeoutError | http.TimeoutException):
             return "timeout", "no whole answer within the budget"
         if isinstance(error, openai.APIConnectionError):
-            told = error.__cause__ or error
-            return "unavailable", f"{type(told).__name__}: {told}"
+            cause = error.__cause__ or error
+            return "unavailable", f"{type(cause).__name__}: {cause}"
         if isinstance(error, http.TransportError):
             return "truncated", f"the body ends in the middle: {error}"
         return "unavailable", f"the request could not be made: {type(error).__name__}: {error}"

@@ -37,7 +37,7 @@ class Scrubber:
 
     def __init__(self, key: str) -> None:
         forms = sorted(set(_forms(key)), key=len, reverse=True) if len(key) >= SHORTEST else []
-        spelt = "".join(rf"(?:{re.escape(one)}|\\u(?i:{ord(one):04x}))" for one in key)
+        spelt = "".join(rf"(?:{re.escape(item)}|\\u(?i:{ord(item):04x}))" for item in key)
         self._pattern = re.compile("|".join([*map(re.escape, forms), spelt])) if forms else None
 
     def scrub(self, text: str) -> str:

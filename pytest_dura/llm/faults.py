@@ -122,7 +122,7 @@ class PromptDrop(PromptFault):
     def apply(self, memory: Any, value: Prompt, moment: Moment) -> Prompt:  # noqa: ARG002 - as Fault has it
         """The prompt without them."""
         dropped = set(self.parameters.blocks)
-        kept = tuple(one for one in value.blocks if one.name not in dropped)
+        kept = tuple(block for block in value.blocks if block.name not in dropped)
         return value if len(kept) == len(value.blocks) else replace(value, blocks=kept)
 
 

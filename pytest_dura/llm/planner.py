@@ -136,7 +136,7 @@ class Settings(BaseModel):
 
     def deadline(self, budget: float | None) -> float | None:
         """Seconds for one answer, where a proposal has this time budget."""
-        return min((one for one in (self.budget, budget) if one is not None), default=None)
+        return min((item for item in (self.budget, budget) if item is not None), default=None)
 
     @property
     def known_server(self) -> KnownServer:
@@ -221,10 +221,13 @@ class LlmGenerator(Generator):
         settings = Settings.of(params, cls.MANEUVERS)
         told: dict[str, Any] = {"prompts": cls.templates_digest(settings)}
         if settings.server is None:
-            found = session.current().describe(settings.model)
+            describe = session.current().describe(settings.model)
             keys = ("structured", "vision", "seed")
-            server = {key: found.capabilities[key] for key in keys}
-            told |= {"model": found.model, "server": {"fingerprint": found.fingerprint, **server}}
+            server = {key: describe.capabilities[key] for key in keys}
+            told |= {
+                "model": describe.model,
+                "server": {"fingerprint": describe.fingerprint, **server},
+            }
         return {**params, **told}
 
     @classmethod
@@ -322,7 +325,7 @@ class LlmGenerator(Generator):
     def _decide(self, view: GeneratorView) -> Decision:
         """Ask the model, and beside it what the settings say."""
         remembered = self._since[max(len(self._since) - self.settings.history, 0) :]
-        past = [one for one in view.past if one.time in remembered]
+        past = [decision for decision in view.past if decision.time in remembered]
         prompt = view.transmit("prompt", self.prompt(view, past))
         delivery = view.transmit("model", Delivery())
         answer = self._ask(prompt, 0, delivery)
@@ -389,7 +392,7 @@ class LlmGenerator(Generator):
                 name: {"outcome": "answered", **self.NULL} for name in decision.beside
             }
             account |= {**decision.told_anew(), "seconds": decision.seconds, "null": null}
-            replaced = [one.told_anew() for one in self._anew[:-1]]
+            replaced = [item.told_anew() for item in self._anew[:-1]]
             account |= {"replaced": replaced} if replaced else {}
         if not decision.reading.answered:
             why = f"{decision.outcome}: {decision.reading.detail}"
@@ -406,7 +409,7 @@ class LlmGenerator(Generator):
         """What is proposed without a decision of the model's own."""
         policy, last = self.settings.fallback, None
         if policy == "last":
-            last = next((one for one in reversed(self._made) if one.reading.answered), None)
+            last = next((item for item in reversed(self._made) if item.reading.answered), None)
             policy = "none" if last is None else last.reading.said["maneuver"]
         action = None if policy == "none" else self.command(policy)
         return Proposal(action, failure=why, account=account)

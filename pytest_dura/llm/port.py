@@ -90,13 +90,13 @@ class Request:
             "model": self.model,
             "messages": [
                 {
-                    "role": one.role,
-                    "text": one.text,
+                    "role": message.role,
+                    "text": message.text,
                     "images": [
-                        {"name": image.name, "sha256": image.digest} for image in one.images
+                        {"name": image.name, "sha256": image.digest} for image in message.images
                     ],
                 }
-                for one in self.messages
+                for message in self.messages
             ],
             "schema": dict(self.schema),
             "structured": self.structured,

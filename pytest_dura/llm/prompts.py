@@ -111,8 +111,8 @@ class Prompt:
     @property
     def ids(self) -> tuple[str, ...]:
         """Ids of all objects in it, each once, in the order in which they are shown."""
-        objects = (one for block in self.blocks for one in block.facts.get("objects", ()))
-        return tuple(dict.fromkeys(str(one["id"]) for one in objects))
+        objects = (item for block in self.blocks for item in block.facts.get("objects", ()))
+        return tuple(dict.fromkeys(str(item["id"]) for item in objects))
 
 
 PARAPHRASED = "paraphrased"
@@ -152,7 +152,7 @@ def blind(prompt: Prompt) -> Prompt:
         pictures = block.facts.get(PICTURES, ())
         if not pictures:
             return block
-        unseen = tuple({**one, "shown": 0} for one in pictures)
+        unseen = tuple({**picture, "shown": 0} for picture in pictures)
         return replace(block, facts={**block.facts, PICTURES: unseen})
 
     return replace(prompt, blocks=tuple(map(without, prompt.blocks)), images=())

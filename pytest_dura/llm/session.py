@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 def scrub_request(request: Request, scrub: Callable[[str], str]) -> Request:
     """The request as it may be sent: the very same unless a text holds the server's key."""
-    messages = tuple(replace(one, text=scrub(one.text)) for one in request.messages)
+    messages = tuple(replace(message, text=scrub(message.text)) for message in request.messages)
     return request if messages == request.messages else replace(request, messages=messages)
 
 
@@ -128,11 +128,11 @@ def choose_description(
     Raises:
         ConfigurationError: If there is none, or it is not clear which.
     """
-    names = sorted({one.model for one in known})
+    names = sorted({description.model for description in known})
     wanted = model or (names[0] if len(names) == 1 else usual)
-    found = [one for one in known if one.model == wanted]
-    if found:
-        return found[-1]
+    descriptions = [description for description in known if description.model == wanted]
+    if descriptions:
+        return descriptions[-1]
     problem = f"the cassette knows no model {wanted!r}"
     if not names:
         problem = "the cassette knows no model at all"
@@ -311,8 +311,10 @@ class ModelSession:
         with self._lock:
             if model not in self._described:
                 try:
-                    found = self._replayed(model) if self.mode == "replay" else self._probed(model)
-                    self._described[model] = self._described[found.model] = found
+                    replayed = (
+                        self._replayed(model) if self.mode == "replay" else self._probed(model)
+                    )
+                    self._described[model] = self._described[replayed.model] = replayed
                 except ConfigurationError as error:
                     self._described[model] = error
             known = self._described[model]
@@ -322,13 +324,15 @@ class ModelSession:
 
     def know(self, described: Iterable[Mapping[str, Any]]) -> None:
         """Take over what another process of this session found out, instead of asking again."""
-        self._described |= {one["model"]: self._description(one) for one in described}
+        self._described |= {item["model"]: self._description(item) for item in described}
 
     @property
     def descriptions(self) -> list[ModelDescription]:
         """Every model that was described in this process, by name."""
         found = {
-            one.model: one for one in self._described.values() if isinstance(one, ModelDescription)
+            item.model: item
+            for item in self._described.values()
+            if isinstance(item, ModelDescription)
         }
         return [found[name] for name in sorted(found)]
 
@@ -348,8 +352,8 @@ class ModelSession:
             ConfigurationError: If the cassette cannot be read.
         """
         found = self._recorded() + self.descriptions
-        fitting = (one for one in reversed(found) if one.model == model)
-        return next((one for one in fitting if one.fingerprint == fingerprint), None)
+        fitting = (item for item in reversed(found) if item.model == model)
+        return next((item for item in fitting if item.fingerprint == fingerprint), None)
 
     def ask(
         self,

@@ -285,8 +285,8 @@ def read_examples(text: str, file: str, schema: Mapping[str, Any]) -> tuple[Exam
     if not isinstance(data, list):
         raise _refused("the examples are no list", file, 1)
     return tuple(
-        _example(one, file, start.start_mark.line + 1, schema)
-        for one, start in zip(data, node.value, strict=True)
+        _example(item, file, start.start_mark.line + 1, schema)
+        for item, start in zip(data, node.value, strict=True)
     )
 
 
@@ -314,7 +314,7 @@ def _with_texts(value: Any) -> Any:
     if isinstance(value, dict):
         if set(value) == {PERCEIVED}:
             return PerceivedText(value[PERCEIVED])
-        return {key: _with_texts(one) for key, one in value.items()}
+        return {key: _with_texts(item) for key, item in value.items()}
     if isinstance(value, list):
         return tuple(map(_with_texts, value))
     return value
@@ -405,9 +405,9 @@ class Templates:
             )
         if wording not in self._openings:
             found = [Message("system", self._render(SYSTEM, wording, self._vocabulary))]
-            for one in self._examples[wording]:
-                found.append(Message("user", self._user(one.blocks, wording)))
-                found.append(Message("assistant", one.answer))
+            for example in self._examples[wording]:
+                found.append(Message("user", self._user(example.blocks, wording)))
+                found.append(Message("assistant", example.answer))
             self._openings[wording] = tuple(found)
         return self._openings[wording]
 

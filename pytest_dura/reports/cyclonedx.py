@@ -96,15 +96,15 @@ def declarations(record: SessionRecord) -> JsonObject:
     """
     targets = _Targets.of(record)
     places = _counterexample_places(record)
-    texts = {one["id"]: one["text"] for one in record["requirements"]}
+    texts = {requirement["id"]: requirement["text"] for requirement in record["requirements"]}
     claims, evidence = [], []
     for number, verdict in enumerate(record["verdicts"]):
         if verdict["requirement"] not in texts:
             told = name(verdict["requirement"])
             raise ValueError(f"a verdict is on {told}, which is not among the requirements")
         entries = list(_evidence(number, verdict, places))
-        for one in entries:
-            one["created"] = record["finished"] or record["created"]
+        for entry in entries:
+            entry["created"] = record["finished"] or record["created"]
         evidence += entries
         claims.append(_claim(number, verdict, texts, targets.refs[verdict["component"]], entries))
     return {
@@ -130,8 +130,8 @@ def declarations(record: SessionRecord) -> JsonObject:
 
 
 def _component_names(record: SessionRecord) -> str:
-    found = shard_text(record)
-    return f"{found}, a part of a session" if found else "the session"
+    text = shard_text(record)
+    return f"{text}, a part of a session" if text else "the session"
 
 
 @dataclass(frozen=True)
@@ -144,20 +144,20 @@ class _Targets:
     @classmethod
     def of(cls, record: SessionRecord) -> _Targets:
         known: dict[str, Any] = {}
-        for one in components_under_test(record):
-            known.setdefault(one["name"], one)
+        for item in components_under_test(record):
+            known.setdefault(item["name"], item)
         for verdict in record["verdicts"]:
             known.setdefault(verdict["component"], {"name": verdict["component"]})
         refs = {component: f"target/{number}" for number, component in enumerate(known)}
-        return cls([component_entry(known[one], ref) for one, ref in refs.items()], refs)
+        return cls([component_entry(known[item], ref) for item, ref in refs.items()], refs)
 
 
 def _counterexample_places(record: SessionRecord) -> dict[tuple[str, str], tuple[int, str | None]]:
     """Index and trace of each episode that will be listed as a counterexample."""
     wanted = {
-        (one["episode"], verdict["component"])
+        (counterexample["episode"], verdict["component"])
         for verdict in record["verdicts"]
-        for one in verdict["counterexamples"][:MAX_LISTED]
+        for counterexample in verdict["counterexamples"][:MAX_LISTED]
     }
     found: dict[tuple[str, str], tuple[int, str | None]] = {}
     for number, episode in enumerate(record.episodes()):
@@ -178,7 +178,7 @@ def _claim(
     requirement = name(verdict["requirement"], NAME_LIMIT)
     what = f"{requirement} holds on {name(verdict['case'], NAME_LIMIT)}"
     text = one_line(texts[verdict["requirement"]])
-    first, *counterexamples = (one["bom-ref"] for one in entries)
+    first, *counterexamples = (entry["bom-ref"] for entry in entries)
     claim = {
         "bom-ref": f"claim/{number}",
         "target": target,
@@ -218,12 +218,12 @@ def _evidence(number: int, verdict: JsonObject, places: Mapping[Any, Any]) -> It
 
 
 def _counterexamples(number: int, verdict: JsonObject, places: Mapping[Any, Any]) -> JsonObject:
-    found = verdict["counterexamples"]
+    counterexamples = verdict["counterexamples"]
     data = []
-    for one in found[:MAX_LISTED]:
-        index, trace = places.get((one["episode"], verdict["component"]), (None, None))
-        shown = name(one["episode"], NAME_LIMIT)
-        contents = _json_text({key: one[key] for key in ("time", "margin", "valid")})
+    for item in counterexamples[:MAX_LISTED]:
+        index, trace = places.get((item["episode"], verdict["component"]), (None, None))
+        shown = name(item["episode"], NAME_LIMIT)
+        contents = _json_text({key: item[key] for key in ("time", "margin", "valid")})
         if index is not None:
             contents["url"] = f"{RECORD_FILE}#/episodes/{index}"
         data.append({"name": shown, "contents": contents})
@@ -234,7 +234,8 @@ def _counterexamples(number: int, verdict: JsonObject, places: Mapping[Any, Any]
         "bom-ref": f"evidence/{number}/counterexamples",
         "propertyName": f"{PREFIX}counterexamples",
         "description": (
-            f"{min(len(found), MAX_LISTED)} of {len(found)} listed, the largest violation first."
+            f"{min(len(counterexamples), MAX_LISTED)} of {len(counterexamples)} listed,"
+            " the largest violation first."
         ),
         "data": data,
     }
@@ -253,14 +254,14 @@ def _attestation_map(record: SessionRecord) -> Iterator[JsonObject]:
     untested = _declared_and_untested(record)
     for number, requirement in enumerate(record["requirements"]):
         own = verdicts[requirement["id"]]
-        against = [f"claim/{place}" for place, one in own if one["verdict"] == "violated"]
-        claims = [f"claim/{place}" for place, one in own if one["verdict"] != "violated"]
+        against = [f"claim/{place}" for place, verdict in own if verdict["verdict"] == "violated"]
+        claims = [f"claim/{place}" for place, verdict in own if verdict["verdict"] != "violated"]
         yield {
             "requirement": requirement_ref(number),
             "claims": claims,
             "counterClaims": against,
             "conformance": _conformance(
-                record, requirement["id"], [one for _, one in own], untested[requirement["id"]]
+                record, requirement["id"], [item for _, item in own], untested[requirement["id"]]
             ),
         }
 
@@ -270,8 +271,13 @@ def _declared_and_untested(record: SessionRecord) -> Counter[str]:
 
     Other cells of the coverage table, a fault of one scenario in another one, nobody declared.
     """
-    judged = {(one["requirement"], one["case"], one["component"]) for one in record["verdicts"]}
-    compared = {one["pairs"]["case"] for one in record["verdicts"] if one["pairs"] is not None}
+    judged = {
+        (verdict["requirement"], verdict["case"], verdict["component"])
+        for verdict in record["verdicts"]
+    }
+    compared = {
+        verdict["pairs"]["case"] for verdict in record["verdicts"] if verdict["pairs"] is not None
+    }
     compared -= {case for _, case, _ in judged}
     return Counter(
         requirement
@@ -285,12 +291,12 @@ def _declared_and_untested(record: SessionRecord) -> Counter[str]:
 def _search_outcomes(record: SessionRecord, requirement: str) -> Counter[str]:
     """What searches have against a requirement that no waiver excuses, counted by word."""
     return Counter(
-        word
-        for one in record["searches"]
-        if one["waiver"] is None
-        for outcome in one["outcomes"]
+        status
+        for search in record["searches"]
+        if search["waiver"] is None
+        for outcome in search["outcomes"]
         if outcome["requirement"] == requirement
-        and (word := outcome_status(one, outcome)) != NOTHING_FOUND
+        and (status := outcome_status(search, outcome)) != NOTHING_FOUND
     )
 
 
@@ -298,12 +304,14 @@ def _conformance(
     record: SessionRecord, requirement: str, verdicts: list[JsonObject], untested: int
 ) -> JsonObject:
     """The score where it is decided: 1 or 0, see the package; and the reason, always."""
-    words = Counter(one["verdict"] for one in verdicts)
-    refuted = any(one["verdict"] == "violated" and one["waiver"] is None for one in verdicts)
+    words = Counter(verdict["verdict"] for verdict in verdicts)
+    refuted = any(
+        verdict["verdict"] == "violated" and verdict["waiver"] is None for verdict in verdicts
+    )
     searched = _search_outcomes(record, requirement)
     doubts = [f"{words[word]} {word}" for word in ("violated", "undecided") if words[word]]
     doubts += [f"{count} {OBJECTIONABLE_OUTCOMES[word]}" for word, count in searched.items()]
-    if waived := sum(one["waiver"] is not None for one in verdicts):
+    if waived := sum(verdict["waiver"] is not None for verdict in verdicts):
         doubts.append(f"{waived} waived")
     if untested:
         doubts.append(f"{untested} untested")
@@ -313,11 +321,11 @@ def _conformance(
         doubts.append(f"{shard_text(record)} alone")
     if not verdicts:
         doubts.append("no verdict")
-    told = f"{words['supported']} of {len(verdicts)} verdicts supported"
+    text = f"{words['supported']} of {len(verdicts)} verdicts supported"
     if not doubts:
-        rationale = f"{told}, each on the episodes and with the bound in its evidence"
+        rationale = f"{text}, each on the episodes and with the bound in its evidence"
         return {"score": 1, "rationale": f"{rationale}; {UNREVIEWED}."}
-    rationale = f"{told}; {', '.join(doubts)}"
+    rationale = f"{text}; {', '.join(doubts)}"
     if refuted or searched["falsified"]:
         return {"score": 0, "rationale": f"{rationale}. 0: it was violated; {UNREVIEWED}."}
     rationale = f"{rationale}. No score: conformance is not attested, nor refuted"
@@ -352,8 +360,8 @@ def render(record: SessionRecord) -> str:
 def _serial_number(record: SessionRecord) -> uuid.UUID:
     """The same for the same record: from all of it, of episodes their digests."""
     state = hashlib.sha256(json.dumps(plain_data(record.head), sort_keys=True).encode())
-    for one in record.episodes():
-        told = [one[key] for key in ("id", "component", "digest", "validity")]
+    for episode in record.episodes():
+        told = [episode[key] for key in ("id", "component", "digest", "validity")]
         state.update(json.dumps(told).encode())
     return uuid.uuid5(_NAMESPACE, state.hexdigest())
 
@@ -411,27 +419,29 @@ def _standard(requirements: list[JsonObject]) -> JsonObject:
         "bom-ref": "standard",
         "name": "Requirements of the session",
         "description": f"The requirements that the session judged; {UNREVIEWED}.",
-        "requirements": [_requirement(number, one) for number, one in enumerate(requirements)],
+        "requirements": [
+            _requirement(number, requirement) for number, requirement in enumerate(requirements)
+        ],
     }
 
 
-def _requirement(number: int, one: JsonObject) -> JsonObject:
+def _requirement(number: int, item: JsonObject) -> JsonObject:
     at_most = "every valid episode satisfies it"
-    if one["at_most"] is not None:
-        at_most = f"at most {one['at_most']:g} of episodes violate it, at {one['confidence']:g}"
+    if item["at_most"] is not None:
+        at_most = f"at most {item['at_most']:g} of episodes violate it, at {item['confidence']:g}"
     texts = (
-        ("check", one["check"]),
+        ("check", item["check"]),
         ("criterion", at_most),
-        ("reason", one["reason"]),
-        ("source", one["source"]),
+        ("reason", item["reason"]),
+        ("source", item["source"]),
     )
     return {
         "bom-ref": requirement_ref(number),
-        "identifier": name(one["id"], NAME_LIMIT),
-        "title": visible(one["text"] or one["id"], 200),
-        "text": visible(one["text"]),
+        "identifier": name(item["id"], NAME_LIMIT),
+        "title": visible(item["text"] or item["id"], 200),
+        "text": visible(item["text"]),
         "descriptions": [f"{label}: {visible(text)}" for label, text in texts if text],
-        "properties": [{"name": f"{PREFIX}kind", "value": visible(one["kind"] or "")}],
+        "properties": [{"name": f"{PREFIX}kind", "value": visible(item["kind"] or "")}],
     }
 
 
@@ -449,7 +459,7 @@ def read_counts(text: str) -> Counts:
     """
     try:
         document = json.loads(text)
-        stated = {one["name"]: one["value"] for one in document["metadata"]["properties"]}
+        stated = {item["name"]: item["value"] for item in document["metadata"]["properties"]}
         words, waived = _claimed_verdicts(document["declarations"])
         requirements = len(document["definitions"]["standards"][0]["requirements"])
         numbers = ("cases", "episodes", "valid", "invalid", "missing")
@@ -457,7 +467,7 @@ def read_counts(text: str) -> Counts:
             gate=stated[f"{_PROPERTY_PREFIX}gate"],
             requirements=requirements,
             **{key: int(stated[f"{_PROPERTY_PREFIX}{key}"]) for key in numbers},
-            **{word: words[word] for word in CAMPAIGN_STATUSES},
+            **{campaign_status: words[campaign_status] for campaign_status in CAMPAIGN_STATUSES},
             waived=waived,
         )
     except (LookupError, TypeError, AttributeError) as error:
@@ -467,24 +477,26 @@ def read_counts(text: str) -> Counts:
 
 def _claimed_verdicts(declared: Data) -> tuple[Counter[str], int]:
     """Claims by the word of their verdict, and how many of them are waived."""
-    entries = {one["bom-ref"]: one for one in declared["evidence"]}
+    entries = {item["bom-ref"]: item for item in declared["evidence"]}
     mapped: Counter[tuple[str, str]] = Counter()
     for attestation in declared["attestations"]:
-        for one in attestation["map"]:
-            mapped.update((ref, "claims") for ref in one["claims"])
-            mapped.update((ref, "counterClaims") for ref in one["counterClaims"])
+        for entry in attestation["map"]:
+            mapped.update((ref, "claims") for ref in entry["claims"])
+            mapped.update((ref, "counterClaims") for ref in entry["counterClaims"])
     words: Counter[str] = Counter()
     waived = 0
     for claim in declared["claims"]:
         evidence = entries[claim["evidence"][0]]
-        word = evidence["propertyName"].removeprefix(f"{_PROPERTY_PREFIX}verdict:")
-        if word not in CAMPAIGN_STATUSES:
+        removeprefix = evidence["propertyName"].removeprefix(f"{_PROPERTY_PREFIX}verdict:")
+        if removeprefix not in CAMPAIGN_STATUSES:
             raise ValueError(f"{claim['bom-ref']} rests on evidence of no verdict")
-        place = "counterClaims" if word == "violated" else "claims"
+        place = "counterClaims" if removeprefix == "violated" else "claims"
         if mapped.pop((claim["bom-ref"], place), 0) != 1:
-            raise ValueError(f"{claim['bom-ref']} is {word}, and not once among the {place}")
-        words[word] += 1
-        waived += any(one["name"] == "waiver" for one in evidence["data"])
+            raise ValueError(
+                f"{claim['bom-ref']} is {removeprefix}, and not once among the {place}"
+            )
+        words[removeprefix] += 1
+        waived += any(item["name"] == "waiver" for item in evidence["data"])
     if mapped:
         raise ValueError(f"{min(mapped)[0]} is mapped, and is no claim, or of another verdict")
     return words, waived
@@ -528,21 +540,23 @@ def _as_references(value: Any) -> Iterator[str]:
             yield value["bom-ref"]
         value = list(value.values())
     if isinstance(value, list):
-        for one in value:
-            yield from _as_references(one)
+        for item in value:
+            yield from _as_references(item)
 
 
 def _declared_references(document: Data) -> Iterator[tuple[str, str]]:
     """Every reference of the declarations, with where it stands."""
     declared = document["declarations"]
-    holders = [(one["bom-ref"], one) for one in declared["claims"]]
+    holders = [(claim["bom-ref"], claim) for claim in declared["claims"]]
     for number, attestation in enumerate(declared["attestations"]):
         holders.append((f"attestation {number}", attestation))
-        for one in attestation["map"]:
+        for item in attestation["map"]:
             where = f"the map of attestation {number}"
-            holders += [(where, one), (where, one.get("conformance", {}))]
+            holders += [(where, item), (where, item.get("conformance", {}))]
     for standard in document["definitions"]["standards"]:
-        holders += [(one["bom-ref"], one) for one in standard["requirements"]]
+        holders += [
+            (requirement["bom-ref"], requirement) for requirement in standard["requirements"]
+        ]
     for where, holder in holders:
         for key in _LINKS:
             if key in holder:

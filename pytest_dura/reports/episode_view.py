@@ -61,19 +61,19 @@ def margin_over_time(check: str, episode: Episode | Trace) -> tuple[str, Column]
     columns = signal_columns(formula.signals, episode)
     if len(columns) < len(formula.signals):
         return None
-    finite = np.logical_and.reduce([np.isfinite(one) for one in columns.values()])
+    finite = np.logical_and.reduce([np.isfinite(column) for column in columns.values()])
     ticks = len(episode.time)
     samples = ticks if finite.all() else int(np.argmin(finite))
     if not samples:
         return None
     moment = Formula(_is_momentary(formula.root), formula.text)
-    found = np.full(ticks, np.nan)
+    full = np.full(ticks, np.nan)
     cut = {name: column[:samples] for name, column in columns.items()}
     try:
-        found[:samples] = robustness(moment, cut, _time_step(episode))
+        full[:samples] = robustness(moment, cut, _time_step(episode))
     except ConfigurationError:  # an expression that is not finite: the verdict tells where
         return None
-    return str(moment), found
+    return str(moment), full
 
 
 def _time_step(episode: Episode | Trace) -> float:
@@ -216,10 +216,10 @@ def _signal_values(trace: Trace, tick: int, signals: Sequence[str]) -> dict[str,
     return found
 
 
-def _flag_text(said: Recording, tick: int) -> dict[str, str]:
+def _flag_text(recording: Recording, tick: int) -> dict[str, str]:
     return {
         one_line(monitor, 100): STATUS_NAMES.get(int(column[tick]), "not asked")
-        for monitor, column in said.flags.items()
+        for monitor, column in recording.flags.items()
     }
 
 
@@ -244,7 +244,7 @@ def _events_of_tick(trace: Trace, tick: int, kinds: Sequence[str]) -> dict[str, 
 def _other_events(trace: Trace, tick: int) -> dict[str, str]:
     """What else was logged in this tick, of whatever kind."""
     told = (*_FAULTS, *_ASSESSED, *_DECIDED, "component_failure")
-    others = dict.fromkeys(one["kind"] for one in trace.events if one["kind"] not in told)
+    others = dict.fromkeys(event["kind"] for event in trace.events if event["kind"] not in told)
     return _events_of_tick(trace, tick, list(others))
 
 

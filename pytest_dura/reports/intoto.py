@@ -93,7 +93,7 @@ def broken_references(text: str, record: SessionRecord) -> list[str]:
             f"its subjects are not {RECORD_FILE} and the components under test of the record"
         )
     if statement["predicate"]["configuration"][1:] != [
-        _input_entry(one) for one in record["inputs"]
+        _input_entry(item) for item in record["inputs"]
     ]:
         told.append("its configuration is not the inputs of the record")
     return told
@@ -146,7 +146,9 @@ def _result(record: SessionRecord) -> str:
             return "FAILED"  # no gate lets it through; what says so is damaged
         clean &= _test_list(verdict) == "passedTests"
     for search in record["searches"]:
-        words = {outcome_status(search, one) for one in search["outcomes"]} - {NOTHING_FOUND}
+        words = {outcome_status(search, outcome) for outcome in search["outcomes"]} - {
+            NOTHING_FOUND
+        }
         if words - {"undecided"} and search["waiver"] is None:
             return "FAILED"  # likewise
         clean &= not words
@@ -156,10 +158,14 @@ def _result(record: SessionRecord) -> str:
 def _test_names(verdicts: list[JsonObject]) -> list[str]:
     """``case::requirement`` of each verdict, with as much more as tells it from the others."""
     parts = [
-        [f"{one['case']}::{one['requirement']}", f" [{one['component']}]", f" ({one['item']})"]
-        for one in verdicts
+        [
+            f"{verdict['case']}::{verdict['requirement']}",
+            f" [{verdict['component']}]",
+            f" ({verdict['item']})",
+        ]
+        for verdict in verdicts
     ]
-    full = ["".join(one[:1]) for one in parts]
+    full = ["".join(part[:1]) for part in parts]
     for more in (2, 3):
         often = Counter(full)
         full = [
@@ -169,11 +175,11 @@ def _test_names(verdicts: list[JsonObject]) -> list[str]:
     found: list[str] = []
     taken: set[str] = set()
     again: Counter[str] = Counter()
-    for one in (name(text, NAME_LIMIT) for text in full):
-        unique = one
+    for item in (name(text, NAME_LIMIT) for text in full):
+        unique = item
         while unique in taken:
-            again[one] += 1
-            unique = f"{one} #{again[one] + 1}"
+            again[item] += 1
+            unique = f"{item} #{again[item] + 1}"
         taken.add(unique)
         found.append(unique)
     return found
@@ -184,9 +190,9 @@ def _subjects(record: SessionRecord) -> list[JsonObject]:
     if not file.is_file():
         raise ValueError(f"{RECORD_FILE} has to be written before the statement on it")
     found = [
-        {"name": name(one["name"] or "unknown", NAME_LIMIT), "digest": {"sha256": digest}}
-        for one in components_under_test(record)
-        if (digest := valid_sha256(one.get("digest")))
+        {"name": name(item["name"] or "unknown", NAME_LIMIT), "digest": {"sha256": digest}}
+        for item in components_under_test(record)
+        if (digest := valid_sha256(item.get("digest")))
     ]
     return [*found, {"name": RECORD_FILE, "digest": {"sha256": file_entry(file)["sha256"]}}]
 
@@ -195,13 +201,13 @@ def _campaign(record: SessionRecord, names: list[str]) -> JsonObject:
     plan = {
         "base_seed": record["base_seed"],
         "requirements": record["requirements"],
-        "cases": [{key: one.get(key) for key in _PLANNED} for one in record["cases"]],
+        "cases": [{key: case.get(key) for key in _PLANNED} for case in record["cases"]],
     }
     canonical = json.dumps(plain_data(plan), sort_keys=True, separators=(",", ":"))
     counts = Counts.of(record).to_json()
-    words = [one["verdict"] for one in record["verdicts"]]
+    words = [verdict["verdict"] for verdict in record["verdicts"]]
     for word in ("supported", "violated", "undecided"):
-        counts[word] = [test for test, one in zip(names, words, strict=True) if one == word]
+        counts[word] = [test for test, item in zip(names, words, strict=True) if item == word]
     del counts["supported"], counts["waived"]  # those that passed, and those that are warned
     return {
         "name": "campaign",
@@ -210,9 +216,10 @@ def _campaign(record: SessionRecord, names: list[str]) -> JsonObject:
             **counts,
             "status": record["status"],
             "part": shard_text(record) or "whole",
-            "reasons": [visible(one) for one in record["gate"]["reasons"][:MAX_REASONS]],
+            "reasons": [visible(reason) for reason in record["gate"]["reasons"][:MAX_REASONS]],
             "components": [
-                name(one["name"] or "unknown", NAME_LIMIT) for one in components_under_test(record)
+                name(item["name"] or "unknown", NAME_LIMIT)
+                for item in components_under_test(record)
             ],
             "command": visible(record["command"]),
             "base_seed": str(record["base_seed"]),  # as a number, JSON readers would round it
@@ -222,11 +229,11 @@ def _campaign(record: SessionRecord, names: list[str]) -> JsonObject:
     }
 
 
-def _input_entry(one: JsonObject) -> JsonObject:
+def _input_entry(item: JsonObject) -> JsonObject:
     found: JsonObject = {
-        "name": name(one["path"], NAME_LIMIT),
-        "annotations": {"kind": visible(one["kind"])},
+        "name": name(item["path"], NAME_LIMIT),
+        "annotations": {"kind": visible(item["kind"])},
     }
-    if digest := valid_sha256(one["sha256"]):
+    if digest := valid_sha256(item["sha256"]):
         found["digest"] = {"sha256": digest}
     return found

@@ -55,22 +55,22 @@ def model_lines(models: Sequence[Mapping[str, Any]], most: int) -> Iterator[str]
         yield f"- and {len(models) - most} more language models"
 
 
-def _model_line(one: Mapping[str, Any]) -> str:
-    can = one["capabilities"] or {}
+def _model_line(item: Mapping[str, Any]) -> str:
+    can = item["capabilities"] or {}
     level = _name(str(can.get("structured", "unknown")))
     kept = "enforced" if can.get("enforced") else "not enforced"
-    about = f" ({_name(one['about'])})" if one["about"] else ""
-    told = (
-        f"- language model of {_name(one['component'])}: {_name(one['model'])}{about} at "
-        f"{_name(one['base_url'])}, {one['mode']}, structured output {level} ({kept}), "
-        f"fingerprint {_name(one['fingerprint'])}; {one['asked']} answers from the server, "
-        f"{one['reused']} from the cassette, {one['injected']} injected faults, "
-        f"{one['missed']} missed"
+    about = f" ({_name(item['about'])})" if item["about"] else ""
+    text = (
+        f"- language model of {_name(item['component'])}: {_name(item['model'])}{about} at "
+        f"{_name(item['base_url'])}, {item['mode']}, structured output {level} ({kept}), "
+        f"fingerprint {_name(item['fingerprint'])}; {item['asked']} answers from the server, "
+        f"{item['reused']} from the cassette, {item['injected']} injected faults, "
+        f"{item['missed']} missed"
     )
-    tape = one["cassette"]
+    tape = item["cassette"]
     if tape is None:
-        return told
-    return f"{told}; cassette {_name(tape['file'])}, SHA-256 {_name(tape['sha256'])}"
+        return text
+    return f"{text}; cassette {_name(tape['file'])}, SHA-256 {_name(tape['sha256'])}"
 
 
 def _name(text: str | None) -> str:
@@ -82,10 +82,10 @@ def provenance_lines(record: SessionRecord, most: int) -> Iterator[str]:
     git, tool, told = record["environment"]["git"] or {}, record["tool"], record["environment"]
     commit = _name(git.get("commit")) + (" with local changes" if git.get("dirty") else "")
     yield from ["", "## Provenance", ""]
-    for one in components_under_test(record)[:most]:
-        version = f", version {_name(str(one['version']))}" if one.get("version") else ""
-        digest = f", SHA-256 {_name(one['digest'])}" if one.get("digest") else ", no digest"
-        yield f"- component under test: {_name(one['name'])}{version}{digest}"
+    for episode in components_under_test(record)[:most]:
+        version = f", version {_name(str(episode['version']))}" if episode.get("version") else ""
+        digest = f", SHA-256 {_name(episode['digest'])}" if episode.get("digest") else ", no digest"
+        yield f"- component under test: {_name(episode['name'])}{version}{digest}"
     yield from model_lines(record["models"], most)
     yield from [f"- merged from {shards}"] if (shards := merge_text(record)) else []
     yield f"- commit: {commit}"
@@ -103,7 +103,9 @@ SEARCH_COLUMNS = ["search", "waiver", "requirement", "case", "component", "simul
            "robustness",
            "found by", "trivial baselines alone", "counterexample"]  # fmt: skip
 MOST_CHANGES = 6
-_OUTCOME_RANK = {word: rank for rank, word in enumerate(OBJECTIONABLE_OUTCOMES)}
+_OUTCOME_RANK = {
+    objectionable_outcome: rank for rank, objectionable_outcome in enumerate(OBJECTIONABLE_OUTCOMES)
+}
 
 
 def search_rows(record: SessionRecord) -> Iterator[str]:
@@ -129,15 +131,15 @@ def search_failures(record: SessionRecord) -> Iterator[str]:
 
 def _ordered_outcomes(record: SessionRecord) -> list[tuple[Data, Data]]:
     """Searches with their outcomes, the worst first."""
-    found = [(one, outcome) for one in record["searches"] for outcome in one["outcomes"]]
+    found = [(search, outcome) for search in record["searches"] for outcome in search["outcomes"]]
     return sorted(
         found, key=lambda pair: _OUTCOME_RANK.get(outcome_status(*pair), len(_OUTCOME_RANK))
     )
 
 
 def _search_cells(search: Data, outcome: Data) -> Iterator[str]:
-    word = outcome_status(search, outcome)
-    yield "violated by a baseline" if word == "baseline" else word
+    status = outcome_status(search, outcome)
+    yield "violated by a baseline" if status == "baseline" else status
     yield "-" if search["waiver"] is None else "waived"
     for text in (outcome["requirement"], search["case"], search["component"]):
         yield code(name(text)) or "-"
@@ -151,10 +153,10 @@ def _search_cells(search: Data, outcome: Data) -> Iterator[str]:
 def _baseline_cell(search: Data, requirement: str) -> str:
     """Where each trivial baseline met a violation by itself."""
     told = []
-    for one in search["baselines"]:
-        first = one["first"].get(requirement)
-        end = f"none in {one['simulations']}" if first is None else f"at {first}"
-        told.append(f"{markdown(one['name'], 100)} {end}")
+    for baseline in search["baselines"]:
+        first = baseline["first"].get(requirement)
+        end = f"none in {baseline['simulations']}" if first is None else f"at {first}"
+        told.append(f"{markdown(baseline['name'], 100)} {end}")
     return "; ".join(told) or "none was run"
 
 
@@ -190,7 +192,7 @@ def render(record: SessionRecord) -> str:
     """The page as text, of at most ``MAX_BYTES`` bytes in UTF-8."""
     verdicts = sorted(record["verdicts"], key=_urgency)
     found = search_failures(record)
-    failures = [one for one in verdicts if one["verdict"] != "supported"]
+    failures = [verdict for verdict in verdicts if verdict["verdict"] != "supported"]
     lines = [
         *_head_lines(record),
         *_conclusion_lines(record),
@@ -254,10 +256,10 @@ def _read_rows(heading: str, body: str) -> JsonObject:
 
 
 def _read_verdicts(_: str, body: str) -> JsonObject:
-    found = re.findall(r"^\| (supported|violated|undecided) \| (waived|-) \|", body, re.MULTILINE)
-    words = Counter(word for word, _ in found)
+    findall = re.findall(r"^\| (supported|violated|undecided) \| (waived|-) \|", body, re.MULTILINE)
+    words = Counter(word for word, _ in findall)
     return {word: words[word] for word in _VERDICT_ORDER} | {
-        "waived": [one for _, one in found].count("waived")
+        "waived": [item for _, item in findall].count("waived")
     }
 
 
@@ -279,7 +281,9 @@ def _head_lines(record: SessionRecord) -> Iterator[str]:
     yield from ["", f"| {' | '.join(counts)} |", f"|{' --- |' * len(counts)}"]
     yield f"| {' | '.join(map(str, counts.values()))} |"
     yield ""
-    yield from (f"- {markdown(one, 300) or 'no reason'}" for one in gate["reasons"][:_REASONS])
+    yield from (
+        f"- {markdown(reason, 300) or 'no reason'}" for reason in gate["reasons"][:_REASONS]
+    )
     if len(gate["reasons"]) > _REASONS:
         yield f"- and {len(gate['reasons']) - _REASONS} more reasons"
 
@@ -289,7 +293,12 @@ def _conclusion_lines(record: SessionRecord) -> Iterator[str]:
         ("Shown", conclusion_sentences(record)),
         ("Not shown", limitation_sentences(record)),
     ):
-        yield from ["", f"**{heading}**", "", *(f"- {markdown(one, 400)}" for one in sentences)]
+        yield from [
+            "",
+            f"**{heading}**",
+            "",
+            *(f"- {markdown(sentence, 400)}" for sentence in sentences),
+        ]
 
 
 def _section(heading: str, columns: list[str], rows: Iterable[str], share: str) -> Iterator[str]:
@@ -316,40 +325,40 @@ def _section(heading: str, columns: list[str], rows: Iterable[str], share: str) 
 
 def _failure_lines(record: SessionRecord, failures: list[JsonObject]) -> Iterator[str]:
     """One row each; requirements of a case that are undecided for the same reason share one."""
-    for (first, rest), same in groupby(failures, lambda one: _failure_context(record, one)):
-        names = ", ".join(_name(one["requirement"]) for one in same)
+    for (first, rest), same in groupby(failures, lambda failure: _failure_context(record, failure)):
+        names = ", ".join(_name(verdict["requirement"]) for verdict in same)
         yield f"- **{first}: {names}{rest}"
 
 
-def _failure_context(record: SessionRecord, one: JsonObject) -> tuple[str, str]:
+def _failure_context(record: SessionRecord, item: JsonObject) -> tuple[str, str]:
     """What is said of a verdict before and after the name of its requirement."""
     waiver = ""
-    if one["waiver"] is not None:
-        kind, why = markdown(one["waiver"]["kind"], 64), markdown(one["waiver"]["reason"], 200)
+    if item["waiver"] is not None:
+        kind, why = markdown(item["waiver"]["kind"], 64), markdown(item["waiver"]["reason"], 200)
         waiver = f" (waived, {kind}: {why or 'no reason'})"
-    told = (
-        f" on {_name(one['case'])}, "
-        f"component {_name(one['component'])}: {markdown(one['reason'], 400) or 'no reason'}. "
-        f"{sample_text(one)}; {rate_bound(one)}."
+    text = (
+        f" on {_name(item['case'])}, "
+        f"component {_name(item['component'])}: {markdown(item['reason'], 400) or 'no reason'}. "
+        f"{sample_text(item)}; {rate_bound(item)}."
     )
-    for line in assertion_sentences(one):
-        told += f"\n  - {markdown(line, 600)}"
-    if one["counterexamples"]:
-        told += "\n  - " + _counterexample(record, one["counterexamples"])
-    return f"{one['verdict']}**{waiver}", told
+    for line in assertion_sentences(item):
+        text += f"\n  - {markdown(line, 600)}"
+    if item["counterexamples"]:
+        text += "\n  - " + _counterexample(record, item["counterexamples"])
+    return f"{item['verdict']}**{waiver}", text
 
 
-def _counterexample(record: SessionRecord, found: list[JsonObject]) -> str:
-    first = found[0]
-    told = f"counterexample {_name(first['episode'])}"
+def _counterexample(record: SessionRecord, objects: list[JsonObject]) -> str:
+    first = objects[0]
+    text = f"counterexample {_name(first['episode'])}"
     if first["time"] is not None:
-        told += f" at {first['time']:.1f} s"
+        text += f" at {first['time']:.1f} s"
     if first["margin"] is not None:
-        told += f", margin {first['margin']:.3g}"
-    if len(found) > 1:
-        told += f", and {len(found) - 1} more"
+        text += f", margin {first['margin']:.3g}"
+    if len(objects) > 1:
+        text += f", and {len(objects) - 1} more"
     command = _replay(record["command"], first["episode"])
-    return told + (f"; replay: {command}" if command else "; replay by its id in the record")
+    return text + (f"; replay: {command}" if command else "; replay by its id in the record")
 
 
 def _replay(session: str, episode: str) -> str:
@@ -389,31 +398,33 @@ def _table_row(cells: Iterable[object]) -> str:
     return f"| {' | '.join(str(cell) for cell in cells)} |"
 
 
-def _verdict_row(one: JsonObject) -> str:
-    counts = [one["episodes"], one["violations"], len(one["open"])]
-    counts += [one[key] for key in ("without_effect", "invalid", "missing")]
-    waiver = "-" if one["waiver"] is None else "waived"
-    names = (_name(one[key]) for key in ("requirement", "case", "component"))
-    return _table_row([one["verdict"], waiver, *names, *counts, rate_bound(one)])
+def _verdict_row(item: JsonObject) -> str:
+    counts = [item["episodes"], item["violations"], len(item["open"])]
+    counts += [item[key] for key in ("without_effect", "invalid", "missing")]
+    waiver = "-" if item["waiver"] is None else "waived"
+    names = (_name(item[key]) for key in ("requirement", "case", "component"))
+    return _table_row([item["verdict"], waiver, *names, *counts, rate_bound(item)])
 
 
 def _requirement_rows(record: SessionRecord) -> Iterator[str]:
-    words = Counter((one["requirement"], one["verdict"]) for one in record["verdicts"])
+    words = Counter((verdict["requirement"], verdict["verdict"]) for verdict in record["verdicts"])
     cells = record["coverage"]["cells"]
-    untested = Counter(one["requirement"] for one in cells if one["verdict"] is None)
+    untested = Counter(cell["requirement"] for cell in cells if cell["verdict"] is None)
     more = " or more" if record["coverage"]["left_out"] else ""
 
-    def failing(one: JsonObject) -> tuple[bool, bool]:
-        return not words[one["id"], "violated"], not words[one["id"], "undecided"]
+    def failing(item: JsonObject) -> tuple[bool, bool]:
+        return not words[item["id"], "violated"], not words[item["id"], "undecided"]
 
-    for one in sorted(record["requirements"], key=failing):
-        counts = (words[one["id"], word] for word in ("supported", "violated", "undecided"))
-        texts = (markdown(one[key] or "", 200) or "-" for key in ("kind", "text"))
-        yield _table_row([_name(one["id"]), *texts, *counts, f"{untested[one['id']]}{more}"])
+    for requirement in sorted(record["requirements"], key=failing):
+        counts = (words[requirement["id"], word] for word in ("supported", "violated", "undecided"))
+        texts = (markdown(requirement[key] or "", 200) or "-" for key in ("kind", "text"))
+        yield _table_row(
+            [_name(requirement["id"]), *texts, *counts, f"{untested[requirement['id']]}{more}"]
+        )
 
 
-def _case_row(one: JsonObject) -> str:
-    metrics = one["metrics"]
+def _case_row(item: JsonObject) -> str:
+    metrics = item["metrics"]
     rates = []
     for key in ("flagged", "collided", "gridlock", "rescued", "comfort_failed"):
         rate = metrics[key]
@@ -426,7 +437,7 @@ def _case_row(one: JsonObject) -> str:
     if time is not None and time["mean"] is not None:
         shown = f"{time['mean']:.2f} s (n = {time['runs']})"
     counts = (metrics[key] for key in ("planned", "run", "valid", "invalid", "missing"))
-    names = (_name(one["id"]), _name(one["component"]))
+    names = (_name(item["id"]), _name(item["component"]))
     return _table_row([*names, *counts, *rates[:3], shown, *rates[3:], reactions or "-"])
 
 
@@ -435,24 +446,24 @@ def _overall_lines(record: SessionRecord) -> Iterator[str]:
 
     No rows of a table: the rows of cases are counted.
     """
-    for one in record["overall"]:
-        metrics = one["metrics"]
+    for item in record["overall"]:
+        metrics = item["metrics"]
         counts = [
             f"{metrics[key]['valid']} {key.replace('_', ' ')}"
             for key in ("flagged", "collided", "gridlock", "rescued", "comfort_failed")
             if metrics[key] is not None
         ]
         runs = f"{metrics['valid']} valid of {metrics['planned']} planned runs"
-        whose = f"all {one['cases']} cases of {_name(one['component'])}"
+        whose = f"all {item['cases']} cases of {_name(item['component'])}"
         yield from ["", f"- {whose}: {', '.join([runs, *counts])}"]
-    found = record["effectiveness"]
-    if found:
+    effectiveness = record["effectiveness"]
+    if effectiveness:
         yield ""
-    for one in found[:_MAX_CELLS]:
-        whose = f"{_name(one['role'])} with {_name(one['component'])}"
-        yield f"- {whose}: {markdown(one['detail'], 400)}"
-    if len(found) > _MAX_CELLS:
-        yield f"- and {len(found) - _MAX_CELLS} more in the report"
+    for item in effectiveness[:_MAX_CELLS]:
+        whose = f"{_name(item['role'])} with {_name(item['component'])}"
+        yield f"- {whose}: {markdown(item['detail'], 400)}"
+    if len(effectiveness) > _MAX_CELLS:
+        yield f"- and {len(effectiveness) - _MAX_CELLS} more in the report"
 
 
 def _failure_mode_section(record: SessionRecord) -> Iterator[str]:
@@ -460,13 +471,13 @@ def _failure_mode_section(record: SessionRecord) -> Iterator[str]:
     cases = record["cases"]
     rows = [
         _table_row([
-            _name(failure_mode_text(one["name"])), one["kind"], _name(component),
-            f"{one['hits']} of {one['of']}", percent_text(one["share"]),
-            percent_text(one["null_share"]),
-            f"{one['episodes']} of {one['of_episodes']}",
+            _name(failure_mode_text(mode["name"])), mode["kind"], _name(component),
+            f"{mode['hits']} of {mode['of']}", percent_text(mode["share"]),
+            percent_text(mode["null_share"]),
+            f"{mode['episodes']} of {mode['of_episodes']}",
         ])
         for component, modes in failure_modes_by_component(cases).items()
-        for one in modes
+        for mode in modes
     ]  # fmt: skip
     if rows:
         yield from _section("Failure modes", _FAILURE_MODE_COLUMNS, rows, "failure modes")
@@ -481,13 +492,13 @@ def _failure_mode_section(record: SessionRecord) -> Iterator[str]:
 
 def _coverage_lines(record: SessionRecord) -> Iterator[str]:
     cells, left_out = record["coverage"]["cells"], record["coverage"]["left_out"]
-    untested = [one for one in cells if one["verdict"] is None]
+    untested = [cell for cell in cells if cell["verdict"] is None]
     yield from ["", "## Coverage", ""]
     yield (
         f"{len(cells) - len(untested)} of {len(cells) + left_out} cells of requirement x scenario "
         f"x fault have a verdict; {len(untested) + left_out} untested."
     )
-    for one in untested[:_MAX_CELLS]:
-        yield f"- untested: {_name(one['requirement'])} on {_name(one['case'])}"
+    for verdict in untested[:_MAX_CELLS]:
+        yield f"- untested: {_name(verdict['requirement'])} on {_name(verdict['case'])}"
     if len(untested) + left_out > _MAX_CELLS:
         yield f"- and {len(untested[_MAX_CELLS:]) + left_out} more"

@@ -31,7 +31,7 @@ NULL_NOTE = (
 
 def cases_with_accounts(cases: Sequence[Data]) -> list[Data]:
     """The cases whose component gave accounts; those without a role repeat others' decisions."""
-    return [one for one in cases if one["metrics"]["failure_modes"] and not one["without"]]
+    return [case for case in cases if case["metrics"]["failure_modes"] and not case["without"]]
 
 
 def failure_modes_by_component(cases: Sequence[Data]) -> dict[str, list[dict[str, Any]]]:
@@ -42,19 +42,23 @@ def failure_modes_by_component(cases: Sequence[Data]) -> dict[str, list[dict[str
     found: dict[str, dict[str, dict[str, Any]]] = {}
     for case in cases_with_accounts(cases):
         modes = found.setdefault(case["component"], {})
-        for one in case["metrics"]["failure_modes"]:
-            empty = {"name": one["name"], "kind": one["kind"], **dict.fromkeys(SUMMED_COUNTS, 0)}
-            mode = modes.setdefault(one["name"], empty)
+        for failure_mode in case["metrics"]["failure_modes"]:
+            empty = {
+                "name": failure_mode["name"],
+                "kind": failure_mode["kind"],
+                **dict.fromkeys(SUMMED_COUNTS, 0),
+            }
+            mode = modes.setdefault(failure_mode["name"], empty)
             for key in SUMMED_COUNTS:
-                mode[key] += one[key]
+                mode[key] += failure_mode[key]
     return {
         component: [
             {
-                **one,
-                "share": share(one["hits"], one["of"]),
-                "null_share": share(one["null_hits"], one["null_of"]),
+                **failure_mode,
+                "share": share(failure_mode["hits"], failure_mode["of"]),
+                "null_share": share(failure_mode["null_hits"], failure_mode["null_of"]),
             }
-            for one in measured_failure_modes(list(modes.values()))
+            for failure_mode in measured_failure_modes(list(modes.values()))
         ]
         for component, modes in found.items()
     }
@@ -66,8 +70,8 @@ def measured_failure_modes(modes: Sequence[Data]) -> list[Data]:
     Also those that could only have shown of the null component: that a component gave nothing to
     measure, as where it failed on each variant of its prompt, is not to be overlooked.
     """
-    could = [one for one in modes if one["of"] or one["null_of"]]
-    return [one for kind in FAILURE_MODE_HEADINGS for one in could if one["kind"] == kind]
+    could = [mode for mode in modes if mode["of"] or mode["null_of"]]
+    return [item for kind in FAILURE_MODE_HEADINGS for item in could if item["kind"] == kind]
 
 
 def failure_mode_text(name: str) -> str:
@@ -89,7 +93,7 @@ def decision_time_lines(cases: Sequence[Data]) -> Iterator[tuple[str, str]]:
     """Each component whose decisions took time, how much, and how many took too much, in words."""
     late = _timeouts(cases)
     for component, spreads in _metric_spreads(cases, "answer_times").items():
-        decisions = sum(one["decisions"] for one in spreads)
+        decisions = sum(spread["decisions"] for spread in spreads)
         text = f"{decisions} decisions, {_percentiles(spreads, 'longest', '.2f')}"
         hits, of = late.get(component, (0, 0))
         if of:
@@ -104,7 +108,7 @@ def decision_age_lines(cases: Sequence[Data]) -> Iterator[tuple[str, str]]:
     told.
     """
     for component, spreads in _metric_spreads(cases, "answer_ages").items():
-        if any(one["max"] > 0.0 for one in spreads):
+        if any(spread["max"] > 0.0 for spread in spreads):
             yield component, _percentiles(spreads, "oldest", ".4g")
 
 
@@ -112,10 +116,10 @@ def _timeouts(cases: Sequence[Data]) -> dict[str, tuple[int, int]]:
     """By component: decisions to which no answer came in time, of all whose outcome is told."""
     found: dict[str, tuple[int, int]] = {}
     for case in cases_with_accounts(cases):
-        for one in case["metrics"]["failure_modes"]:
-            if one["name"] == TIMEOUT:
+        for failure_mode in case["metrics"]["failure_modes"]:
+            if failure_mode["name"] == TIMEOUT:
                 hits, of = found.get(case["component"], (0, 0))
-                found[case["component"]] = hits + one["hits"], of + one["of"]
+                found[case["component"]] = hits + failure_mode["hits"], of + failure_mode["of"]
     return found
 
 
@@ -134,12 +138,14 @@ def _percentiles(spreads: Sequence[Data], last: str, shown: str) -> str:
         _percentile_range(word, key, spreads, shown)
         for word, key in (("median", "p50"), ("95th percentile", "p95"))
     )
-    return f"{median}, {high}, {last} {max(one['max'] for one in spreads):{shown}} s"
+    return f"{median}, {high}, {last} {max(spread['max'] for spread in spreads):{shown}} s"
 
 
 def _percentile_range(word: str, key: str, spreads: Sequence[Data], shown: str) -> str:
     """Percentiles of several cases do not add up: the least and the greatest are told."""
-    least, greatest = (f"{limit(one[key] for one in spreads):{shown}}" for limit in (min, max))
+    least, greatest = (
+        f"{limit(spread[key] for spread in spreads):{shown}}" for limit in (min, max)
+    )
     if least == greatest:
         return f"{word} {least} s"
     return f"{word} {least} to {greatest} s by case"
@@ -153,22 +159,22 @@ NOTHING_SUPPORTED = (
 
 def simulations_text(search: Data) -> str:
     """How much was simulated, of how much: ``37 of 100 simulations``."""
-    told = f"{search['simulations']} of {_counted(search['budget'], 'simulation')}"
+    text = f"{search['simulations']} of {_counted(search['budget'], 'simulation')}"
     if search["unknown"]:
-        told += f", {search['unknown']} without an answer"
+        text += f", {search['unknown']} without an answer"
     if search["idle"]:
-        told += f", {search['idle']} with an added fault that never came to act"
+        text += f", {search['idle']} with an added fault that never came to act"
     if search["refused"]:
-        told += f"; {_counted(search['refused'], 'point')} refused"
-    return told
+        text += f"; {_counted(search['refused'], 'point')} refused"
+    return text
 
 
 def outcome_headline(search: Data, outcome: Data) -> str:
     """The word, the requirement, and what it rests on."""
     word, requirement = outcome["word"], name(outcome["requirement"])
-    found = outcome["counterexample"]
-    if found is not None:
-        repeats = found["repeats"]
+    counterexample = outcome["counterexample"]
+    if counterexample is not None:
+        repeats = counterexample["repeats"]
         by = f"at simulation {outcome['simulations']}, by {one_line(outcome['searcher'])}"
         if word == "falsified":
             again = f"confirmed by {_counted(repeats['runs'], 'equal replay')}"
@@ -187,13 +193,17 @@ def outcome_headline(search: Data, outcome: Data) -> str:
 def search_coverage_text(search: Data) -> str:
     """The share of the ranges that was simulated, on average, and of their pairs."""
     shares, pairs = list(search["coverage"]["parameters"].values()), search["coverage"]["pairs"]
-    told = f"{100 * sum(shares) / len(shares):.0f} % of each range" if shares else "unknown"
-    return told if pairs is None else f"{told}, {100 * pairs:.0f} % of their pairs"
+    text = f"{100 * sum(shares) / len(shares):.0f} % of each range" if shares else "unknown"
+    return text if pairs is None else f"{text}, {100 * pairs:.0f} % of their pairs"
 
 
 def violating_baselines(search: Data, requirement: str) -> list[Data]:
     """The baselines that violated a requirement."""
-    return [one for one in search["baselines"] if one["first"].get(requirement) is not None]
+    return [
+        baseline
+        for baseline in search["baselines"]
+        if baseline["first"].get(requirement) is not None
+    ]
 
 
 def is_notable_outcome(search: Data, outcome: Data) -> bool:
@@ -215,12 +225,12 @@ def searcher_rows(search: Data, requirement: str, kind: str) -> Iterator[tuple[s
         requirement: For which of its requirements.
         kind: ``searchers`` or ``baselines``.
     """
-    for one in search[kind]:
-        first, best = one["first"].get(requirement), one["best"].get(requirement)
-        shown = name(one["name"])
-        if kind == "searchers" and not one["trivial"]:
+    for item in search[kind]:
+        first, best = item["first"].get(requirement), item["best"].get(requirement)
+        shown = name(item["name"])
+        if kind == "searchers" and not item["trivial"]:
             shown = f"{shown} ({LEARNS})"
-        cells = [str(one["simulations"]), "none" if first is None else str(first)]
+        cells = [str(item["simulations"]), "none" if first is None else str(first)]
         yield shown, [*cells, "-" if best is None else f"{best:.4g}"]
 
 
@@ -245,15 +255,15 @@ def shrinking_text(found: Data) -> str:
 
 def parameter_changes(found: Data, most: int) -> Sequence[tuple[str, str]]:
     """Path and change of each parameter: ``world.wall``, ``2 instead of 4``."""
-    return [(name(one["path"]), _parameter_change(one)) for one in found["changes"][:most]]
+    return [(name(change["path"]), _parameter_change(change)) for change in found["changes"][:most]]
 
 
-def _parameter_change(one: Data) -> str:
-    if one["value"] is None:
+def _parameter_change(item: Data) -> str:
+    if item["value"] is None:
         return "left out"
-    if one["nominal"] is None:
-        return f"{value_text(one['value'])}, added"
-    return f"{value_text(one['value'])} instead of {value_text(one['nominal'])}"
+    if item["nominal"] is None:
+        return f"{value_text(item['value'])}, added"
+    return f"{value_text(item['value'])} instead of {value_text(item['nominal'])}"
 
 
 def value_text(told: Any) -> str:
@@ -265,7 +275,7 @@ def value_text(told: Any) -> str:
     if isinstance(told, Mapping):
         return (
             "{"
-            + ", ".join(f"{name(str(key))}: {value_text(one)}" for key, one in told.items())
+            + ", ".join(f"{name(str(key))}: {value_text(item)}" for key, item in told.items())
             + "}"
         )
     if isinstance(told, (list, tuple)):

@@ -30,12 +30,12 @@ _SHA256 = re.compile(r"[0-9a-f]{64}")
 
 def sample_text(verdict: Data) -> str:
     """What a verdict rests on: ``12 valid of 15 run, 15 planned; 0 violations``."""
-    told = (
+    text = (
         f"{verdict['episodes']} valid of {verdict['run']} run, {verdict['planned']} planned; "
         f"{verdict['violations']} violation{'' if verdict['violations'] == 1 else 's'}"
         f"{fault_free_violations_text(verdict)}"
     )
-    return ", ".join([told, *other_run_counts(verdict)])
+    return ", ".join([text, *other_run_counts(verdict)])
 
 
 def other_run_counts(verdict: Data) -> list[str]:
@@ -56,10 +56,10 @@ def fault_free_violations_text(verdict: Data) -> str:
 
 def rate_bound(verdict: Data) -> str:
     """The bound on the rate of violations with its confidence, or that there is none."""
-    told = verdict["bound"]
-    if told["upper"] is None:
+    bound = verdict["bound"]
+    if bound["upper"] is None:
         return f"no bound{no_rate_reason(verdict)}"
-    return f"rate <= {told['upper']:.3g} at {told['confidence']:g} confidence"
+    return f"rate <= {bound['upper']:.3g} at {bound['confidence']:g} confidence"
 
 
 def no_rate_reason(verdict: Data) -> str:
@@ -73,20 +73,20 @@ def assertion_sentences(verdict: Data) -> list[str]:
 
     There is none for a verdict by checks alone. Names in it are a user's, and have to be escaped.
     """
-    found = verdict["assertion"]
-    if found is None:
+    assertion = verdict["assertion"]
+    if assertion is None:
         return []
-    seen = ", ".join(found["observed"][:MAX_OBSERVED_NAMES]) or "nothing"
-    if len(found["observed"]) > MAX_OBSERVED_NAMES:
-        seen += f" and {len(found['observed']) - MAX_OBSERVED_NAMES} more"
-    told = [f"failed: {one['message']}, in {one['episode']}" for one in found["failed"][:1]]
-    if found["alone"]:
+    seen = ", ".join(assertion["observed"][:MAX_OBSERVED_NAMES]) or "nothing"
+    if len(assertion["observed"]) > MAX_OBSERVED_NAMES:
+        seen += f" and {len(assertion['observed']) - MAX_OBSERVED_NAMES} more"
+    told = [f"failed: {item['message']}, in {item['episode']}" for item in assertion["failed"][:1]]
+    if assertion["alone"]:
         told.append(f"by assertion: the test looked at {seen}")
-    elif found["observed"]:
+    elif assertion["observed"]:
         told.append(f"by its check, and by assertion: the test looked at {seen}")
-    for one in found["false"]:
-        count = f"{one['episodes']} episode{'' if one['episodes'] == 1 else 's'}"
-        told.append(f"false in {count} with which the test passed: {one['check']}")
+    for entry in assertion["false"]:
+        count = f"{entry['episodes']} episode{'' if entry['episodes'] == 1 else 's'}"
+        told.append(f"false in {count} with which the test passed: {entry['check']}")
     return told
 
 
@@ -100,21 +100,21 @@ def selection_text(record: SessionRecord) -> str:
 
     Such as ``1 of 2 planned verdicts asked for, 5 runs instead of 15``.
     """
-    told = record["selection"]
+    selection = record["selection"]
     parts = []
-    if told["asked"] < told["planned"]:
-        parts.append(f"{told['asked']} of {told['planned']} planned verdicts asked for")
-    if told["runs"] is not None:
-        declared = " to ".join(map(str, dict.fromkeys(told["declared_runs"])))
-        runs = f"{told['runs']} run{'' if told['runs'] == 1 else 's'}"
+    if selection["asked"] < selection["planned"]:
+        parts.append(f"{selection['asked']} of {selection['planned']} planned verdicts asked for")
+    if selection["runs"] is not None:
+        declared = " to ".join(map(str, dict.fromkeys(selection["declared_runs"])))
+        runs = f"{selection['runs']} run{'' if selection['runs'] == 1 else 's'}"
         parts.append(f"{runs} instead of {declared}")
     return ", ".join(parts)
 
 
 def roles_off_lines(record: SessionRecord) -> list[str]:
     """Which roles are switched off, and in how many of the cases."""
-    cases = [one for one in record["cases"] if not one["without"]]
-    counts = Counter(role for one in cases for role in one["off"])
+    cases = [case for case in record["cases"] if not case["without"]]
+    counts = Counter(role for case in cases for role in case["off"])
     several = "s" if len(cases) > 1 else ""
     return [
         f"{role} is OFF in {counts[role]} of {len(cases)} case{several}" for role in sorted(counts)
@@ -133,8 +133,8 @@ def merge_text(record: SessionRecord) -> str:
     if shards is None:
         return ""
     # Which shards have property tests says nothing of where they ran.
-    places = [{**one["environment"], "hypothesis": None} for one in shards]
-    several = len({json.dumps(one, sort_keys=True) for one in places}) > 1
+    places = [{**shard["environment"], "hypothesis": None} for shard in shards]
+    several = len({json.dumps(place, sort_keys=True) for place in places}) > 1
     count = f"{len(shards)} shard{'' if len(shards) == 1 else 's'}"
     return f"{count}, in environments that differ" if several else f"{count}, in one environment"
 
@@ -211,16 +211,16 @@ def conclusion_sentences(record: SessionRecord) -> Iterator[str]:
         yield "No requirement led to a verdict."
         yield from _search_violations(record)
         return
-    violated = [one for one in verdicts if one["verdict"] == "violated"]
+    violated = [verdict for verdict in verdicts if verdict["verdict"] == "violated"]
     if violated:
-        ids = list(dict.fromkeys(one["requirement"] for one in violated))
+        ids = list(dict.fromkeys(verdict["requirement"] for verdict in violated))
         names = ", ".join(map(name, ids[:MOST_NAMES]))
         more = f" and {len(ids) - MOST_NAMES} more" if len(ids) > MOST_NAMES else ""
         yield (
             f"{_share(violated, verdicts)} violated ({names}{more}): the episodes "
             "are named and can be replayed."
         )
-    supported = [one for one in verdicts if one["verdict"] == "supported"]
+    supported = [verdict for verdict in verdicts if verdict["verdict"] == "supported"]
     if supported:
         yield f"{_share(supported, verdicts)} supported.{_weakest_bound(supported)}"
     else:
@@ -239,18 +239,18 @@ def limitation_sentences(record: SessionRecord) -> Iterator[str]:
         )
     yield from _left_out(record)
     verdicts, totals = record["verdicts"], record["totals"]
-    undecided = [one for one in verdicts if one["verdict"] == "undecided"]
+    undecided = [verdict for verdict in verdicts if verdict["verdict"] == "undecided"]
     if undecided:
-        blind = sum(one["episodes"] == 0 for one in undecided)
+        blind = sum(item["episodes"] == 0 for item in undecided)
         rest = f", {blind} of them without a single valid episode" if blind else ""
         yield f"{_share(undecided, verdicts)} undecided{rest}: they show neither."
     yield from _one_situation(verdicts)
-    waived = [one for one in verdicts if one["waiver"] is not None]
+    waived = [verdict for verdict in verdicts if verdict["waiver"] is not None]
     if waived:
         yield f"{_share(waived, verdicts)} waived: let through by name, not by evidence."
     yield from _searches_without_violation(record)
     yield from _untested(record)
-    early = sum(one["metrics"]["ended_early"] for one in record["cases"])
+    early = sum(case["metrics"]["ended_early"] for case in record["cases"])
     if early:
         yield (
             f"{early} of {totals['episodes']} episodes ended early, once every requirement of "
@@ -268,7 +268,7 @@ def limitation_sentences(record: SessionRecord) -> Iterator[str]:
             f"{totals['missing']} missing: they support nothing and enter no n. What one of them "
             "violates fails the gate all the same."
         )
-    supported = sum(one["verdict"] == "supported" for one in verdicts)
+    supported = sum(verdict["verdict"] == "supported" for verdict in verdicts)
     if supported:
         yield (
             "That no violation was seen does not mean that there can be none: the bound says how "
@@ -277,7 +277,9 @@ def limitation_sentences(record: SessionRecord) -> Iterator[str]:
     yield from _by_assertion(verdicts)
     if supported > 1:
         yield "Each bound holds by itself with its confidence; that all hold at once is less sure."
-    recoveries = sum(one["metrics"]["recoveries"] for one in record["cases"] if not one["without"])
+    recoveries = sum(
+        case["metrics"]["recoveries"] for case in record["cases"] if not case["without"]
+    )
     if recoveries:
         yield (
             f"Recovery acted {recoveries} times in valid episodes: what is judged is the component "
@@ -307,9 +309,11 @@ def _left_out(record: SessionRecord) -> Iterator[str]:
 def _by_assertion(verdicts: list[Data]) -> Iterator[str]:
     """Verdicts that rest on nothing but what tests assert."""
     found = [
-        one
-        for one in verdicts
-        if one["verdict"] == "supported" and one["assertion"] and one["assertion"]["alone"]
+        verdict
+        for verdict in verdicts
+        if verdict["verdict"] == "supported"
+        and verdict["assertion"]
+        and verdict["assertion"]["alone"]
     ]
     if found:
         yield (
@@ -330,30 +334,34 @@ def _search_outcomes(record: SessionRecord, words: tuple[str, ...]) -> list[tupl
 
 def _search_violations(record: SessionRecord) -> Iterator[str]:
     """What searches violated, confirmed or not."""
-    for word, how in zip(
+    for violated_outcome, how in zip(
         VIOLATED_OUTCOMES, ("confirmed by replay", "and not each time again"), strict=True
     ):
-        found = _search_outcomes(record, (word,))
-        if found:
-            told = [f"{name(one['requirement'])} on {name(by['case'])}" for by, one in found]
+        search_outcomes = _search_outcomes(record, (violated_outcome,))
+        if search_outcomes:
+            told = [
+                f"{name(verdict['requirement'])} on {name(by['case'])}"
+                for by, verdict in search_outcomes
+            ]
             names = ", ".join(dict.fromkeys(told[:MOST_NAMES]))
             more = f" and {len(told) - MOST_NAMES} more" if len(told) > MOST_NAMES else ""
             yield f"Violated in a search, {how}: {names}{more}. It is part of no rate."
 
 
 def _searches_without_violation(record: SessionRecord) -> Iterator[str]:
-    found = _search_outcomes(record, (NOTHING_FOUND, "undecided"))
-    if found:
-        several = "" if len(found) == 1 else "s"
-        most = max(search["simulations"] for search, _ in found)
+    search_outcomes = _search_outcomes(record, (NOTHING_FOUND, "undecided"))
+    if search_outcomes:
+        several = "" if len(search_outcomes) == 1 else "s"
+        most = max(search["simulations"] for search, _ in search_outcomes)
         yield (
-            f"Searches found nothing against {len(found)} requirement{several} on a case, in up to "
+            f"Searches found nothing against {len(search_outcomes)} requirement{several}"
+            " on a case, in up to "
             f"{most} simulations each: that supports none of them. {NOTHING_SUPPORTED}"
         )
 
 
 def _one_situation(verdicts: list[Data]) -> Iterator[str]:
-    equal = [one for one in verdicts if one.get("situation") is not None]
+    equal = [verdict for verdict in verdicts if verdict.get("situation") is not None]
     if equal:
         rests = "rests" if len(equal) == 1 else "rest"
         yield (
@@ -363,7 +371,7 @@ def _one_situation(verdicts: list[Data]) -> Iterator[str]:
 
 
 def _not_repeatable(record: SessionRecord) -> Iterator[str]:
-    found = [name(one["id"]) for one in record["cases"] if any(not_repeatable_lines([one]))]
+    found = [name(case["id"]) for case in record["cases"] if any(not_repeatable_lines([case]))]
     if found:
         names = ", ".join(dict.fromkeys(found[:MOST_NAMES]))
         more = f" and {len(found) - MOST_NAMES} more" if len(found) > MOST_NAMES else ""
@@ -384,10 +392,10 @@ def _taken_over(record: SessionRecord) -> Iterator[str]:
         f"{reuse['taken_over']} of {run} episodes were taken over{whose}, since nothing that they "
         "are known to rest on had changed: what their code reads or imports unseen is not known."
     )
-    for one in reuse["outdated"][:MOST_NAMES]:
+    for item in reuse["outdated"][:MOST_NAMES]:
         yield (
-            f"{one['episodes']} of {run} episodes were simulated again: "
-            f"{outdated_reason(map(name, one['changed']))}."
+            f"{item['episodes']} of {run} episodes were simulated again: "
+            f"{outdated_reason(map(name, item['changed']))}."
         )
     searched = reuse["searched"]
     if searched is not None and searched["taken_over"]:
@@ -399,13 +407,13 @@ def _taken_over(record: SessionRecord) -> Iterator[str]:
 
 def _untested(record: SessionRecord) -> Iterator[str]:
     cells, left_out = record["coverage"]["cells"], record["coverage"]["left_out"]
-    untested = left_out + sum(one["verdict"] is None for one in cells)
+    untested = left_out + sum(cell["verdict"] is None for cell in cells)
     if untested:
         yield (
             f"{untested} of {len(cells) + left_out} combinations of requirement, scenario and "
             "faults were not tried."
         )
-    unheard = sum(one["missing_runs_total"] for one in record["cases"])
+    unheard = sum(case["missing_runs_total"] for case in record["cases"])
     if unheard:
         yield f"{unheard} planned episodes were not run."
 
@@ -416,13 +424,13 @@ def _share(part: list[Data], whole: list[Data]) -> str:
 
 def _weakest_bound(supported: list[Data]) -> str:
     """The greatest bound of them, with its confidence and its n."""
-    known = [one for one in supported if one["bound"]["upper"] is not None]
+    known = [verdict for verdict in supported if verdict["bound"]["upper"] is not None]
     if not known:
         return ""
-    worst = max(known, key=lambda one: float(one["bound"]["upper"]))
-    told = worst["bound"]
+    worst = max(known, key=lambda verdict: float(verdict["bound"]["upper"]))
+    bound = worst["bound"]
     return (
-        f" The weakest bound among them: at most {100 * told['upper']:.3g} % of such episodes "
-        f"violate the requirement, with {100 * told['confidence']:.3g} % confidence "
+        f" The weakest bound among them: at most {100 * bound['upper']:.3g} % of such episodes "
+        f"violate the requirement, with {100 * bound['confidence']:.3g} % confidence "
         f"(n = {worst['episodes']})."
     )

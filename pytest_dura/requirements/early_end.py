@@ -39,9 +39,11 @@ class RequirementJudge:
 
     def __init__(self, requirements: Sequence[Requirement]) -> None:
         checks = [
-            one.check
-            for one in requirements
-            if one.check and not one.paired and not is_function_path(one.check)
+            requirement.check
+            for requirement in requirements
+            if requirement.check
+            and not requirement.paired
+            and not is_function_path(requirement.check)
         ]
         self._formulas = [parse(check) for check in checks]
         self._signals = {name for formula in self._formulas for name in formula.signals}
@@ -57,7 +59,7 @@ class RequirementJudge:
         signals = simulator.signals(ticks)
         time = [tick.time for tick in ticks]
         found = [evaluate(formula, time, signals, ending="open") for formula in self._formulas]
-        statuses = {one.status for one in found}
+        statuses = {item.status for item in found}
         return "violated" in statuses and "undecided" not in statuses
 
     def decided(self, simulator: Simulator, ticks: list[Tick], *, violated: bool) -> bool:

@@ -68,7 +68,7 @@ def pair_verdict(with_it: EpisodeVerdict, without: EpisodeVerdict) -> EpisodeVer
         without: Verdict on its twin of the same seed.
     """
     words = with_it.verdict, without.verdict
-    spoilt = next((one for one in ("missing", "invalid") if one in words), None)
+    spoilt = next((name for name in ("missing", "invalid") if name in words), None)
     if spoilt is not None:
         return _as_side(with_it, with_it if with_it.verdict == spoilt else without, spoilt)
     if "open" in words and words[0] != "satisfied" and words[1] != "violated":
@@ -149,8 +149,12 @@ def _compared(
     own, other = values
     if own is None or other is None:
         pair = (episode, twin)
-        spoilt = [one for one in pair if one.validity != "valid" or one.termination == "decided"]
-        missing = [one for one in spoilt if one.failure is not None]
+        spoilt = [
+            episode
+            for episode in pair
+            if episode.validity != "valid" or episode.termination == "decided"
+        ]
+        missing = [item for item in spoilt if item.failure is not None]
         side = [*missing, *spoilt][0]
         why = side.failure or side.invalid_reason or "ended before its time, once all was decided"
         detail = f"{why}, in {side.id}"
@@ -391,7 +395,7 @@ def _p_value(only_with: int, only_without: int) -> float:
 
 
 def _check_one_claim(pairs: list[Pair]) -> None:
-    claims = sorted({(one.with_it.requirement, one.with_it.component) for one in pairs})
+    claims = sorted({(pair.with_it.requirement, pair.with_it.component) for pair in pairs})
     if len(claims) > 1:
         raise ConfigurationError(
             "pairs are counted for one requirement and one component",
@@ -500,7 +504,9 @@ class Change:
         from pytest_dura.requirements.statistics.comparison import mcnemar
 
         # The same binomial distribution with probability 1/2.
-        return mcnemar(sum(one > 0 for one in self.changes), sum(one < 0 for one in self.changes))
+        return mcnemar(
+            sum(change > 0 for change in self.changes), sum(change < 0 for change in self.changes)
+        )
 
     def _changed(self) -> list[tuple[str, float]]:
         found = zip(self.pairs, self.values, strict=True)

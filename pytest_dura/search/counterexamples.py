@@ -66,9 +66,9 @@ def without_defaults(
             return kept
         if isinstance(inner, (list, tuple)):
             items = list(inner)
-            for number, one in enumerate(items):
+            for number, item in enumerate(items):
                 items[number] = pruned(
-                    one,
+                    item,
                     lambda value, items=items, number=number: put(
                         [*items[:number], value, *items[number + 1 :]]
                     ),
@@ -172,7 +172,9 @@ def plain_scenario(case: SearchedCase) -> dict[str, Any]:
 
 def _plain_fault(scenario: Scenario, fault: Mapping[str, Any]) -> dict[str, Any]:
     given = {key: value for key, value in fault.items() if key != BY_CHANCE}
-    return without_defaults(given, lambda one: parse_fault(scenario, one), fixed=("type", "target"))
+    return without_defaults(
+        given, lambda item: parse_fault(scenario, item), fixed=("type", "target")
+    )
 
 
 def _requirement_of_case(requirement: Requirement, check: Check | None) -> Requirement:
@@ -180,10 +182,10 @@ def _requirement_of_case(requirement: Requirement, check: Check | None) -> Requi
     given = requirement.check if check is None else check
     text = check_name(given)
     if callable(given):
-        found = None
+        function = None
         with suppress(ConfigurationError):
-            found = load_function(text) if is_function_path(text) else None
-        if found is not given:
+            function = load_function(text) if is_function_path(text) else None
+        if function is not given:
             raise ConfigurationError(
                 "no file can name this check",
                 key="check",
@@ -204,9 +206,9 @@ def _requirement_of_case(requirement: Requirement, check: Check | None) -> Requi
     )
 
 
-def _requirement_text(one: Requirement) -> str:
+def _requirement_text(requirement: Requirement) -> str:
     keys = ("id", "text", "kind", "source", "check", "reason")
-    entry = {key: value for key in keys if (value := getattr(one, key))}
+    entry = {key: value for key in keys if (value := getattr(requirement, key))}
     return _yaml({"requirements": [entry]}, flow=False)
 
 
@@ -220,7 +222,7 @@ def _commented(told: Sequence[str]) -> str:
     """Comment lines; no text can end one and so become a key."""
     lines = []
     for text in told:
-        plain = "".join(one if one.isprintable() else " " for one in text)
+        plain = "".join(item if item.isprintable() else " " for item in text)
         lines += [f"# {line}\n" for line in textwrap.wrap(plain, _WIDTH) or [""]]
     return "".join(lines)
 
@@ -301,7 +303,7 @@ def confirm_violation(
                 shrunk.before, shrunk.after, shrunk.simulations, budget, shrunk.finished
             )
     verdict = asked.judge(episode)
-    found = FoundCounterexample(
+    counterexample = FoundCounterexample(
         case=case.id,
         scenario=case.data,
         seed=episode.spec.seed,
@@ -313,7 +315,7 @@ def confirm_violation(
         changes=changes_of(trials.space.case, case, simulator=trials.runner.simulator),
         shrinking=shrinking,
     )
-    return ConfirmedCounterexample(case, found)
+    return ConfirmedCounterexample(case, counterexample)
 
 
 def store_counterexample(
@@ -354,20 +356,21 @@ def store_counterexample(
 
 
 def _file_heading(
-    trials: Trials, asked: Objective, found: FoundCounterexample, how: str
+    trials: Trials, asked: Objective, counterexample: FoundCounterexample, how: str
 ) -> list[str]:
     """The head of the file."""
     case = trials.space.case
     component = case.roles(trials.runner.roles)["generator"].label
-    when = "" if found.time is None else f" at t = {found.time:g} s"
-    margin = "" if found.margin is None else f", margin {found.margin:.4g}"
+    when = "" if counterexample.time is None else f" at t = {counterexample.time:g} s"
+    margin = "" if counterexample.margin is None else f", margin {counterexample.margin:.4g}"
     lines = [
         f"{component} violates {asked.requirement.id} here{when}{margin}: {asked.name}",
         f"From {case.id}, {how}; confirmed by replay.",
     ]
-    if found.shrinking is not None:
-        one = found.shrinking
+    if counterexample.shrinking is not None:
+        shrinking = counterexample.shrinking
         lines.append(
-            f"Made simpler from {one.before} to {one.after} parameters that differ from it."
+            f"Made simpler from {shrinking.before} to {shrinking.after} parameters that"
+            " differ from it."
         )
     return lines

@@ -38,8 +38,8 @@ def is_list(data: Any) -> bool:
 
 def has_entries(*lists: Any) -> bool:
     """Whether these are lists of mappings, and not all of them empty."""
-    every = [one for data in lists if is_list(data) for one in data]
-    return bool(every) and all(isinstance(one, Mapping) for one in every)
+    every = [item for data in lists if is_list(data) for item in data]
+    return bool(every) and all(isinstance(item, Mapping) for item in every)
 
 
 def match_entries(found: Sequence[Any], nominal: Any) -> Iterator[tuple[str, int | None, Any]]:
@@ -49,14 +49,14 @@ def match_entries(found: Sequence[Any], nominal: Any) -> Iterator[tuple[str, int
     the second list has comes last.
     """
     others = list(nominal) if is_list(nominal) else []
-    named = all(_names_apart(one) for one in (found, others))
-    ours = {_name(one, i, named): i for i, one in enumerate(found)}
-    theirs = {_name(one, i, named): one for i, one in enumerate(others)}
+    named = all(_names_apart(item) for item in (found, others))
+    ours = {_name(item, i, named): i for i, item in enumerate(found)}
+    theirs = {_name(item, i, named): item for i, item in enumerate(others)}
     for name, place in ours.items():
         yield name, place, theirs.get(name, ABSENT)
-    for name, one in theirs.items():
+    for name, their in theirs.items():
         if name not in ours:
-            yield name, None, one
+            yield name, None, their
 
 
 def value_at(data: Any, keys: Keys) -> Any:
@@ -92,8 +92,8 @@ def _name(entry: Mapping[str, Any], place: int, named: bool) -> str:
 
 
 def _names_apart(entries: Sequence[Any]) -> bool:
-    names = [one.get("id") for one in entries if isinstance(one, Mapping)]
-    return all(isinstance(one, str) for one in names) and len(set(names)) == len(names)
+    names = [entry.get("id") for entry in entries if isinstance(entry, Mapping)]
+    return all(isinstance(name, str) for name in names) and len(set(names)) == len(names)
 
 
 @dataclass(frozen=True)
@@ -206,7 +206,10 @@ def changes_of(
     """
     nominal = Nominal.of(case, simulator)
     world = nominal.checked(searched.scenario.world)
-    found = [_reduced(nominal, world, one) for one in _differences(world, nominal.world, ())]
+    found = [
+        _reduced(nominal, world, difference)
+        for difference in _differences(world, nominal.world, ())
+    ]
     found += _fault_changes(nominal, searched.faults)
     seed = searched.scenario.seed or 0
     return (
@@ -233,7 +236,7 @@ def _size(change: ParameterChange) -> int:
 
 def _leaves(value: Any) -> int:
     if isinstance(value, Mapping):
-        return sum(_leaves(one) for key, one in value.items() if key != "id")
+        return sum(_leaves(item) for key, item in value.items() if key != "id")
     return sum(map(_leaves, value)) if is_list(value) else 1
 
 
@@ -276,8 +279,8 @@ def _differences(found: Any, nominal: Any, name: Keys, place: Keys = ()) -> Iter
             where = (*place, index if index is not None else -1)
             yield from _differences(value, other, (*name, own), where)
     elif is_list(found) and is_list(nominal) and len(found) == len(nominal):
-        for i, (one, other) in enumerate(zip(found, nominal, strict=True)):
-            yield from _differences(one, other, (*name, i), (*place, i))
+        for i, (item, other) in enumerate(zip(found, nominal, strict=True)):
+            yield from _differences(item, other, (*name, i), (*place, i))
     elif found != nominal:
         yield name, found, nominal, place
 
@@ -287,9 +290,9 @@ def _reduced(nominal: Nominal, world: Mapping[str, Any], difference: Difference)
     name, value, plain, place = difference
     if isinstance(value, Mapping) and _or_none(plain) is None:
         value = {
-            key: one
-            for key, one in value.items()
-            if key == "id" or nominal.default(world, (*place, key)) != one
+            key: item
+            for key, item in value.items()
+            if key == "id" or nominal.default(world, (*place, key)) != item
         }
     return ParameterChange(f"world.{dotted_path(name)}", _or_none(value), _or_none(plain))
 

@@ -87,11 +87,11 @@ class NumberScale(Scale):
 
     def _cells(self) -> list[Edges]:
         centre = min(max(self.nominal, self.low), self.high)
-        found: list[Edges] = []
+        edges: list[Edges] = []
         for end in (self.high, self.low):
             points = self._between(centre, end, LEVELS - 1)
-            found += zip([centre, *points], [*points, end], strict=True)
-        cells = [one for one in found if one[0] != one[1]]
+            edges += zip([centre, *points], [*points, end], strict=True)
+        cells = [edge for edge in edges if edge[0] != edge[1]]
         digits = digits_of(self.low, self.high) + LEVELS
 
         def distance(cell: Edges) -> float:
@@ -107,7 +107,7 @@ class NumberScale(Scale):
         least, greatest = sorted((begin, end))
         numbers = range(math.floor(least / step), math.ceil(greatest / step) + 1)
         points = [round(number * step, digits) for number in numbers]
-        points = [one for one in points if least < one < greatest]
+        points = [point for point in points if least < point < greatest]
         return points if begin < end else points[::-1]
 
 
@@ -129,8 +129,8 @@ class WordScale(Scale):
 
     def value(self, *chosen: int) -> Any:
         """The nominal value first, the others in their order."""
-        others = [one for one in self.values if one != self.nominal]
-        ordered = [*(one for one in self.values if one == self.nominal), *others]
+        others = [value for value in self.values if value != self.nominal]
+        ordered = [*(value for value in self.values if value == self.nominal), *others]
         return ordered[chosen[0]]
 
 
@@ -150,7 +150,7 @@ class Scaled:
 
     def value(self, chosen: Sequence[Sequence[int]]) -> Any:
         """The value of so many numbers for each scale."""
-        found = [scale.value(*one) for scale, one in zip(self.scales, chosen, strict=True)]
+        found = [scale.value(*item) for scale, item in zip(self.scales, chosen, strict=True)]
         return found if self.listed else found[0]
 
 
@@ -172,7 +172,7 @@ def scaled(parameter: Parameter) -> Scaled:
         return Scaled(parameter.path, (NumberScale(low, high, _number(given)),))
     several = isinstance(given, (list, tuple)) and len(given) == parameter.pieces
     nominal = given if several else [given] * parameter.pieces
-    scales = tuple(NumberScale(low, high, _number(one)) for one in nominal)
+    scales = tuple(NumberScale(low, high, _number(item)) for item in nominal)
     return Scaled(parameter.path, scales, listed=True)
 
 
@@ -227,16 +227,16 @@ def omissions(case: Case, world: Mapping[str, Any]) -> tuple[Omission, ...]:
         return isinstance(keys[-1], int) or _at(found, keys) is None
 
     places = [keys for keys in _places(world, ()) if accepted(keys)]
-    return (*faults, *(Omission(".".join(map(str, ("world", *one))), one) for one in places))
+    return (*faults, *(Omission(".".join(map(str, ("world", *place))), place) for place in places))
 
 
 def without_omissions(world: Mapping[str, Any], places: Iterable[Keys]) -> dict[str, Any]:
     """The world without entries of lists, and with nothing in the place of other parts."""
-    found: Any = world
+    without: Any = world
     # From the last to the first, so that no place shifts another.
     for keys in sorted(places, key=lambda keys: [str(key).zfill(9) for key in keys], reverse=True):
-        found = _without(found, keys)
-    return dict(found)
+        without = _without(without, keys)
+    return dict(without)
 
 
 def _without(data: Any, keys: Sequence[str | int]) -> Any:
@@ -255,7 +255,7 @@ def _places(data: Any, keys: Keys) -> Iterator[Keys]:
         if isinstance(value, Mapping):
             yield (*keys, key)
             yield from _places(value, (*keys, key))
-        elif isinstance(value, (list, tuple)) and all(isinstance(one, Mapping) for one in value):
+        elif isinstance(value, (list, tuple)) and all(isinstance(item, Mapping) for item in value):
             for number in range(len(value)):
                 yield (*keys, key, number)
 
@@ -312,18 +312,18 @@ class Slots:
             width = max(map(len, of_choices), default=0)
             for slot, kind in enumerate(kinds):
                 inner = () if kind is None else of_choices[kind]
-                for one in (*inner, *(_NO_PARAMETER,) * (width - len(inner))):
-                    yield slot, one
+                for item in (*inner, *(_NO_PARAMETER,) * (width - len(inner))):
+                    yield slot, item
 
     @cached_property
     def _stages(self) -> list[list[list[Scaled]]]:
         """For each stage, and each of the choices, its parameters."""
 
-        def stage(one: Parameter) -> str:
-            return one.path if one.path in _STAGES else _STAGES[-1]
+        def stage(parameter: Parameter) -> str:
+            return parameter.path if parameter.path in _STAGES else _STAGES[-1]
 
         return [
-            [[scaled(one) for one in kind.inner if stage(one) == name] for kind in self.choices]
+            [[scaled(item) for item in kind.inner if stage(item) == name] for kind in self.choices]
             for name in _STAGES
         ]
 
@@ -379,10 +379,14 @@ class CaseDrawing:
             space = SearchSpace.of(case, faults, at_most=at_most)
         else:  # the seed alone, and what may be left out
             space = SearchSpace(case, (), check_world(scenario, simulator, scenario.world))
-        slots = [one for one in space.parameters if isinstance(one, FaultSlot)]
+        slots = [parameter for parameter in space.parameters if isinstance(parameter, FaultSlot)]
         return cls(
             space,
-            tuple(scaled(one) for one in space.parameters if not isinstance(one, FaultSlot)),
+            tuple(
+                scaled(parameter)
+                for parameter in space.parameters
+                if not isinstance(parameter, FaultSlot)
+            ),
             Slots(slots[0].choices, at_least, at_most) if slots else Slots(),
             omissions(case, space.world) if leave_out else (),
         )
@@ -397,47 +401,49 @@ class CaseDrawing:
             ConfigurationError: If what was chosen contradicts itself.
         """
         there = list(self.slots.chosen(pick))
-        left_out = [one for one in self.omissions if pick(OMISSION_ODDS) == 0]
+        left_out = [omission for omission in self.omissions if pick(OMISSION_ODDS) == 0]
         kinds = self.slots.kinds(pick, there)
         of_faults = list(self.slots.parameters(kinds))
-        of_case = [_unless(one, left_out) for one in self.varied]
-        values = _values([*(one for _, one in of_faults), *of_case], pick)
+        of_case = [_unless(item, left_out) for item in self.varied]
+        values = _values([*(item for _, item in of_faults), *of_case], pick)
         found: dict[str, Any] = {}
         for slot, kind in enumerate(kinds):
             inner = zip(of_faults, values, strict=False)
-            own = {one.path: value for (number, one), value in inner if number == slot}
+            own = {item.path: value for (number, item), value in inner if number == slot}
             fault = None if kind is None else self.slots.choices[kind].made(own)
             found[f"{SLOT}{slot + 1}"] = fault
-        for one, value in zip(of_case, values[len(of_faults) :], strict=True):
-            if one.path:
-                found[one.path] = value
+        for entry, value in zip(of_case, values[len(of_faults) :], strict=True):
+            if entry.path:
+                found[entry.path] = value
         return self._reduced(self.space.made(found, pick(SEEDS)), left_out)
 
     def _reduced(self, case: SearchedCase, left_out: Sequence[Omission]) -> SearchedCase:
         """The case without what is left out, its world checked."""
         scenario, seed = case.scenario, case.scenario.seed
         simulator = simulator_spec(scenario.simulator.path, scenario.simulator.params)
-        world = without_omissions(scenario.world, [one.keys for one in left_out if one.keys])
+        world = without_omissions(
+            scenario.world, [omission.keys for omission in left_out if omission.keys]
+        )
         check_world(scenario, simulator, world)
         if not left_out:
             return case
         assert seed is not None
-        gone = {one.path for one in left_out}
-        faults = [one for one in case.faults if f"faults.{one['id']}" not in gone]
+        gone = {omission.path for omission in left_out}
+        faults = [fault for fault in case.faults if f"faults.{fault['id']}" not in gone]
         return make_searched_case(self.space.case, world, faults, seed)
 
 
-def _unless(one: Scaled, left_out: Sequence[Omission]) -> Scaled:
-    if any(part.covers(one.path) for part in left_out):
-        return Scaled("", (_NOTHING,) * len(one.scales))
-    return one
+def _unless(item: Scaled, left_out: Sequence[Omission]) -> Scaled:
+    if any(part.covers(item.path) for part in left_out):
+        return Scaled("", (_NOTHING,) * len(item.scales))
+    return item
 
 
 def _values(parameters: Sequence[Scaled], pick: Pick) -> list[Any]:
     """How far each is from its simplest value first, then in how many digits."""
-    chosen: list[list[list[int]]] = [[[] for _ in one.scales] for one in parameters]
+    chosen: list[list[list[int]]] = [[[] for _ in parameter.scales] for parameter in parameters]
     for _ in range(LEVELS):
-        for one, numbers in zip(parameters, chosen, strict=True):
-            for scale, before in zip(one.scales, numbers, strict=True):
+        for item, numbers in zip(parameters, chosen, strict=True):
+            for scale, before in zip(item.scales, numbers, strict=True):
                 before.append(pick(scale.count(*before)))
-    return [one.value(numbers) for one, numbers in zip(parameters, chosen, strict=True)]
+    return [parameter.value(numbers) for parameter, numbers in zip(parameters, chosen, strict=True)]

@@ -55,39 +55,47 @@ MAX_PARAMETERS = 12
 """Parameters that are told one by one."""
 
 
-def describe_falsification(found: Falsification) -> list[str]:
+def describe_falsification(falsification: Falsification) -> list[str]:
     """All that a test is told that fails, line by line."""
-    return [line for outcome in found.outcomes for line in _outcome(found, outcome)]
+    return [line for outcome in falsification.outcomes for line in _outcome(falsification, outcome)]
 
 
-def describe_no_violation(found: Falsification, outcome: SearchOutcome) -> str:
+def describe_no_violation(falsification: Falsification, outcome: SearchOutcome) -> str:
     """What a search that found nothing may say."""
     least = "none was measured" if outcome.best is None else f"{outcome.best:.4g}"
-    shares = list(found.coverage.parameters.values())
+    shares = list(falsification.coverage.parameters.values())
     covered = f"{sum(shares) / len(shares):.0%} of each range on average"
-    if found.coverage.pairs is not None:
-        covered += f", {found.coverage.pairs:.0%} of their pairs"
-    idle = f"; in {found.idle} of them no added fault came to act" if found.idle else ""
+    if falsification.coverage.pairs is not None:
+        covered += f", {falsification.coverage.pairs:.0%} of their pairs"
+    idle = (
+        f"; in {falsification.idle} of them no added fault came to act"
+        if falsification.idle
+        else ""
+    )
     return (
-        f"nothing found in {found.simulations} simulations{idle}; least robustness {least}; "
+        f"nothing found in {falsification.simulations} simulations{idle};"
+        f" least robustness {least}; "
         f"simulated: {covered}"
     )
 
 
-def _outcome(found: Falsification, outcome: SearchOutcome) -> Iterator[str]:
+def _outcome(falsification: Falsification, outcome: SearchOutcome) -> Iterator[str]:
     name = outcome.requirement
-    on = f"{name} on {found.case} ({found.component})"
+    on = f"{name} on {falsification.case} ({falsification.component})"
     counterexample = outcome.counterexample
     if counterexample is None:
         if outcome.word == "undecided":
             yield (
-                f"undecided: {on}: {found.unknown} of {found.simulations} simulations said nothing"
+                f"undecided: {on}: {falsification.unknown} of {falsification.simulations}"
+                " simulations said nothing"
             )
         else:
-            yield f"{on}: {describe_no_violation(found, outcome)}"
+            yield f"{on}: {describe_no_violation(falsification, outcome)}"
         return
     repeats = counterexample.repeats
-    after = f"after {outcome.simulations} of {found.budget} simulations ({outcome.searcher})"
+    after = (
+        f"after {outcome.simulations} of {falsification.budget} simulations ({outcome.searcher})"
+    )
     if outcome.word == "falsified":
         yield f"falsified: {on}: violated {after}, confirmed by replay with an equal digest"
     else:
@@ -98,39 +106,39 @@ def _outcome(found: Falsification, outcome: SearchOutcome) -> Iterator[str]:
     if outcome.check != name:
         yield f"check:    {outcome.check}"
     yield f"worst:    {_worst(counterexample)}"
-    if found.baselines:
-        alone = "; ".join(_alone(one, name) for one in found.baselines)
+    if falsification.baselines:
+        alone = "; ".join(_alone(baseline, name) for baseline in falsification.baselines)
         yield f"baselines by themselves: {alone}"
     yield from _changes(counterexample)
     if counterexample.file is not None:
         yield f"kept in:  {counterexample.file}, which --dura-scenarios runs from now on"
 
 
-def _worst(one: FoundCounterexample) -> str:
-    margin = "no margin" if one.margin is None else f"margin {one.margin:.4g}"
-    when = "" if one.time is None else f" at t = {one.time:g} s"
-    return f"{one.case}: {margin}{when}"
+def _worst(counterexample: FoundCounterexample) -> str:
+    margin = "no margin" if counterexample.margin is None else f"margin {counterexample.margin:.4g}"
+    when = "" if counterexample.time is None else f" at t = {counterexample.time:g} s"
+    return f"{counterexample.case}: {margin}{when}"
 
 
-def _alone(one: SearcherReport, requirement: str) -> str:
-    first = one.first[requirement]
+def _alone(report: SearcherReport, requirement: str) -> str:
+    first = report.first[requirement]
     if first is None:
-        return f"{one.name}: none in {one.simulations}"
-    return f"{one.name}: after {first}"
+        return f"{report.name}: none in {report.simulations}"
+    return f"{report.name}: after {first}"
 
 
-def _changes(one: FoundCounterexample) -> Iterator[str]:
-    if one.shrinking is not None:
-        how = one.shrinking
+def _changes(counterexample: FoundCounterexample) -> Iterator[str]:
+    if counterexample.shrinking is not None:
+        how = counterexample.shrinking
         more = "" if how.finished else ", which was all it was allowed"
         yield (
             f"simpler:  {how.after} parameters differ from the case, {how.before} before "
             f"({how.simulations} simulations{more})"
         )
-    for change in one.changes[:MAX_PARAMETERS]:
+    for change in counterexample.changes[:MAX_PARAMETERS]:
         yield f"          {_change(change)}"
-    if len(one.changes) > MAX_PARAMETERS:
-        yield f"          and {len(one.changes) - MAX_PARAMETERS} more"
+    if len(counterexample.changes) > MAX_PARAMETERS:
+        yield f"          and {len(counterexample.changes) - MAX_PARAMETERS} more"
 
 
 def _change(change: ParameterChange) -> str:
@@ -143,7 +151,7 @@ def _change(change: ParameterChange) -> str:
 
 def _value(value: Any) -> str:
     if isinstance(value, Mapping):
-        return ", ".join(f"{key} {_value(one)}" for key, one in value.items())
+        return ", ".join(f"{key} {_value(item)}" for key, item in value.items())
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
@@ -191,7 +199,7 @@ def falsify(
             expected="the role fault_injector",
             remedy='add `fault_injector: "pytest_dura.faults.injector:CampaignInjector"`',
         )
-    names = [one.requirement.id for one in asked]
+    names = [verdict.requirement.id for verdict in asked]
     seed = derive_seed(runner.base_seed, "search", case.id, *names) if seed is None else seed
     trials = Trials(runner, space, asked)
     portfolio = Portfolio(space.layout, seed, limits.budget, len(asked))
@@ -201,7 +209,7 @@ def falsify(
         baselines = run_baselines(trials, seed, log.simulations)
     judging = _Outcomes(trials, log, baselines, limits, keep, unkept)
     outcomes = tuple(judging.of(number) for number in range(len(asked)))
-    found = Falsification(
+    falsification = Falsification(
         case=case.id,
         component=case.roles(runner.roles)["generator"].label,
         seed=seed,
@@ -211,21 +219,21 @@ def falsify(
         unknown=log.silent,
         idle=log.idle,
         rule=portfolio.RULE,
-        parameters=tuple(parameter_report(one) for one in space.parameters),
+        parameters=tuple(parameter_report(parameter) for parameter in space.parameters),
         searchers=tuple(
             searcher_report(name, count, names, trivial=name in trivial_names())
             for name, count in log.searchers.items()
         ),
         baselines=tuple(
-            searcher_report(one.name, count, names, trivial=True)
-            for one in baselines
-            for count in one.log.searchers.values()
+            searcher_report(baseline.name, count, names, trivial=True)
+            for baseline in baselines
+            for count in baseline.log.searchers.values()
         ),
         coverage=coverage.coverage(),
         outcomes=outcomes,
     )
-    runner.on_search(case, found)
-    return found
+    runner.on_search(case, falsification)
+    return falsification
 
 
 def _nominal_duration(runner: EpisodeRunner, case: Case) -> float | None:
@@ -238,7 +246,7 @@ def _run_search(
     trials: Trials, portfolio: Portfolio, budget: int
 ) -> tuple[SearchLog, CoverageCount]:
     runner, coverage = trials.runner, CoverageCount(trials.space.layout)
-    subject = "search " + ", ".join(one.requirement.id for one in trials.asked)
+    subject = "search " + ", ".join(verdict.requirement.id for verdict in trials.asked)
     running = RunningCampaign(trials.space.case.id, subject, budget)
     done = 0
     runner.on_progress(running.reach(done, budget, runner.store.simulated))
@@ -295,16 +303,16 @@ class _Outcomes:
             if seen is not None and met is not None:
                 return self._claimed(asked, seen, met, least)
         silent = self.log.silent / self.log.simulations
-        word: SearchStatus = "undecided" if silent > MAX_INVALID_SHARE else "nothing found"
-        return SearchOutcome(name, asked.name, word, self.log.simulations, None, least)
+        text: SearchStatus = "undecided" if silent > MAX_INVALID_SHARE else "nothing found"
+        return SearchOutcome(name, asked.name, text, self.log.simulations, None, least)
 
     def _claimed(
         self, asked: Objective, case: SearchedCase, first: Trial, least: float | None
     ) -> SearchOutcome:
         confirmed = confirm_violation(self.trials, asked, case, self.limits.shrink)
         found = confirmed.found
-        word: SearchStatus = "falsified" if found.repeats.confirmed else "not repeatable"
-        if self.keep is not None and word == "falsified":
+        text: SearchStatus = "falsified" if found.repeats.confirmed else "not repeatable"
+        if self.keep is not None and text == "falsified":
             how = f"simulation {first.number} of a search ({first.searcher})"
             try:
                 found = store_counterexample(self.trials, asked, confirmed, self.keep, how)
@@ -313,7 +321,7 @@ class _Outcomes:
                     raise
                 self.unkept(error)
         return SearchOutcome(
-            asked.requirement.id, asked.name, word, first.number, first.searcher, least, found
+            asked.requirement.id, asked.name, text, first.number, first.searcher, least, found
         )
 
 
@@ -344,7 +352,7 @@ def falsify_campaign(
     __tracebackhide__ = True
     runner = campaign.runner
     limits = Limits(budget, shrink, at_most)
-    asked = [_objective(campaign, one) for one in _as_list(wanted)]
+    asked = [_objective(campaign, item) for item in _as_list(wanted)]
     unkept: list[ConfigurationError] = []
     found = falsify(
         runner,
@@ -356,7 +364,7 @@ def falsify_campaign(
         keep=keep,
         unkept=unkept.append,
     )
-    if any(one.word != "nothing found" for one in found.outcomes):
+    if any(outcome.word != "nothing found" for outcome in found.outcomes):
         lost = [f"not kept: {error}" for error in unkept]
         raise Falsified("\n".join([*describe_falsification(found), *lost]), found)
     return found

@@ -102,8 +102,10 @@ class Portfolio:
     def ask(self) -> Batch:
         """The next points."""
         opening = self._done < OPENING
-        able = [one for one in self._members if one.opens or not opening]
-        self._asked = min(able, key=lambda one: one.opened if opening else one.later / one.share)
+        able = [member for member in self._members if member.opens or not opening]
+        self._asked = min(
+            able, key=lambda item: item.opened if opening else item.later / item.share
+        )
         searcher = self._asked.searcher
         if isinstance(searcher, CmaEs):
             if not (searcher.running and self._asked.aim[0] in self._open):
@@ -138,7 +140,9 @@ class Portfolio:
     @property
     def trivial(self) -> frozenset[str]:
         """Names of the searchers that learn nothing from what they have seen."""
-        return frozenset(one.searcher.name for one in self._members if one.searcher.trivial)
+        return frozenset(
+            member.searcher.name for member in self._members if member.searcher.trivial
+        )
 
     def _begin(self, member: _Member, searcher: CmaEs) -> tuple[int, int]:
         """The objective and the world of the restart that begins."""
@@ -379,7 +383,10 @@ def searcher_report(
         name,
         trivial,
         count.simulations,
-        {one: finite_or_none(best) for one, best in zip(requirements, count.best, strict=True)},
+        {
+            requirement: finite_or_none(best)
+            for requirement, best in zip(requirements, count.best, strict=True)
+        },
         dict(zip(requirements, count.first, strict=True)),
     )
 
@@ -394,7 +401,7 @@ def parameter_report(parameter: Parameter) -> dict[str, Any]:
         return told | {"choice": list(parameter.values)}
     assert isinstance(parameter, FaultSlot)
     faults = {
-        choice.fault["id"]: [parameter_report(one) for one in choice.inner]
+        choice.fault["id"]: [parameter_report(item) for item in choice.inner]
         for choice in parameter.choices
     }
     return told | {"faults": faults}

@@ -141,8 +141,8 @@ class Pulses(Shape):
             return described
         period, phase, duty, first, second = (column[:, None] for column in described.T)
         beat = np.mod((np.arange(group.size) + 0.5) / (2.0 * group.size**period) + phase, 1.0)
-        found: Floats = np.where(beat < duty, first, second)
-        return found
+        where: Floats = np.where(beat < duty, first, second)
+        return where
 
 
 class Description:
@@ -181,10 +181,10 @@ class Description:
         Args:
             point: Shape ``(layout.size,)``.
         """
-        found = np.empty(self.size)
+        empty = np.empty(self.size)
         for _, where, part in self._parts:
-            found[part] = point[where]
-        return found
+            empty[part] = point[where]
+        return empty
 
 
 class Uniform(Searcher):
@@ -329,8 +329,8 @@ class BangBang(Searcher):
         described = self.rng.random((1, 5))
         described[0, 3] = self.rng.integers(2)
         described[0, 4] = 1.0 - described[0, 3]
-        found: Floats = Pulses().pieces(group, described)[0]
-        return found
+        piece: Floats = Pulses().pieces(group, described)[0]
+        return piece
 
     def _jumps(self, group: Group, times: Floats, *, together: bool) -> Floats:
         middles = (np.arange(group.size) + 0.5) / group.size
@@ -339,8 +339,8 @@ class BangBang(Searcher):
             levels = self.rng.integers(2, size=len(times) + 1)
         else:
             levels = (np.arange(len(times) + 1) + self.rng.integers(2)) % 2
-        found: Floats = levels[passed].astype(np.float64)
-        return found
+        astype: Floats = levels[passed].astype(np.float64)
+        return astype
 
 
 SIGMA = 0.3

@@ -50,14 +50,14 @@ def minimise(start: Places, interesting: Callable[[Places], bool], seed: int) ->
 
     while True:
         asked = _Pass(start, once, known)
-        found = _shrunk(start, asked, seed)
+        shrunk = _shrunk(start, asked, seed)
         if asked.error is not None:
             raise asked.error
         if not asked.ended:
             # Hypothesis stops trying after a while, and so may have left something out.
-            better = next((one for one in _neighbours(found) if once(one)), None)
+            better = next((neighbour for neighbour in _neighbours(shrunk) if once(neighbour)), None)
             if better is None:
-                return found
+                return shrunk
             start = better
 
 
@@ -88,18 +88,18 @@ class _Pass:
 
     def __call__(self, places: Places) -> bool:
         # Hypothesis also lets a number grow where an earlier one falls: seldom of use here.
-        if any(one > least for one, least in zip(places, self._least, strict=True)):
+        if any(place > least for place, least in zip(places, self._least, strict=True)):
             return False
         if places not in self._known and (self.error is not None or self.ended):
             return False
         try:
-            found = self._once(places)
+            once = self._once(places)
         except BaseException as error:  # Hypothesis would shrink it; it is raised after the pass.
             self.error = error
             return False
-        if found:
+        if once:
             self._least = places
-        return found
+        return once
 
 
 class _Worker:
@@ -112,9 +112,9 @@ class _Worker:
         self._passes: SimpleQueue[Callable[[], None]] = SimpleQueue()
         Thread(target=self._work, name="shrinking", daemon=True).start()
 
-    def start(self, one: Callable[[], None]) -> None:
+    def start(self, item: Callable[[], None]) -> None:
         """Begin a pass, which raises nothing."""
-        self._passes.put(one)
+        self._passes.put(item)
 
     def _work(self) -> None:
         while True:
@@ -249,7 +249,7 @@ def _strategy(start: Sequence[int]) -> Any:
 
 def _flat(nested: Any) -> list[int]:
     return (
-        [one for each in nested for one in _flat(each)] if isinstance(nested, tuple) else [nested]
+        [item for each in nested for item in _flat(each)] if isinstance(nested, tuple) else [nested]
     )
 
 
@@ -355,26 +355,26 @@ class _ViolationCache:
             self.refused = True
             return False
         try:
-            found = self.violates(searched)
+            violates = self.violates(searched)
         except ConfigurationError:
             self.known[key] = False
             return False
         self.simulations += 1
-        self.known[key] = found
-        return found
+        self.known[key] = violates
+        return violates
 
 
 def _key(searched: SearchedCase) -> bytes:
     return canonical(searched.data)
 
 
-def _concrete(nominal: Nominal, found: SearchedCase) -> SearchedCase:
+def _concrete(nominal: Nominal, case: SearchedCase) -> SearchedCase:
     """The same case with what its seed draws in the world written out."""
-    world, seed = nominal.checked(found.scenario.world), found.scenario.seed or 0
+    world, seed = nominal.checked(case.scenario.world), case.scenario.seed or 0
     concrete = nominal.checked(nominal.concrete(world, seed))
     if concrete == world:
-        return found
-    return make_searched_case(nominal.case, concrete, found.faults, seed)
+        return case
+    return make_searched_case(nominal.case, concrete, case.faults, seed)
 
 
 def _simplest(start: Simplification, trials: _ViolationCache, seed: int) -> SearchedCase:

@@ -50,10 +50,10 @@ def simpler_values(value: Any, nominal: Any, limits: tuple[float, float] | None 
     if max(abs(value), abs(nominal)) < _TINY:
         return (nominal, value)
     low, high = (-math.inf, math.inf) if limits is None else limits
-    found = [one for one, behind in _nearer(value, nominal) if not behind or low <= one <= high]
+    nearer = [item for item, behind in _nearer(value, nominal) if not behind or low <= item <= high]
     if isinstance(value, int) and isinstance(nominal, int):
-        found = [int(one) for one in found if one == int(one)]
-    return _unique([nominal, *found, value])
+        nearer = [int(item) for item in nearer if item == int(item)]
+    return _unique([nominal, *nearer, value])
 
 
 def rounded_values(value: Any) -> Values:
@@ -73,15 +73,15 @@ def _nearer(value: float, nominal: float) -> Iterator[tuple[float, bool]]:
         step = 10.0**exponent / parts
         number = math.floor(onwards * last / step + 1e-9)
         while (
-            onwards * (one := round(onwards * (number + 1) * step, 2 - exponent)) < onwards * value
+            onwards * (item := round(onwards * (number + 1) * step, 2 - exponent)) < onwards * value
         ):
-            if one != last:
-                yield one, False
-            last, number = one, number + 1
-        if one == value:
+            if item != last:
+                yield item, False
+            last, number = item, number + 1
+        if item == value:
             return
         if parts > 2:
-            yield one, True
+            yield item, True
 
 
 def _is_number(value: Any) -> bool:
@@ -91,9 +91,9 @@ def _is_number(value: Any) -> bool:
 
 def _unique(values: Iterable[Any]) -> Values:
     found: list[Any] = []
-    for one in values:
-        if not any(type(one) is type(known) and one == known for known in found):
-            found.append(one)
+    for value in values:
+        if not any(type(value) is type(known) and value == known for known in found):
+            found.append(value)
     return tuple(found)
 
 
@@ -142,12 +142,13 @@ class Simplification:
     @cached_property
     def knobs(self) -> tuple[Knob, ...]:
         """Everything that can be made simpler, in the order of preference."""
-        found = [knob for i in range(len(self.found.faults)) for knob in self._fault(i)]
-        found += self._inside(self.data["world"], self.nominal.world, ())
-        found.append(Knob("seed", ("seed",), _once(self.nominal.seed, self.data["seed"])))
+        indices = [knob for i in range(len(self.found.faults)) for knob in self._fault(i)]
+        indices += self._inside(self.data["world"], self.nominal.world, ())
+        indices.append(Knob("seed", ("seed",), _once(self.nominal.seed, self.data["seed"])))
         return tuple(
             sorted(
-                (one for one in found if len(one.values) > 1), key=lambda k: _RANKS.index(k.rank)
+                (item for item in indices if len(item.values) > 1),
+                key=lambda k: _RANKS.index(k.rank),
             )
         )
 
@@ -166,7 +167,7 @@ class Simplification:
                 nothing = value is ABSENT or value is None
                 (gone if nothing else kept).append((knob.keys, value))
         # What goes goes last, and from the last to the first: places in lists stay what they are.
-        for keys, value in (*kept, *sorted(gone, key=lambda one: _order(one[0]), reverse=True)):
+        for keys, value in (*kept, *sorted(gone, key=lambda edit: _order(edit[0]), reverse=True)):
             data = with_value(data, keys, value)
         world = self.nominal.checked(data["world"])
         return make_searched_case(self.nominal.case, world, data["faults"], data["seed"])
@@ -224,8 +225,8 @@ class Simplification:
         ):
             plain = nominal if is_list(nominal) else [nominal] * len(found)
             plain = plain if len(plain) == len(found) else [None] * len(found)
-            for i, (one, other) in enumerate(zip(found, plain, strict=True)):
-                yield from self._inside(one, other, (*keys, i), added=added)
+            for i, (item, other) in enumerate(zip(found, plain, strict=True)):
+                yield from self._inside(item, other, (*keys, i), added=added)
         elif found != nominal and not _left_out(found, nominal):
             yield Knob("world", ("world", *keys), self._world_values(found, nominal, keys, added))
 
@@ -267,9 +268,9 @@ class Simplification:
     def _choices(self, found: Any, nominal: Any, keys: Keys, spread: Choice) -> Values:
         """The choices for a part of the world, defaults filled in as in what was found."""
         world, filled = self.data["world"], []
-        for one in spread.choice:
+        for item in spread.choice:
             with suppress(ConfigurationError):
-                filled.append(value_at(self.nominal.checked(with_value(world, keys, one)), keys))
+                filled.append(value_at(self.nominal.checked(with_value(world, keys, item)), keys))
         return _before(found, nominal, filled)
 
     def _spread(self, path: str) -> Range | Choice | None:
@@ -294,9 +295,9 @@ def _values(found: Any, nominal: Any, keys: Keys) -> Iterator[tuple[Keys, Any, A
 
 def _before(found: Any, nominal: Any, choices: Sequence[Any]) -> Values:
     """The nominal value first, if it is one of them, then the others in order up to the found."""
-    ordered = [one for one in choices if one == nominal]
-    ordered += [one for one in choices if one != nominal]
-    return (*takewhile(lambda one: one != found, ordered), found)
+    ordered = [choice for choice in choices if choice == nominal]
+    ordered += [choice for choice in choices if choice != nominal]
+    return (*takewhile(lambda item: item != found, ordered), found)
 
 
 def _left_out(found: Any, nominal: Any) -> bool:

@@ -123,8 +123,8 @@ class CoverageCount:
 
 
 def _parts_of(point: NDArray[np.float64], parts: NDArray[np.int_]) -> NDArray[np.int_]:
-    found: NDArray[np.int_] = np.minimum((np.asarray(point) * parts).astype(int), parts - 1)
-    return np.maximum(found, 0)
+    minimum: NDArray[np.int_] = np.minimum((np.asarray(point) * parts).astype(int), parts - 1)
+    return np.maximum(minimum, 0)
 
 
 Data = Mapping[str, Any]
@@ -174,8 +174,8 @@ class Interval(Parameter):
     def value(self, coordinates: Sequence[float]) -> Any:
         """From ``low`` at 0 to ``high`` at 1."""
         found = [
-            on_grid(self.low + float(one) * (self.high - self.low), self.low, self.high)
-            for one in coordinates
+            on_grid(self.low + float(coordinate) * (self.high - self.low), self.low, self.high)
+            for coordinate in coordinates
         ]
         return found[0] if self.pieces is None else found
 
@@ -219,9 +219,11 @@ class FaultChoice:
     def made(self, values: Data) -> dict[str, Any]:
         """The fault with values of its parameters by path."""
         made: Any = dict(self.fault)
-        for one in self.inner:
-            if one.path in values:
-                made = variation.replace_value(made, one.path, values[one.path], create=True)
+        for parameter in self.inner:
+            if parameter.path in values:
+                made = variation.replace_value(
+                    made, parameter.path, values[parameter.path], create=True
+                )
         return dict(made)
 
 
@@ -252,9 +254,9 @@ class FaultSlot(Parameter):
         if which == 0:
             return None
         choice, rest, values = self.choices[which - 1], list(coordinates[1:]), {}
-        for one in choice.inner:
-            size = sum(group.size for group in one.groups)
-            values[one.path] = one.value(rest[:size])
+        for parameter in choice.inner:
+            size = sum(group.size for group in parameter.groups)
+            values[parameter.path] = parameter.value(rest[:size])
             rest = rest[size:]
         return choice.made(values)
 
@@ -273,7 +275,7 @@ def parameter_of(path: str, spread: Range | Choice, nominal: Any) -> Parameter:
 
 
 def _size(choice: FaultChoice) -> int:
-    return sum(group.size for one in choice.inner for group in one.groups)
+    return sum(group.size for parameter in choice.inner for group in parameter.groups)
 
 
 def _part(coordinate: float, parts: int) -> int:
@@ -309,7 +311,7 @@ def fault_choices(
                 raise ConfigurationError(
                     "a search adds faults one by one",
                     key="faults",
-                    found="+".join(one["id"] for one in planned),
+                    found="+".join(item["id"] for item in planned),
                     expected="single faults, and `at_most` for how many may act together",
                     remedy="name each of them as an entry of its own",
                 )
@@ -397,17 +399,19 @@ class SearchSpace:
         simulator = simulator or simulator_spec(scenario.simulator.path, scenario.simulator.params)
         world = check_world(scenario, simulator, scenario.world)
         planned = {fault["id"]: fault for fault in case.faults}
-        found: list[Parameter] = []
+        parameters: list[Parameter] = []
         for path, spread in scenario.variation.items():
             fault, inner = variation.split_path(path)
             if not fault:
-                found.append(parameter_of(path, spread, _nominal(world, inner)))
+                parameters.append(parameter_of(path, spread, _nominal(world, inner)))
             elif fault in planned:
-                found.append(parameter_of(path, spread, _nominal(planned[fault], inner)))
+                parameters.append(parameter_of(path, spread, _nominal(planned[fault], inner)))
         choices = fault_choices(scenario, faults, lasting)
         if choices:
-            found += [FaultSlot(f"{SLOT}{number}", choices) for number in range(1, at_most + 1)]
-        if not found:
+            parameters += [
+                FaultSlot(f"{SLOT}{number}", choices) for number in range(1, at_most + 1)
+            ]
+        if not parameters:
             raise ConfigurationError(
                 f"there is nothing to search in the case {case.id!r}",
                 file=scenario.file or None,
@@ -415,12 +419,12 @@ class SearchSpace:
                 expected="a scenario with `variation`, or faults that may be added",
                 remedy="declare what may differ under `variation`, or name `faults`",
             )
-        return cls(case, tuple(found), world)
+        return cls(case, tuple(parameters), world)
 
     @cached_property
     def layout(self) -> Layout:
         """What the coordinates of a point mean."""
-        return Layout(tuple(group for one in self.parameters for group in one.groups))
+        return Layout(tuple(group for parameter in self.parameters for group in parameter.groups))
 
     def values(self, point: Sequence[float] | NDArray[np.float64]) -> dict[str, Any]:
         """The values at a point, by the names of the parameters; plain data.
@@ -429,9 +433,9 @@ class SearchSpace:
             point: Coordinates in [0, 1], shape ``(layout.size,)``.
         """
         found, start = {}, 0
-        for one in self.parameters:
-            end = start + sum(group.size for group in one.groups)
-            found[one.path] = one.value([float(value) for value in point[start:end]])
+        for parameter in self.parameters:
+            end = start + sum(group.size for group in parameter.groups)
+            found[parameter.path] = parameter.value([float(value) for value in point[start:end]])
             start = end
         return found
 
@@ -457,11 +461,11 @@ class SearchSpace:
                 world = variation.replace_value(world, inner, value, create=True)
             else:
                 planned[fault] = variation.replace_value(planned[fault], inner, value)
-        for one in added:
-            own, number = one["id"].replace(":", "-").replace(".", "-"), 2
-            while one["id"] in planned:
-                one["id"], number = f"{own}-{number}", number + 1
-            planned[one["id"]] = one
+        for item in added:
+            own, number = item["id"].replace(":", "-").replace(".", "-"), 2
+            while item["id"] in planned:
+                item["id"], number = f"{own}-{number}", number + 1
+            planned[item["id"]] = item
         return make_searched_case(self.case, world, planned.values(), seed)
 
 

@@ -119,12 +119,15 @@ class Trials:
 
     def outcome(self, episode: SearchedEpisode) -> Outcome:
         """What all requirements make of an episode."""
-        verdicts = [one.judge(episode) for one in self.asked]
+        verdicts = [item.judge(episode) for item in self.asked]
         return Outcome(
-            tuple(_margin(one, episode) for one in verdicts),
-            tuple(one.word == "violated" for one in verdicts),
-            tuple(one.word in _CONCLUSIVE or _is_not_manifested(one, episode) for one in verdicts),
-            idle=any(_is_not_manifested(one, episode) for one in verdicts),
+            tuple(_margin(verdict, episode) for verdict in verdicts),
+            tuple(verdict.word == "violated" for verdict in verdicts),
+            tuple(
+                verdict.word in _CONCLUSIVE or _is_not_manifested(verdict, episode)
+                for verdict in verdicts
+            ),
+            idle=any(_is_not_manifested(verdict, episode) for verdict in verdicts),
             acted=len(episode.idle_faults) < len(episode.spec.faults),
         )
 

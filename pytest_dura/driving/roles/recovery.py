@@ -187,8 +187,8 @@ class SafeStop(RecoveryPlanner):
     def _braking(self, scene: Scene, dt: float) -> float:
         """The least deceleration in m/s2 that suffices, or else the one that helps most."""
         least = min(max(COMFORT_BRAKING, self._needed(scene)), MAX_BRAKING)
-        tried = [least, *(one for one in self.BRAKING if one > least)]
-        apart, near = self._predictor.separations(scene, [-one for one in tried], dt)
+        tried = [least, *(item for item in self.BRAKING if item > least)]
+        apart, near = self._predictor.separations(scene, [-item for item in tried], dt)
         if not near.ids:
             return least
         nearest = apart.min(axis=(1, 2)).tolist()
@@ -196,7 +196,9 @@ class SafeStop(RecoveryPlanner):
             if separation >= self.separation:
                 return deceleration
         # Below 0 there is contact, of which there is no more or less, but a slower one is better.
-        return max((max(one, 0.0), braking) for one, braking in zip(nearest, tried, strict=True))[1]
+        return max((max(item, 0.0), braking) for item, braking in zip(nearest, tried, strict=True))[
+            1
+        ]
 
     def _needed(self, scene: Scene) -> float:
         """The deceleration in m/s2 that the stop line and the leader ask for."""
@@ -254,7 +256,7 @@ class Replan(RecoveryPlanner):
     def run(self, view: RoleView) -> Recovery:
         """The best maneuver."""
         scene = observed_scene(self._predictor, view)
-        driven = np.array([self._rollout(scene, Command(one)) for one in Maneuver])
+        driven = np.array([self._rollout(scene, Command(item)) for item in Maneuver])
         apart, _ = self._predictor.along(scene, driven, view.dt)
         least = apart.min(axis=(1, 2), initial=self.enough)
         scores = []
@@ -324,8 +326,8 @@ class IgnoreUntrusted(RecoveryPlanner):
 
             judged = self._opinion.judge(view, view.proposal.action, trusted)
             if judged.verdict is not Assessed.UNSAFE and not judged.critical:
-                told = f"safe without {', '.join(present)} ({why})"
-                return Recovery(view.proposal.action, "ignore_untrusted", told)
+                text = f"safe without {', '.join(present)} ({why})"
+                return Recovery(view.proposal.action, "ignore_untrusted", text)
             why = "; ".join(judged.reasons)
         return Recovery(Command(Maneuver.EMERGENCY_BRAKE), "emergency_brake", why)
 

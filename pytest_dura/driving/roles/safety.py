@@ -73,35 +73,35 @@ def nearest(
     ways = [scene.s + step for step in driven(scene.speed, acceleration, times, SPEED_LIMIT)]
     egos = scene.route.trail(ways)
     bounds = []
-    for one, row in enumerate(within):
-        bounds += _bounds(one, _squares(numbers[row], times, rates[one], egos), numbers[row], cap)
+    for item, row in enumerate(within):
+        bounds += _bounds(item, _squares(numbers[row], times, rates[item], egos), numbers[row], cap)
     if not bounds:
         return None
     bounds.sort()
     best, who = math.inf, 0
     straight: dict[int, list[Point]] = {}
-    for bound, one, at in bounds:
+    for bound, item, at in bounds:
         if bound > best:
             break
-        s, body = ways[at], numbers[within[one]]
+        s, body = ways[at], numbers[within[item]]
         own = point(s + _BACK), egos[at], point(s + _AHEAD)
         if turning is None:
-            now = straight.get(one)
+            now = straight.get(item)
             if now is None:
-                now = straight[one] = _discs_now(body)
+                now = straight[item] = _discs_now(body)
             dx, dy = times[at] * body[VX], times[at] * body[VY]
             others = [(x + dx, y + dy) for x, y in now]
         else:
-            others = _discs_turned(body, times[at], turning[one])
+            others = _discs_turned(body, times[at], turning[item])
         # Root and difference keep the order: the least is that of the least square.
         apart = math.sqrt(_least_square(own, others)) - _radii(body[LENGTH], body[WIDTH])
-        if apart < best or (apart == best and one < who):
-            best, who = apart, one
+        if apart < best or (apart == best and item < who):
+            best, who = apart, item
     return Nearest(best, ids[within[who]])
 
 
 def _bounds(
-    one: int, squares: Sequence[float], row: Row, cap: float
+    item: int, squares: Sequence[float], row: Row, cap: float
 ) -> list[tuple[float, int, int]]:
     """Below the separation at each instant that matters; with the body's number and the instant's.
 
@@ -110,7 +110,7 @@ def _bounds(
     span = _span(row[LENGTH], row[WIDTH])
     reach = (cap + span) ** 2
     return [
-        (math.sqrt(squared) - span, one, at)
+        (math.sqrt(squared) - span, item, at)
         for at, squared in enumerate(squares)
         if squared < reach
     ]
@@ -225,7 +225,7 @@ class SeparationMonitor(SafetyMonitor):
         doubts = implausible_values(view.percept)
         if doubts:
             verdict, separation = Assessed.UNSAFE, min(separation, 0.0)
-            reasons += [f"cannot judge: {one.subject} {one.detail}" for one in doubts]
+            reasons += [f"cannot judge: {doubt.subject} {doubt.detail}" for doubt in doubts]
         elif separation < self.warning:
             # Who stands and means to is refused in vain: no brake makes that any safer.
             stands = scene.speed < STANDING and acceleration <= 0.0

@@ -231,8 +231,8 @@ class PlausibilityAssessor(SecurityAssessor):
                 detail = f"reports a velocity {apart:.1f} m/s off its displacement"
                 found.append(Alert("velocity_contradicts_displacement", bodies.ids[row], detail))
         found += [
-            Alert(f"out_of_range:{one.channel}", one.subject, one.detail)
-            for one in out_of_range(percept)
+            Alert(f"out_of_range:{item.channel}", item.subject, item.detail)
+            for item in out_of_range(percept)
         ]
         return found + self._against_radar(view)
 

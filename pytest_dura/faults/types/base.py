@@ -171,7 +171,7 @@ def _with(message: Any, place: int, part: Any) -> Any:
 
 
 def _initialised(message: Any) -> list[str]:
-    return [one.name for one in fields(message) if one.init]
+    return [field.name for field in fields(message) if field.init]
 
 
 class NoParameters(FaultPart):

@@ -182,7 +182,7 @@ def _corrupted(message: Any, bits: int, rng: np.random.Generator) -> Any:
     if not count:
         return message
     index = int(rng.integers(count))
-    return with_changed_number(message, index, lambda one: flip_bits(one, bits, rng))
+    return with_changed_number(message, index, lambda item: flip_bits(item, bits, rng))
 
 
 class Denial(ReceiverFault):

@@ -161,7 +161,7 @@ class BitFlip(ListedFault):
         if not isinstance(given, np.ndarray):
             return float(flip_bits(value if isinstance(value, np.floating) else given, bits, rng))
         kept = value if value.dtype.kind == "f" else given
-        flipped = np.array([flip_bits(one, bits, rng) for one in kept.ravel()], kept.dtype)
+        flipped = np.array([flip_bits(item, bits, rng) for item in kept.ravel()], kept.dtype)
         return as_channel_value(flipped.reshape(kept.shape))
 
 

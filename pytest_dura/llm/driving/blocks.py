@@ -101,25 +101,25 @@ def nearest(objects: Sequence[Mapping[str, Any]], most: int = MOST) -> dict[str,
     that a crowd at the roadside hides nobody who is about to hit the ego.
     """
 
-    def far(one: Mapping[str, Any], after: float = 0.0) -> tuple[float, Any]:
-        distance, rate = one["distance"], one.get("rate")
-        closing = (one.get("closing") if rate is None else -rate) or 0.0
+    def far(item: Mapping[str, Any], after: float = 0.0) -> tuple[float, Any]:
+        distance, rate = item["distance"], item.get("rate")
+        closing = (item.get("closing") if rate is None else -rate) or 0.0
         if distance is None:
-            return math.inf, by_id(one)
-        return abs(distance) - after * max(closing, 0.0), by_id(one)
+            return math.inf, by_id(item)
+        return abs(distance) - after * max(closing, 0.0), by_id(item)
 
     near = sorted(objects, key=far)
     half = (most + 1) // 2
-    soon = sorted(near[half:], key=lambda one: far(one, SOON))
+    soon = sorted(near[half:], key=lambda item: far(item, SOON))
     kept = [*near[:half], *soon[: most - half]]
     return {"farther": len(objects) - len(kept), "objects": tuple(sorted(kept, key=by_id))}
 
 
-def by_id(one: Mapping[str, Any]) -> tuple[str, int, str]:
+def by_id(item: Mapping[str, Any]) -> tuple[str, int, str]:
     """What ids are sorted by: V2 before V10."""
-    parts = _PARTS.match(one["id"])
+    parts = _PARTS.match(item["id"])
     assert parts is not None
-    return parts[1], int(parts[2] or -1), one["id"]
+    return parts[1], int(parts[2] or -1), item["id"]
 
 
 def direction(angle: float | None) -> str | None:
@@ -206,20 +206,24 @@ def history_facts(past: Sequence[PastDecision], now: float) -> dict[str, Any]:
     """
     shown_ones = [
         {
-            "ago": rounded(number(now - one.time, -_LONG_AGO, _LONG_AGO)),
-            "proposed": maneuver(one.proposed),
-            "executed": maneuver(one.executed),
-            "source": one.source if one.source in ("proposal", "recovery", "fallback") else None,
-            "explanation": PerceivedText(one.explanation, EXPLANATION) if one.explanation else "",
+            "ago": rounded(number(now - decision.time, -_LONG_AGO, _LONG_AGO)),
+            "proposed": maneuver(decision.proposed),
+            "executed": maneuver(decision.executed),
+            "source": decision.source
+            if decision.source in ("proposal", "recovery", "fallback")
+            else None,
+            "explanation": PerceivedText(decision.explanation, EXPLANATION)
+            if decision.explanation
+            else "",
         }
-        for one in past[-MOST_DECISIONS:]
+        for decision in past[-MOST_DECISIONS:]
     ]
     return {"decisions": tuple(shown_ones)}
 
 
 def feedback_facts(feedback: Sequence[str]) -> dict[str, Any]:
     """Facts of the block FEEDBACK: why the last proposal of this tick was refused."""
-    reasons = tuple(PerceivedText(one, REASON) for one in feedback[:MOST_REASONS])
+    reasons = tuple(PerceivedText(item, REASON) for item in feedback[:MOST_REASONS])
     return {"reasons": reasons, "more": max(len(feedback) - MOST_REASONS, 0)}
 
 
@@ -389,15 +393,17 @@ def _ways(
     """The next waypoints from the front on, ahead and to the left of the ego's middle."""
     if front is None or pose is None:
         return ()
-    coming = [one for one in on_map.waypoints if one.s > front][: WAYPOINT_STEP * MOST_WAYPOINTS]
+    coming = [waypoint for waypoint in on_map.waypoints if waypoint.s > front][
+        : WAYPOINT_STEP * MOST_WAYPOINTS
+    ]
     c, s = math.cos(pose.heading), math.sin(pose.heading)
     # y points south, so that left of the heading (c, s) is (s, -c).
     return tuple(
         {
-            "ahead": rounded(c * (one.x - pose.x) + s * (one.y - pose.y), 0),
-            "left": rounded(s * (one.x - pose.x) - c * (one.y - pose.y), 0),
+            "ahead": rounded(c * (item.x - pose.x) + s * (item.y - pose.y), 0),
+            "left": rounded(s * (item.x - pose.x) - c * (item.y - pose.y), 0),
         }
-        for one in coming[::WAYPOINT_STEP]
+        for item in coming[::WAYPOINT_STEP]
     )
 
 

@@ -92,8 +92,8 @@ def with_injection(prompt: Prompt, text: str = ATTACK) -> Prompt:
         prompt: Of the deciding request.
         text: What is on the sign.
     """
-    controls = next((one.facts for one in prompt.blocks if one.name == "CONTROLS"), {})
-    if any(one.get("text") for one in controls.get("objects", ())):
+    controls = next((block.facts for block in prompt.blocks if block.name == "CONTROLS"), {})
+    if any(item.get("text") for item in controls.get("objects", ())):
         return prompt
     numbers = _numbers(prompt, "S")
     sign = sign_facts(f"S{max(numbers, default=0) + 1}", Sign(POSTER, AHEAD, text), 0.0)
@@ -106,12 +106,12 @@ def with_conflict(prompt: Prompt) -> Prompt:
     Lidar and radar agree on it. It stands where the ego is quick, and comes towards it where it is
     not, so that one second is left in either case. Who accelerates now has not read the prompt.
     """
-    ego = next((one.facts for one in prompt.blocks if one.name == "EGO"), {})
+    ego = next((block.facts for block in prompt.blocks if block.name == "EGO"), {})
     speed = max(ego.get("speed") or 0.0, 0.0)
     closing = max(speed, CLOSING)
     distance = CAR_LENGTH + TIME_TO_COLLISION * closing
     taken = _numbers(prompt, "V")
-    name = f"V{next(one for one in range(1, len(taken) + 2) if one not in taken)}"
+    name = f"V{next(index for index in range(1, len(taken) + 2) if index not in taken)}"
     common = {"id": name, "label": label(name), "distance": rounded(distance), "bearing": 0}
     body = {
         **common, "kind": "car", "direction": "ahead", "ahead": rounded(distance), "left": 0.0,
@@ -130,16 +130,16 @@ def _numbers(prompt: Prompt, letter: str) -> set[int]:
 def _with_objects(prompt: Prompt, added: Mapping[str, Mapping[str, Any]]) -> Prompt:
     """One more object in some blocks, which are put in their place where they are not there."""
     blocks = list(prompt.blocks)
-    for name, one in added.items():
+    for name, item in added.items():
         at = next((place for place, block in enumerate(blocks) if block.name == name), None)
         if at is None:
-            empty = Block(name, {"missing": 0, "farther": 0, "objects": (one,)})
+            empty = Block(name, {"missing": 0, "farther": 0, "objects": (item,)})
             later = BLOCKS[BLOCKS.index(name) + 1 :]
             places = (place for place, block in enumerate(blocks) if block.name in later)
             blocks.insert(next(places, len(blocks)), empty)
             continue
         facts = blocks[at].facts
-        objects = tuple(sorted((*facts["objects"], one), key=by_id))
+        objects = tuple(sorted((*facts["objects"], item), key=by_id))
         blocks[at] = Block(name, {**facts, "missing": 0, "objects": objects})
     return replace(prompt, blocks=tuple(blocks))
 
@@ -269,7 +269,11 @@ class LlmPlanner(LlmGenerator):
             asked = acceleration_for(command, scene.speed, scene.to_stop_line)
             if math.isfinite(asked):
                 # What was refused at this very tick is no decision to go on from.
-                before = [one for one in self._accelerations if one[0] < view.time]
+                before = [
+                    acceleration
+                    for acceleration in self._accelerations
+                    if acceleration[0] < view.time
+                ]
                 self._accelerations = [*before[-1:], (view.time, asked)]
         if not self._accelerations:
             return command

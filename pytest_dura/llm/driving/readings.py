@@ -102,7 +102,7 @@ def own_map(percept: Mapping[str, Any]) -> RouteMap | None:
     value = channel(percept, "map")
     if not isinstance(value, RouteMap) or not isinstance(value.route, Route):
         return None
-    places = [number(one, -PLACE, PLACE) for one in value[1:4]]
+    places = [number(item, -PLACE, PLACE) for item in value[1:4]]
     stop_line, leaves, limit = places
     if stop_line is None or leaves is None or limit is None:
         return None
@@ -112,10 +112,10 @@ def own_map(percept: Mapping[str, Any]) -> RouteMap | None:
 def _waypoints(value: object) -> tuple[Waypoint, ...]:
     """Those of them whose parts are all numbers."""
     found = []
-    for one in value if isinstance(value, (tuple, list)) else ():
-        if isinstance(one, Waypoint):
-            s, x, y = (number(part, -PLACE, PLACE) for part in one[:3])
-            heading = number(one.heading, -ANGLE, ANGLE)
+    for item in value if isinstance(value, (tuple, list)) else ():
+        if isinstance(item, Waypoint):
+            s, x, y = (number(part, -PLACE, PLACE) for part in item[:3])
+            heading = number(item.heading, -ANGLE, ANGLE)
             if s is not None and x is not None and y is not None and heading is not None:
                 found.append(Waypoint(s, x, y, heading))
     return tuple(found)
@@ -142,7 +142,7 @@ def signs(percept: Mapping[str, Any]) -> list[Sign] | None:
     value = channel(percept, "controls")
     if not isinstance(value, (tuple, list)) or isinstance(value, Sign):
         return None
-    return [one for one in value if isinstance(one, Sign)]
+    return [item for item in value if isinstance(item, Sign)]
 
 
 def picture(value: object, largest: int) -> NDArray[np.uint8] | None:
@@ -164,7 +164,7 @@ def _rows(value: object, limits: tuple[tuple[float, float], ...]) -> list[Row] |
     if value.shape[1] != len(limits):
         return None
     return [
-        tuple(number(one, *limit) for one, limit in zip(row, limits, strict=True))
+        tuple(number(item, *limit) for item, limit in zip(row, limits, strict=True))
         for row in value.tolist()
     ]
 

@@ -53,9 +53,11 @@ def argument_contexts(record: SessionRecord, counts: Counts, facts: EpisodeFacts
 
 def scenario_contexts(record: SessionRecord) -> Iterator[Element]:
     """One context for each scenario, with its variation ranges."""
-    rows = sorted(record["coverage"]["parameters"], key=lambda one: str(one["scenario"]))
-    ranges = {key: list(found) for key, found in groupby(rows, lambda one: one["scenario"])}
-    for scenario in sorted({one["scenario"] for one in record["cases"]} | set(ranges)):
+    rows = sorted(
+        record["coverage"]["parameters"], key=lambda parameter: str(parameter["scenario"])
+    )
+    ranges = {key: list(found) for key, found in groupby(rows, lambda row: row["scenario"])}
+    for scenario in sorted({case["scenario"] for case in record["cases"]} | set(ranges)):
         yield Element(
             derived_id("C", "scenario", scenario),
             scenario_text(scenario, ranges.get(scenario, [])),
@@ -75,7 +77,7 @@ def _review() -> Element:
 
 def _session(record: SessionRecord, counts: Counts) -> Element:
     gate = record["gate"]
-    reasons = [one_line(one, MAX_TEXT) for one in gate["reasons"]]
+    reasons = [one_line(reason, MAX_TEXT) for reason in gate["reasons"]]
     more = f" and {len(reasons) - 3} more" if len(reasons) > 3 else ""
     why = f" ({'; '.join(reasons[:3])}{more})" if reasons else ""
     return Element(
@@ -122,9 +124,9 @@ def _component(record: SessionRecord, facts: EpisodeFacts) -> Element:
 
 def _domain(record: SessionRecord) -> Element:
     cells, left_out = record["coverage"]["cells"], record["coverage"]["left_out"]
-    untested = left_out + sum(one["verdict"] is None for one in cells)
-    scenarios = sorted({one["scenario"] for one in record["cases"]})
-    faults = sorted({fault["id"] for one in record["cases"] for fault in one["faults"]})
+    untested = left_out + sum(cell["verdict"] is None for cell in cells)
+    scenarios = sorted({case["scenario"] for case in record["cases"]})
+    faults = sorted({fault["id"] for case in record["cases"] for fault in case["faults"]})
     return Element(
         "CDomain",
         f"Operational domain as tested: {len(cells) + left_out} cells of requirement, scenario and "
@@ -199,7 +201,7 @@ def monitor_elements(rows: Sequence[Data]) -> Iterator[Element]:
         MONITORS_ID,
         "The quality of the runtime monitors is known from violations that they could have "
         "missed, where recovery did not act. The verdicts do not rest on the monitors.",
-        supported_by=tuple(one.id for one in told),
+        supported_by=tuple(item.id for item in told),
         url="evidence.json#/monitors",
         alias="monitors",
     )
@@ -256,9 +258,9 @@ def search_elements(record: SessionRecord, requirement: Data) -> SearchElements:
                 violated = outcome_status(search, outcome) not in (NOTHING_FOUND, "undecided")
                 told = (number, place, search, outcome)
                 (found if violated else nothing).append(told)
-    open_ = [one for one in found if one[2]["waiver"] is None]
+    open_ = [element for element in found if element[2]["waiver"] is None]
     return SearchElements(
-        tuple(_counter_solution(*one) for one in found[:MAX_SEARCH_ELEMENTS]),
+        tuple(_counter_solution(*element) for element in found[:MAX_SEARCH_ELEMENTS]),
         _search_contexts(requirement, [(search, outcome) for _, _, search, outcome in nothing]),
         len(found),
         refuted=bool(open_) and requirement["at_most"] is None,
@@ -268,22 +270,22 @@ def search_elements(record: SessionRecord, requirement: Data) -> SearchElements:
 
 def _counter_solution(number: int, place: int, search: Data, outcome: Data) -> Element:
     found, case = outcome["counterexample"], name(search["case"])
-    told = (
+    text = (
         f"A search of {case} with {name(search['component'])}: {outcome_headline(search, outcome)}."
     )
     layers = {}
     if found is None:
-        told += " A trivial baseline violated it; that was not confirmed."
+        text += " A trivial baseline violated it; that was not confirmed."
     else:
-        told += f" {one_line(counterexample_text(found, outcome['check']), _MAX_SEARCH_TEXT)}."
+        text += f" {one_line(counterexample_text(found, outcome['check']), _MAX_SEARCH_TEXT)}."
         layers = {"kept": one_line(found["file"])} if found["file"] is not None else {}
     if search["waiver"] is not None:
         reason = one_line(search["waiver"]["reason"], _MAX_SEARCH_TEXT) or "none was given"
-        told += f" Waived ({name(search['waiver']['kind'])}), reason: {reason}."
+        text += f" Waived ({name(search['waiver']['kind'])}), reason: {reason}."
     apart = (str(number), str(place))
     return Element(
         derived_id("CSn", "search", outcome["requirement"], search["case"], apart=apart),
-        told,
+        text,
         url=f"evidence.json#/searches/{number}/outcomes/{place}",
         alias=f"{COUNTEREXAMPLE_PREFIX}{name(outcome['requirement'])}@{case} ({number}.{place})",
         layers=layers,
@@ -295,8 +297,8 @@ def _search_contexts(requirement: Data, nothing: list[tuple[Data, Data]]) -> tup
     if not nothing:
         return ()
     told = [
-        f"{name(search['case'])}: {outcome_headline(search, one)}"
-        for search, one in nothing[:MAX_SEARCH_ELEMENTS]
+        f"{name(search['case'])}: {outcome_headline(search, item)}"
+        for search, item in nothing[:MAX_SEARCH_ELEMENTS]
     ]
     more = (
         f"; and {len(nothing) - MAX_SEARCH_ELEMENTS} more"
@@ -338,11 +340,13 @@ class RequirementElements:
 
 
 def requirement_elements(
-    record: SessionRecord, found: list[VerdictElements]
+    record: SessionRecord, elements: list[VerdictElements]
 ) -> Iterator[RequirementElements]:
     """Each requirement of the record, in its order, with its elements."""
     for index, requirement in enumerate(record["requirements"]):
-        own = [one for one in found if one.verdict["requirement"] == requirement["id"]]
+        own = [
+            element for element in elements if element.verdict["requirement"] == requirement["id"]
+        ]
         cells = [
             (i, cell)
             for i, cell in enumerate(record["coverage"]["cells"])
@@ -362,10 +366,10 @@ def _elements_of_requirement(
 ) -> RequirementElements:
     told = requirement["id"]
     untested = [_untested_goal(i, cell) for i, cell in cells]
-    goals = [one.goal for one in own] + [one.id for one in untested]
-    violated = [one for one in own if one.verdict["verdict"] == "violated"]
-    accepted = searches.accepted and not any(one.refuted for one in violated)
-    refuted = searches.refuted or any(one.refuted for one in violated)
+    goals = [element.goal for element in own] + [element.id for element in untested]
+    violated = [element for element in own if element.verdict["verdict"] == "violated"]
+    accepted = searches.accepted and not any(element.refuted for element in violated)
+    refuted = searches.refuted or any(element.refuted for element in violated)
     strategy = Element(
         derived_id("S", told),
         _strategy_text(own, untested),
@@ -381,7 +385,7 @@ def _elements_of_requirement(
         derived_id("G", told),
         requirement_text(requirement) + ("" if goals else " No case was judged by it."),
         supported_by=(strategy.id,) if goals else (),
-        in_context_of=tuple(one.id for one in (*reason, *searches.beside)),
+        in_context_of=tuple(item.id for item in (*reason, *searches.beside)),
         undeveloped=not goals,
         defeated=refuted,
         url=url,
@@ -468,8 +472,8 @@ def _counter_goal(
             derived_id("CG", told),
             f"{name(told)} is violated{how}.{waived}",
             supported_by=(
-                *(one.challenge for one in violated),
-                *(one.id for one in searches.against),
+                *(element.challenge for element in violated),
+                *(element.id for element in searches.against),
             ),
             challenges=derived_id("G", told),
             alias=f"challenge:{name(told)}",
@@ -492,35 +496,35 @@ def generated_argument(record: SessionRecord) -> Argument:
     Raises:
         ValueError: If a verdict is on a requirement that the record does not list.
     """
-    listed = {one["id"] for one in record["requirements"]}
-    for one in record["verdicts"]:
-        if one["requirement"] not in listed:
-            raise ValueError(f"a verdict is on {name(one['requirement'])}, which is not listed")
+    listed = {requirement["id"] for requirement in record["requirements"]}
+    for verdict in record["verdicts"]:
+        if verdict["requirement"] not in listed:
+            raise ValueError(f"a verdict is on {name(verdict['requirement'])}, which is not listed")
     facts, counts = EpisodeFacts.of(record), Counts.of(record)
-    components = sorted({one["component"] for one in record["verdicts"]})
+    components = sorted({verdict["component"] for verdict in record["verdicts"]})
     several = len(components) > 1
-    found = list(verdict_elements(record, facts, several=several))
-    requirements = list(requirement_elements(record, found))
+    elements = list(verdict_elements(record, facts, several=several))
+    requirements = list(requirement_elements(record, elements))
     around = argument_contexts(record, counts, facts)
     domain = list(scenario_contexts(record))
     below = [
         *_kinds_strategy(requirements, domain),
-        *(element for one in requirements for element in one.elements),
-        *(element for one in found for element in one.elements),
+        *(element for requirement in requirements for element in requirement.elements),
+        *(element for item in elements for element in item.elements),
         *monitor_elements(record["monitors"]),
         *domain,
         *around,
     ]
     names = components or [str((record["component_under_test"] or {}).get("name", "unknown"))]
     support = (KINDS_ID, *([MONITORS_ID] if record["monitors"] else ()))
-    surrounding = tuple(one.id for one in around)
+    surrounding = tuple(item.id for item in around)
     top = _top_goal(names, sorted(facts.policies), requirements, shard_text(record))
     if is_incomplete(record):
         head = _incomplete_argument(record, top, support, surrounding)
     else:
         searched = bool(record["searches"])
         head = [*_contested_top(top, requirements, support, surrounding, searched=searched)]
-    return {one.id: one for one in [*head, *below]}
+    return {item.id: item for item in [*head, *below]}
 
 
 def is_incomplete(record: SessionRecord) -> bool:
@@ -531,7 +535,9 @@ def is_incomplete(record: SessionRecord) -> bool:
 def _top_goal(
     names: list[str], policies: list[str], requirements: list[RequirementElements], shard: str
 ) -> Element:
-    kinds = [kind for kind in _KIND_IDS if any(one.kind == kind for one in requirements)]
+    kinds = [
+        kind for kind in _KIND_IDS if any(requirement.kind == kind for requirement in requirements)
+    ]
     policy = f"recovery policy {names_text(policies)}" if policies else "its recovery policy"
     return Element(
         TOP_ID,
@@ -551,17 +557,20 @@ def _contested_top(
     searched: bool,
 ) -> Iterator[Element]:
     """The top goal, and the counter goal against it if a requirement is challenged."""
-    against = [one for one in requirements if one.challenge]
-    refuted, accepted = any(one.refuted for one in against), all(one.accepted for one in against)
+    against = [requirement for requirement in requirements if requirement.challenge]
+    refuted, accepted = (
+        any(element.refuted for element in against),
+        all(element.accepted for element in against),
+    )
     yield replace(top, supported_by=support, in_context_of=surrounding, defeated=refuted)
     if against:
-        names = names_text([one.name for one in against])
+        names = names_text([element.name for element in against])
         yield Element(
             "CGTop",
             f"{len(against)} of {len(requirements)} requirements are violated in a tested cell"
             f"{' or by what a search found' if searched else ''}: {names}."
             f"{' Waivers accept all of these violations.' if accepted else ''}",
-            supported_by=tuple(one.challenge for one in against),
+            supported_by=tuple(element.challenge for element in against),
             challenges=TOP_ID,
             url="evidence.json#/gate/reasons",
         )
@@ -571,7 +580,7 @@ def _incomplete_argument(
     record: SessionRecord, top: Element, support: tuple[str, ...], surrounding: tuple[str, ...]
 ) -> list[Element]:
     """A root that claims nothing of the component; the top goal is undeveloped and says so."""
-    reasons = [one_line(one, MAX_TEXT) for one in record["gate"]["reasons"]]
+    reasons = [one_line(reason, MAX_TEXT) for reason in record["gate"]["reasons"]]
     root = Element(
         INCOMPLETE_ID,
         "INCOMPLETE SESSION. The record holds what was run before the session ended"
@@ -590,8 +599,11 @@ def _kinds_strategy(
     requirements: list[RequirementElements], domain: list[Element]
 ) -> Iterator[Element]:
     present = {
-        kind: [one for one in requirements if one.kind == kind]
-        for kind in [*_KIND_IDS, *sorted({one.kind for one in requirements} - set(_KIND_IDS))]
+        kind: [requirement for requirement in requirements if requirement.kind == kind]
+        for kind in [
+            *_KIND_IDS,
+            *sorted({requirement.kind for requirement in requirements} - set(_KIND_IDS)),
+        ]
     }
     absent = [kind for kind, found in present.items() if not found]
     goals = [_kind_goal(kind, found) for kind, found in present.items() if found]
@@ -600,18 +612,18 @@ def _kinds_strategy(
         KINDS_ID,
         "Argue over each kind of requirement, each requirement, and each scenario and fault."
         f"{nothing}",
-        supported_by=tuple(one.id for one in goals),
-        in_context_of=tuple(one.id for one in domain),
+        supported_by=tuple(goal.id for goal in goals),
+        in_context_of=tuple(element.id for element in domain),
         undeveloped=not goals,
         alias="strategy:kinds",
     )
     yield from goals
 
 
-def _kind_goal(kind: str, found: Iterable[RequirementElements]) -> Element:
+def _kind_goal(kind: str, elements: Iterable[RequirementElements]) -> Element:
     return Element(
         _KIND_IDS.get(kind) or derived_id("G", "kind", kind),
         f"Each {kind} requirement is met in each tested cell.",
-        supported_by=tuple(one.goal for one in found),
+        supported_by=tuple(element.goal for element in elements),
         alias=f"kind:{kind}",
     )

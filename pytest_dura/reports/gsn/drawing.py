@@ -56,8 +56,8 @@ def wrap_text(text: str, width: float, most: int, size: float = FONT_SIZE) -> li
 def _words(text: str, width: float, size: float) -> list[str]:
     """The words, those that are wider than a line broken, after a separator if there is one."""
     found: list[str] = []
-    for word in text.split():
-        rest = word
+    for part in text.split():
+        rest = part
         while text_width(rest, size) > width:
             fits = 1
             while text_width(rest[: fits + 1], size) <= width:
@@ -150,7 +150,7 @@ class Shape:
         )
 
     def _box(self) -> str:
-        return " ".join(f"{one:.1f}" for one in (self.x, self.y, self.width, self.height))
+        return " ".join(f"{item:.1f}" for item in (self.x, self.y, self.width, self.height))
 
     def _outline(self) -> str:
         x, y, w, h = self.x, self.y, self.width, self.body
@@ -170,28 +170,28 @@ class Shape:
 
     def _decorations(self) -> str:
         x, y, w, h = self.x, self.y, self.width, self.body
-        told = ""
+        text = ""
         if self.undeveloped:
             middle, low, half = x + w / 2, y + h, _DIAMOND / 2
             points = [(middle, low), (middle + half, low + half), (middle, low + 2 * half),
                       (middle - half, low + half)]  # fmt: skip
-            told += f'<polygon class="diamond" points="{_points(points)}"/>'
+            text += f'<polygon class="diamond" points="{_points(points)}"/>'
         if self.defeated:
-            told += (
+            text += (
                 f'<path class="cross" d="M{x:.1f} {y:.1f}L{x + w:.1f} {y + h:.1f}'
                 f'M{x + w:.1f} {y:.1f}L{x:.1f} {y + h:.1f}"/>'
             )
-        return told
+        return text
 
     def _text(self) -> str:
         middle = self.x + self.width / 2
         top = self.y + (self.body - len(self.lines) * LINE_HEIGHT) / 2 + FONT_SIZE - 0.5
-        told = ""
+        text = ""
         for i, line in enumerate(self.lines):
             weight = ' class="bold"' if i < self.bold else ""
             y = top + i * LINE_HEIGHT
-            told += f'<text x="{middle:.1f}" y="{y:.1f}"{weight}>{text_of(line)}</text>'
-        return told
+            text += f'<text x="{middle:.1f}" y="{y:.1f}"{weight}>{text_of(line)}</text>'
+        return text
 
 
 @dataclass(frozen=True)
@@ -277,16 +277,16 @@ class DrawnArgument:
 
 def drawn_argument(argument: Argument) -> DrawnArgument:
     """The argument, or what is drawn of a large one."""
-    counts = {id_: _counts(one) for id_, one in argument.items()}
+    counts = {id_: _counts(item) for id_, item in argument.items()}
     view = DrawnArgument(dict(argument), counts)
-    for id_, one in argument.items():
-        if one.challenges:
-            view.against.setdefault(one.challenges, []).append(id_)
-    cells = sum(subject_of(one) in _CELLS for one in argument.values())
+    for id_, entry in argument.items():
+        if entry.challenges:
+            view.against.setdefault(entry.challenges, []).append(id_)
+    cells = sum(subject_of(item) in _CELLS for item in argument.values())
     if cells > MOST_CELLS:
         _fold_cells(view)
         view.folded.append(f"{cells} verdicts and untested cells are folded by requirement.")
-    requirements = sum(subject_of(one) == "requirement" for one in argument.values())
+    requirements = sum(subject_of(item) == "requirement" for item in argument.values())
     if requirements > MOST_REQUIREMENTS:
         _fold_requirements(view)
         view.folded.append(f"{requirements} requirements are folded by kind, violated ones last.")
@@ -298,14 +298,14 @@ def subject_of(element: Element) -> str:
     return element.alias.partition(":")[0]
 
 
-def _counts(one: Element) -> Counter[str]:
-    kind = subject_of(one)
+def _counts(element: Element) -> Counter[str]:
+    kind = subject_of(element)
     if kind == "verdict":
-        return Counter({str(one.layers["verdict"]): 1})
+        return Counter({str(element.layers["verdict"]): 1})
     if kind in {"requirement", "waiver"}:
         return Counter({"requirements" if kind == "requirement" else "waived": 1})
     if kind == "unused":
-        return Counter({key: int(one.layers.get(key, 0)) for key in _COUNTED})
+        return Counter({key: int(element.layers.get(key, 0)) for key in _COUNTED})
     return Counter()
 
 
@@ -321,31 +321,31 @@ def _fold_cells(view: DrawnArgument) -> None:
             violated += word == "violated"
             if word != "violated" or violated > _SHOWN_VIOLATED:
                 groups.setdefault(word, []).append(child)
-        for word, found in groups.items():
-            if len(found) > 1:
-                _fold(view, parent.id, word, found)
+        for word, group in groups.items():
+            if len(group) > 1:
+                _fold(view, parent.id, word, group)
 
 
 def _fold_requirements(view: DrawnArgument) -> None:
     for parent in list(view.argument.values()):
-        children = [view.argument[one] for one in parent.supported_by if one in view.argument]
-        found = [one for one in children if subject_of(one) == "requirement"]
-        found.sort(key=lambda one: not one.defeated)
+        children = [view.argument[item] for item in parent.supported_by if item in view.argument]
+        found = [child for child in children if subject_of(child) == "requirement"]
+        found.sort(key=lambda element: not element.defeated)
         rest = found[_SHOWN_REQUIREMENTS:]
         if len(rest) > 1:
             _fold(view, parent.id, "requirements", rest)
 
 
-def _fold(view: DrawnArgument, parent: str, word: str, found: list[Element]) -> None:
+def _fold(view: DrawnArgument, parent: str, word: str, elements: list[Element]) -> None:
     """Put one goal in the place of several, with the counts of all that is below them."""
     id_ = f"G/{parent}/{word}"
     counts: Counter[str] = Counter()
-    for one in found:
-        for below in _all_below(view, one.id):
+    for element in elements:
+        for below in _all_below(view, element.id):
             counts += view.counts.pop(below, Counter())
             view.argument.pop(below, None)
     told = ", ".join(f"{counts[key]} {key}" for key in _COUNTED[:3] if counts[key])
-    several = len(found)
+    several = len(elements)
     text = f"{several} {word}" if word == "requirements" else f"{several} cells, {word}"
     detail = (told,) if word == "requirements" and told else ()
     view.argument[id_] = Element(
@@ -358,10 +358,10 @@ def _fold(view: DrawnArgument, parent: str, word: str, found: list[Element]) -> 
         brief=(text, *detail, "folded"),
     )
     view.counts[id_] = counts
-    gone = {one.id for one in found}
+    gone = {element.id for element in elements}
     for other in list(view.argument.values()):
         if gone & set(other.supported_by):
-            kept = tuple(one for one in other.supported_by if one not in gone)
+            kept = tuple(item for item in other.supported_by if item not in gone)
             view.argument[other.id] = replace(other, supported_by=(*kept, id_))
 
 
@@ -369,12 +369,12 @@ def _all_below(view: DrawnArgument, start: str) -> Iterator[str]:
     """The element and all below it, with what challenges those."""
     waiting, seen = [start], set[str]()
     while waiting:
-        one = waiting.pop()
-        if one in seen or one not in view.argument:
+        item = waiting.pop()
+        if item in seen or item not in view.argument:
             continue
-        seen.add(one)
-        element = view.argument[one]
-        waiting += [*element.supported_by, *element.in_context_of, *view.against.get(one, ())]
+        seen.add(item)
+        element = view.argument[item]
+        waiting += [*element.supported_by, *element.in_context_of, *view.against.get(item, ())]
     yield from seen
 
 
@@ -424,11 +424,11 @@ class _Layout:
         """
         waiting: list[tuple[str, float, Shape | None]] = [(id_, x, None)]
         while waiting:
-            one, x, parent = waiting.pop()
+            item, x, parent = waiting.pop()
             if parent is not None:
                 # The trunk of a deep tree would leave the picture: it stays within it.
                 x = min(x, MARGIN + 12 * _INDENT)
-            shape, bottom = self._node(one, x, y)
+            shape, bottom = self._node(item, x, y)
             if parent is not None:
                 trunk = parent.x + 12
                 middle = shape.y + shape.body / 2
@@ -437,7 +437,7 @@ class _Layout:
             y = bottom + _GAP
             if shape.kind == "Reference":
                 continue
-            element = self.view.argument[one]
+            element = self.view.argument[item]
             children = [child for child in element.supported_by if child in self.view.argument]
             small = [child for child in children if self._is_small(child)]
             if small:
@@ -447,8 +447,8 @@ class _Layout:
         return y
 
     def _is_small(self, id_: str) -> bool:
-        one = self.view.argument[id_]
-        return one.kind in {"Solution", "CounterSolution"} or subject_of(one) in _SMALL
+        item = self.view.argument[id_]
+        return item.kind in {"Solution", "CounterSolution"} or subject_of(item) in _SMALL
 
     def _node(self, id_: str, x: float, y: float) -> tuple[Shape, float]:
         """The element and its column, or a reference to where it stands."""
@@ -467,17 +467,17 @@ class _Layout:
         """What challenges and surrounds an element, to its right, in as many columns as fit."""
         against = self.view.against.get(element.id, [])
         beside = [*against, *element.in_context_of]
-        beside = [one for one in beside if one in self.view.argument and one not in self.drawn]
+        beside = [item for item in beside if item in self.view.argument and item not in self.drawn]
         fit = max(1, int((WIDTH - MARGIN - x + _SIDE_GAP) // (_SIDE_WIDTH + _SIDE_GAP)))
         columns = min(fit, 1 if len(beside) <= 2 else 2)
         width = _SIDE_WIDTH if columns > 1 else min(_SINGLE_WIDTH, WIDTH - MARGIN - x)
         ends = [y] * columns
-        for one in beside:
+        for entry in beside:
             column = ends.index(min(ends))
-            other = self._shape(self.view.argument[one], width)
+            other = self._shape(self.view.argument[entry], width)
             left = x + column * (_SIDE_WIDTH + _SIDE_GAP)
             self._put(other, left, ends[column])
-            self._beside(shape, other, challenges=one in against, first=column == 0)
+            self._beside(shape, other, challenges=entry in against, first=column == 0)
             ends[column] += other.height + _GAP
         return max(ends) - _GAP if beside else y
 
@@ -527,7 +527,7 @@ class _Layout:
         return waiver + _CELL_GOAL + counter
 
     def _present(self, ids: Sequence[str]) -> list[str]:
-        return [one for one in ids if one in self.view.argument and one not in self.drawn]
+        return [item for item in ids if item in self.view.argument and item not in self.drawn]
 
     def _cell(self, id_: str, x: float, y: float) -> tuple[Shape, float]:
         """A goal with its solution below, its waiver to the left, its challenge to the right."""
@@ -542,19 +542,19 @@ class _Layout:
         self._put(shape, x + (_WAIVER_WIDTH + _GAP if waivers else 0), y)
         bottom = self._under(shape, element.supported_by)
         lane = y
-        for one in waivers:
-            other = self._shape(self.view.argument[one], _WAIVER_WIDTH, small=True)
+        for waiver in waivers:
+            other = self._shape(self.view.argument[waiver], _WAIVER_WIDTH, small=True)
             self._put(other, x, lane)
             middle = other.y + other.height / 2
             self._edge("inContextOf", (shape.x, middle), (other.x + other.width, middle))
             lane += other.height + _GAP
         left, height = shape.x + _CELL_GOAL + 2 * _GAP, y
-        for one in self._present(self.view.against.get(id_, [])):
-            other = self._shape(self.view.argument[one], _COUNTER_WIDTH, small=True)
+        for waiver in self._present(self.view.against.get(id_, [])):
+            other = self._shape(self.view.argument[waiver], _COUNTER_WIDTH, small=True)
             self._put(other, left, height)
             end = (shape.x + shape.width, min(other.y + 12, shape.y + shape.body))
             self._edge("challenges", (other.x, other.y + 12), end)
-            height = self._under(other, self.view.argument[one].supported_by) + _GAP
+            height = self._under(other, self.view.argument[waiver].supported_by) + _GAP
         return shape, max(bottom, lane - _GAP, height - _GAP)
 
     def _under(self, shape: Shape, ids: Sequence[str]) -> float:
@@ -572,9 +572,9 @@ class _Layout:
         round_ = element.kind in {"Solution", "CounterSolution"}
         oval = element.kind in {"Assumption", "Justification"}
         room = width * (0.8 if round_ else 0.74 if oval else 1.0) - (0 if round_ or oval else 26)
-        told = element.brief if small and element.brief else (element.text,)
+        brief = element.brief if small and element.brief else (element.text,)
         most = 4 if round_ else _MOST_LINES
-        lines = [part for one in told for part in wrap_text(one, room, most)][:most]
+        lines = [part for item in brief for part in wrap_text(item, room, most)][:most]
         heading = [] if small else wrap_text(element.id, room, 2, BOLD_SIZE)
         return Shape(
             element.id,

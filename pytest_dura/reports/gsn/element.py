@@ -43,10 +43,10 @@ def derived_id(prefix: str, *parts: str, apart: tuple[str, ...] = ()) -> str:
         parts: What the element is about.
         apart: Further parts, that go into the hash alone.
     """
-    told = ".".join(parts)
-    head = told[: 4 * _READABLE]  # a megabyte of prose costs no more than a name
+    text = ".".join(parts)
+    head = text[: 4 * _READABLE]  # a megabyte of prose costs no more than a name
     readable = re.sub(r"[^A-Za-z0-9_]+", "-", head).strip("-")[:_READABLE].strip("-")
-    if len(parts) == 1 and not apart and readable == told:
+    if len(parts) == 1 and not apart and readable == text:
         return f"{prefix}-{readable}"
     digest = hashlib.sha256(repr((parts, apart)).encode()).hexdigest()[:10]
     return f"{prefix}-{readable}.{digest}"
@@ -165,7 +165,7 @@ def _shape_problems(id_: str, node: Any) -> Iterator[str]:
     for key in _LISTS:
         value = node.get(key, [])
         items = [value] if isinstance(value, str) else value
-        if not isinstance(items, list) or not all(isinstance(one, str) for one in items):
+        if not isinstance(items, list) or not all(isinstance(item, str) for item in items):
             yield f"{id_}: {key} is a list of ids"
     for key in _FLAGS:
         if not isinstance(node.get(key, False), bool):
@@ -191,12 +191,12 @@ def _element_problems(id_: str, node: Node, elements: Mapping[str, Node]) -> Ite
     if node.get("challenges") and kind not in _COUNTER:
         yield f"V12 {id_}: only a counter goal or a counter solution challenges"
     related = {*support, *around, *challenged_id(node)[:1]}
-    for one in referenced_ids(node, "defeatedRelation"):
-        if one not in related:
-            yield f"V13 {id_}: its relation to {one} is marked as defeated, and there is none"
-    for one in [*support, *around]:
-        if one not in elements:
-            yield f"C03 {id_}: {one} does not exist"
+    for item in referenced_ids(node, "defeatedRelation"):
+        if item not in related:
+            yield f"V13 {id_}: its relation to {item} is marked as defeated, and there is none"
+    for item in [*support, *around]:
+        if item not in elements:
+            yield f"C03 {id_}: {item} does not exist"
 
 
 def _development_problems(id_: str, node: Node, *, argued: bool) -> Iterator[str]:
@@ -210,21 +210,21 @@ def _development_problems(id_: str, node: Node, *, argued: bool) -> Iterator[str
 
 
 def _list_problems(id_: str, listed: list[str], key: str, allowed: frozenset[str]) -> Iterator[str]:
-    for one in sorted(set(listed)):
-        if listed.count(one) > 1:
-            yield f"V05 {id_}: {one} stands twice under {key}"
-        if one == id_:
+    for item in sorted(set(listed)):
+        if listed.count(item) > 1:
+            yield f"V05 {id_}: {item} stands twice under {key}"
+        if item == id_:
             yield f"V06 {id_}: it refers to itself under {key}"
-        elif kind_of(one) not in allowed:
-            yield f"V04 {id_}: {one} is of no kind that may stand under {key}"
+        elif kind_of(item) not in allowed:
+            yield f"V04 {id_}: {item} is of no kind that may stand under {key}"
 
 
 def _challenge_problems(id_: str, node: Node, elements: Mapping[str, Node]) -> Iterator[str]:
     ends = challenged_id(node)
-    for one in ends:
-        if one not in elements:
-            yield f"C14 {id_}: it challenges {one}, which does not exist"
-        if one == id_:
+    for end in ends:
+        if end not in elements:
+            yield f"C14 {id_}: it challenges {end}, which does not exist"
+        if end == id_:
             yield f"C13 {id_}: it challenges itself"
     if len(ends) == 2 and ends[0] in elements:
         first, second = elements[ends[0]], ends[1]
@@ -239,9 +239,9 @@ def _challenge_problems(id_: str, node: Node, elements: Mapping[str, Node]) -> I
 def root_ids(elements: Mapping[str, Node]) -> list[str]:
     """Ids of the elements that no other refers to, and that challenge nothing."""
     told = {
-        one
+        item
         for node in elements.values()
-        for one in referenced_ids(node, "supportedBy") + referenced_ids(node, "inContextOf")
+        for item in referenced_ids(node, "supportedBy") + referenced_ids(node, "inContextOf")
     }
     return [id_ for id_, node in elements.items() if id_ not in told and not node.get("challenges")]
 
@@ -251,14 +251,14 @@ def _argument_problems(elements: Mapping[str, Node]) -> Iterator[str]:
     if len(top) != 1:
         names = ", ".join(top) or "none"
         yield f"C01: there is exactly one element that no other refers to, and here: {names}"
-    for one in top:
-        if kind_of(one) != "Goal":
-            yield f"C02 {one}: the element that no other refers to is a goal"
+    for element in top:
+        if kind_of(element) != "Goal":
+            yield f"C02 {element}: the element that no other refers to is a goal"
     cycle = _first_cycle(elements)
     if cycle:
         yield f"C04: {' -> '.join(cycle)} is a circle"
-    for one in sorted(set(elements) - reachable_ids(elements, top)):
-        yield f"C08 {one}: it cannot be reached from the top"
+    for element in sorted(set(elements) - reachable_ids(elements, top)):
+        yield f"C08 {element}: it cannot be reached from the top"
 
 
 def reachable_ids(elements: Mapping[str, Node], start: list[str]) -> set[str]:
@@ -270,13 +270,13 @@ def reachable_ids(elements: Mapping[str, Node], start: list[str]) -> set[str]:
     seen: set[str] = set()
     waiting = list(start)
     while waiting:
-        one = waiting.pop()
-        if one in seen or one not in elements:
+        item = waiting.pop()
+        if item in seen or item not in elements:
             continue
-        seen.add(one)
-        waiting += referenced_ids(elements[one], "supportedBy")
-        waiting += referenced_ids(elements[one], "inContextOf")
-        waiting += challengers.get(one, [])
+        seen.add(item)
+        waiting += referenced_ids(elements[item], "supportedBy")
+        waiting += referenced_ids(elements[item], "inContextOf")
+        waiting += challengers.get(item, [])
     return seen
 
 
@@ -288,18 +288,18 @@ def _first_cycle(elements: Mapping[str, Node]) -> list[str]:
         on_path: set[str] = set()
         waiting = [(start, False)]
         while waiting:
-            one, leaving = waiting.pop()
+            item, leaving = waiting.pop()
             if leaving:
                 path.pop()
-                on_path.discard(one)
-                done.add(one)
-            elif one in on_path:
-                return [*path[path.index(one) :], one]
-            elif one not in done and one in elements:
-                path.append(one)
-                on_path.add(one)
-                waiting.append((one, True))
+                on_path.discard(item)
+                done.add(item)
+            elif item in on_path:
+                return [*path[path.index(item) :], item]
+            elif item not in done and item in elements:
+                path.append(item)
+                on_path.add(item)
+                waiting.append((item, True))
                 waiting += [
-                    (child, False) for child in referenced_ids(elements[one], "supportedBy")
+                    (child, False) for child in referenced_ids(elements[item], "supportedBy")
                 ]
     return []

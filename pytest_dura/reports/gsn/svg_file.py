@@ -45,14 +45,14 @@ def render(record: SessionRecord) -> str:
     head, y = _picture_head(record, view)
     picture = layout_argument(view, next(iter(argument)), y)
     height = picture.height + MARGIN
-    edges = "\n".join(one.svg() for one in picture.edges)
-    shapes = "\n".join(one.svg() for one in picture.shapes)
-    told = argument[next(iter(argument))].text
+    edges = "\n".join(edge.svg() for edge in picture.edges)
+    shapes = "\n".join(shape.svg() for shape in picture.shapes)
+    text = argument[next(iter(argument))].text
     return (
         f'<svg xmlns="{NAMESPACE}" viewBox="0 0 {WIDTH:.0f} {height:.0f}" width="{WIDTH:.0f}" '
         f'height="{height:.0f}" role="img" aria-labelledby="gsn-title gsn-text">\n'
         '<title id="gsn-title">Assurance case, generated, unreviewed</title>\n'
-        f'<desc id="gsn-text">{text_of(f"{told} {session.text}")}</desc>\n'
+        f'<desc id="gsn-text">{text_of(f"{text} {session.text}")}</desc>\n'
         f"<style>{STYLE}</style><defs>{MARKERS}</defs>\n"
         f'<path fill="#fff" d="M0 0H{WIDTH:.0f}V{height:.0f}H0z"/>\n'
         f"{head}\n<g>{edges}</g>\n{shapes}\n</svg>\n"
@@ -64,7 +64,7 @@ def _picture_head(record: SessionRecord, view: DrawnArgument) -> tuple[str, floa
     lines = [("head", "Assurance case (GSN): generated, unreviewed")]
     if is_incomplete(record):
         lines.append(("warning", "INCOMPLETE SESSION: not all was run, so no claim is made here."))
-    lines += [("", one) for one in view.folded]
+    lines += [("", item) for item in view.folded]
     if REVIEW_ID in view.argument:
         layers = view.argument[REVIEW_ID].layers
         blank = "." * 32
@@ -97,8 +97,8 @@ def _legend(y: float) -> list[str]:
     undeveloped = Shape("undeveloped", "Goal", ["Undeveloped"], 104, undeveloped=True, x=x, y=y)
     defeated = Shape("defeated", "Goal", ["Defeated"], 90, defeated=True, x=x + 120, y=y)
     told += [
-        one.svg().replace("data-id", "data-legend").replace("data-box", "data-size")
-        for one in (undeveloped, defeated)
+        item.svg().replace("data-id", "data-legend").replace("data-box", "data-size")
+        for item in (undeveloped, defeated)
     ]
     x += 226
     names = {
@@ -125,7 +125,7 @@ def read_counts(text: str) -> Counts:
         root = ET.fromstring(text)  # noqa: S314 - entities are refused above
     except ET.ParseError as error:
         _reading_error(f"no XML: {error}")
-    shapes = [one.attrib for one in root.iter(f"{{{NAMESPACE}}}g") if "data-id" in one.attrib]
+    shapes = [item.attrib for item in root.iter(f"{{{NAMESPACE}}}g") if "data-id" in item.attrib]
     sums: Counter[str] = Counter()
     for shape in shapes:
         for key in _SUMMED:

@@ -114,14 +114,14 @@ def check_requirements(user: UserArgument, requirements: Iterable[str]) -> None:
     known = sorted(requirements)
     for id_, node in user["elements"].items():
         for key in (*_LISTS, "challenges"):
-            for one in [node[key]] if isinstance(node.get(key), str) else node.get(key, []):
-                told = one.removeprefix("requirement:")
-                if told != one and told not in known:
+            for item in [node[key]] if isinstance(node.get(key), str) else node.get(key, []):
+                removeprefix = item.removeprefix("requirement:")
+                if removeprefix != item and removeprefix not in known:
                     argument_error(
                         user,
                         "this requirement is not part of the session",
                         f"{id_}.{key}",
-                        found=one,
+                        found=item,
                         expected=f"one of {', '.join(known) or 'none'}",
                         remedy="correct the id, or select the scenarios that judge it",
                     )
@@ -174,13 +174,13 @@ class _Reader:
             _file_error(
                 "the file holds no elements", self.file, line=1, expected="`G1:` and others"
             )
-        found = self._mapping(root, "")
-        found.pop("module", None)
-        if not found:
+        mapping = self._mapping(root, "")
+        mapping.pop("module", None)
+        if not mapping:
             _file_error(
                 "the file holds no elements", self.file, line=1, expected="`G1:` and others"
             )
-        return {id_: self._element(id_, node) for id_, node in found.items()}
+        return {id_: self._element(id_, node) for id_, node in mapping.items()}
 
     def _events(self, text: str) -> None:
         """Refuse what could explode or make objects, before anything is built from it."""
@@ -235,7 +235,7 @@ class _Reader:
         if isinstance(node, yaml.MappingNode):
             return self._mapping(node, path)
         if isinstance(node, yaml.SequenceNode):
-            return [self._plain(one, path) for one in node.value]
+            return [self._plain(item, path) for item in node.value]
         if node.style is None and node.value in ("true", "false"):
             return bool(node.value == "true")
         return node.value
@@ -269,7 +269,7 @@ class _Reader:
 
 def _names(value: Any) -> bool:
     return isinstance(value, str) or (
-        isinstance(value, list) and all(isinstance(one, str) for one in value)
+        isinstance(value, list) and all(isinstance(item, str) for item in value)
     )
 
 
@@ -307,7 +307,7 @@ def merge_user_argument(argument: Argument, user: UserArgument, *, whole: bool =
         ConfigurationError: If an id is taken, a reference leads nowhere, or a rule is broken.
     """
     own = _user_elements(argument, user)
-    plain = {id_: one.to_yaml() for id_, one in own.items()}
+    plain = {id_: item.to_yaml() for id_, item in own.items()}
     top = root_ids(plain)
     if len(top) != 1:
         argument_error(
@@ -318,32 +318,32 @@ def merge_user_argument(argument: Argument, user: UserArgument, *, whole: bool =
             expected="one top goal",
             remedy="let an element refer to the others",
         )
-    everything = plain | {id_: one.to_yaml() for id_, one in argument.items()}
+    everything = plain | {id_: item.to_yaml() for id_, item in argument.items()}
     taken = reachable_ids(everything, top) - set(own)
     rest = [
         *_unused_contexts(argument, taken),
         *_top_challenges(argument, taken, top[0], whole=whole),
     ]
     around = [
-        one
-        for one in argument.values()
-        if one.id not in taken and one.alias.partition(":")[0] in _KEPT_KINDS
+        item
+        for item in argument.values()
+        if item.id not in taken and item.alias.partition(":")[0] in _KEPT_KINDS
     ]
-    told = (*around, *(one for one in rest if one.kind == "Context"))
+    told = (*around, *(item for item in rest if item.kind == "Context"))
     root = own.pop(top[0])
     if root.kind != "Goal":
         argument_error(
             user, "the top element is no goal", root.id, found=root.id, expected="a goal, G..."
         )
-    root = replace(root, in_context_of=(*root.in_context_of, *(one.id for one in told)))
-    kept = [one for one in argument.values() if one.id in taken]
-    found = {one.id: one for one in [root, *own.values(), *kept, *around, *rest]}
+    root = replace(root, in_context_of=(*root.in_context_of, *(item.id for item in told)))
+    kept = [item for item in argument.values() if item.id in taken]
+    found = {item.id: item for item in [root, *own.values(), *kept, *around, *rest]}
     _check_rules(found, user)
     return found
 
 
-def _check_rules(found: Argument, user: UserArgument) -> None:
-    for problem in rule_problems({id_: one.to_yaml() for id_, one in found.items()}):
+def _check_rules(argument: Argument, user: UserArgument) -> None:
+    for problem in rule_problems({id_: item.to_yaml() for id_, item in argument.items()}):
         place, _, what = problem.partition(": ")
         argument_error(
             user,
@@ -356,7 +356,7 @@ def _check_rules(found: Argument, user: UserArgument) -> None:
 
 
 def _user_elements(argument: Argument, user: UserArgument) -> Argument:
-    aliases = {one.alias: id_ for id_, one in reversed(argument.items()) if one.alias}
+    aliases = {item.alias: id_ for id_, item in reversed(argument.items()) if item.alias}
     own: Argument = {}
     for id_, node in user["elements"].items():
         if id_ in argument:
@@ -376,7 +376,7 @@ def _user_element(
     id_: str, node: Mapping[str, Any], known: Mapping[str, str | None], user: UserArgument
 ) -> Element:
     def resolved(names: Iterable[str], key: str) -> tuple[str, ...]:
-        return tuple(_resolved_ids(one, f"{id_}.{key}", known, user) for one in names)
+        return tuple(_resolved_ids(item, f"{id_}.{key}", known, user) for item in names)
 
     keys = ("text", "supportedBy", "inContextOf", "challenges", "undeveloped", "defeated", "url")
     layers = _clean_text({key: value for key, value in node.items() if key not in keys})
@@ -401,9 +401,11 @@ def _resolved_ids(given: str, key: str, known: Mapping[str, str | None], user: U
         return given
     # An alias has a requirement's id as it is shown, and the user writes it as it is.
     what, mark, named = given.partition(":")
-    found = given if given in known else f"{what}{mark}{name(named)}"
-    if found not in known:
-        aliases = sorted(one for one, id_ in known.items() if id_ and one.startswith("requirement"))
+    text = given if given in known else f"{what}{mark}{name(named)}"
+    if text not in known:
+        aliases = sorted(
+            item for item, id_ in known.items() if id_ and item.startswith("requirement")
+        )
         argument_error(
             user,
             "this element does not exist",
@@ -413,22 +415,22 @@ def _resolved_ids(given: str, key: str, known: Mapping[str, str | None], user: U
             f"{', '.join(aliases[:8]) or 'top'}",
             remedy="the ids and aliases stand in assurance-case.gsn.yaml",
         )
-    return known[found] or found
+    return known[text] or text
 
 
 def _clean_text(value: Any) -> Any:
     if isinstance(value, str):
         return visible(value)
     if isinstance(value, list):
-        return [_clean_text(one) for one in value]
+        return [_clean_text(item) for item in value]
     if isinstance(value, dict):
-        return {name(key): _clean_text(one) for key, one in value.items()}
+        return {name(key): _clean_text(item) for key, item in value.items()}
     return value
 
 
 def _unused_contexts(argument: Argument, taken: set[str]) -> Iterator[Element]:
     """One context for each requirement of which something is not taken up, with its counts."""
-    plain = {id_: one.to_yaml() for id_, one in argument.items()}
+    plain = {id_: item.to_yaml() for id_, item in argument.items()}
     for requirement in argument.values():
         what, _, named = requirement.alias.partition(":")
         if what != "requirement":
@@ -438,8 +440,10 @@ def _unused_contexts(argument: Argument, taken: set[str]) -> Iterator[Element]:
         if not left:
             continue
         counts = _unused_counts(left)
-        words = ", ".join(f"{counts[word]} {word}" for word in _VERDICT_STATUSES)
-        untested = sum(one.alias.startswith("untested:") for one in left)
+        words = ", ".join(
+            f"{counts[verdict_status]} {verdict_status}" for verdict_status in _VERDICT_STATUSES
+        )
+        untested = sum(element.alias.startswith("untested:") for element in left)
         what = "verdicts" if requirement.id in taken else "requirement, verdicts"
         yield Element(
             derived_id("C", "unused", named),
@@ -459,10 +463,13 @@ def _unused_contexts(argument: Argument, taken: set[str]) -> Iterator[Element]:
 
 
 def _unused_counts(left: list[Element]) -> dict[str, int]:
-    goals = [one for one in left if one.alias.startswith("verdict:")]
-    told = {word: sum(one.layers["verdict"] == word for one in goals) for word in _VERDICT_STATUSES}
-    told["requirements"] = sum(one.alias.startswith("requirement:") for one in left)
-    told["waived"] = sum(one.alias.startswith("waiver:") for one in left)
+    goals = [element for element in left if element.alias.startswith("verdict:")]
+    told = {
+        verdict_status: sum(goal.layers["verdict"] == verdict_status for goal in goals)
+        for verdict_status in _VERDICT_STATUSES
+    }
+    told["requirements"] = sum(element.alias.startswith("requirement:") for element in left)
+    told["waived"] = sum(element.alias.startswith("waiver:") for element in left)
     return told
 
 
@@ -471,12 +478,12 @@ def _top_challenges(
 ) -> Iterator[Element]:
     """What challenges the user's top goal: violations that it leaves out, and missing runs."""
     left = [
-        one.alias.partition(":")[2]
-        for one in argument.values()
-        if one.id not in taken
+        item.alias.partition(":")[2]
+        for item in argument.values()
+        if item.id not in taken
         and (
-            (one.defeated and one.alias.startswith("verdict:"))
-            or one.alias.startswith(COUNTEREXAMPLE_PREFIX)
+            (item.defeated and item.alias.startswith("verdict:"))
+            or item.alias.startswith(COUNTEREXAMPLE_PREFIX)
         )
     ]
     if left:

@@ -119,7 +119,7 @@ def scenario_text(scenario: str, parameters: list[Data]) -> str:
     """A scenario of the operational domain, with its variation ranges."""
     if not parameters:
         return f"Scenario {name(scenario)}: no parameter varies."
-    told = [f"{name(one['parameter'])} {_range_text(one)}" for one in parameters]
+    told = [f"{name(parameter['parameter'])} {_range_text(parameter)}" for parameter in parameters]
     return f"Scenario {name(scenario)}: {'; '.join(told)}."
 
 
@@ -128,7 +128,7 @@ def _range_text(parameter: Data) -> str:
     if parameter["choices"] is None:
         low, high = _figure_text(parameter["low"]), _figure_text(parameter["high"])
         return f"in [{low}, {high}], {drawn} drawn, {covered} of its tenths reached"
-    choices = names_text([str(one["value"]) for one in parameter["choices"]])
+    choices = names_text([str(choice["value"]) for choice in parameter["choices"]])
     return f"one of {choices}; {drawn} drawn, {covered} of the choices reached"
 
 
@@ -149,8 +149,8 @@ def monitor_text(monitor: str, target: str, rows: list[Data]) -> str:
 
 def names_text(names: list[str], most: int = 8) -> str:
     """Names with commas; of many, the first few and how many more there are."""
-    told = ", ".join(name(one) for one in names[:most])
-    return f"{told} and {len(names) - most} more" if len(names) > most else told
+    text = ", ".join(name(item) for item in names[:most])
+    return f"{text} and {len(names) - most} more" if len(names) > most else text
 
 
 def _figure_text(value: Any) -> str:
@@ -159,8 +159,8 @@ def _figure_text(value: Any) -> str:
 
 def as_sentence(text: str) -> str:
     """A text of a user's on one line, ended."""
-    told = one_line(text, MAX_TEXT)
-    return told if not told or told[-1] in ".!?)" else f"{told}."
+    line = one_line(text, MAX_TEXT)
+    return line if not line or line[-1] in ".!?)" else f"{line}."
 
 
 MAX_COUNTEREXAMPLES = 5
@@ -194,15 +194,15 @@ class EpisodeFacts:
             for counterexample in shown_counterexamples(verdict)
         }
         judged = {verdict["case"] for verdict in record["verdicts"]}
-        for one in record.episodes():
-            told._take(one, judged=one["case"] in judged)
-            key = (one["id"], one["component"])
+        for episode in record.episodes():
+            told._take(episode, judged=episode["case"] in judged)
+            key = (episode["id"], episode["component"])
             if key in wanted:
-                told.counterexamples[key] = {"seed": one["seed"], "trace": one["trace"]}
+                told.counterexamples[key] = {"seed": episode["seed"], "trace": episode["trace"]}
         return told
 
-    def _take(self, one: Data, *, judged: bool) -> None:
-        spec, seed = one["spec"], one["seed"]
+    def _take(self, episode: Data, *, judged: bool) -> None:
+        spec, seed = episode["spec"], episode["seed"]
         if judged and len(self.policies) < _MOST_NAMES:
             self.policies.add(str(spec["policy"]))
         if len(self.simulators) < _MOST_NAMES:
@@ -306,7 +306,7 @@ class _VerdictBuilder:
         support = [] if undecided else [self._solution()]
         waiver = [self._waiver()] if waived else []
         challenge = list(self._challenge()) if contested else []
-        goal = self._goal([one.id for one in support], [one.id for one in waiver])
+        goal = self._goal([item.id for item in support], [item.id for item in waiver])
         return VerdictElements(
             self.verdict,
             goal.id,
@@ -315,21 +315,23 @@ class _VerdictBuilder:
         )
 
     def _goal(self, support: list[str], waivers: list[str]) -> Element:
-        word = self.verdict["verdict"]
+        verdict = self.verdict["verdict"]
         why = (
-            f" Undecided: {as_sentence(str(self.verdict['reason']))}" if word == "undecided" else ""
+            f" Undecided: {as_sentence(str(self.verdict['reason']))}"
+            if verdict == "undecided"
+            else ""
         )
         return Element(
             self.identifier("G"),
             verdict_text(self.verdict, several=self.several) + why,
             supported_by=tuple(support),
             in_context_of=tuple(waivers),
-            undeveloped=word == "undecided",
-            defeated=word == "violated",
+            undeveloped=verdict == "undecided",
+            defeated=verdict == "violated",
             url=self.url,
             alias=self.alias("verdict"),
             layers=self.layers(),
-            brief=(self.where, word + (", waived" if waivers else "")),
+            brief=(self.where, verdict + (", waived" if waivers else "")),
         )
 
     def _solution(self) -> Element:
@@ -353,16 +355,16 @@ class _VerdictBuilder:
 
     def _challenge(self) -> Iterator[Element]:
         """A counter goal, and the counterexamples or else the verdict's entry to support it."""
-        found = shown_counterexamples(self.verdict)
-        evidence = [self._counterexample(i, one) for i, one in enumerate(found)]
+        counterexamples = shown_counterexamples(self.verdict)
+        evidence = [self._counterexample(i, item) for i, item in enumerate(counterexamples)]
         if not evidence:
             text = evidence_text(self.verdict)
             short = tuple(short_evidence_text(self.verdict))
             evidence = [Element(self.identifier("CSn"), text, url=self.url, brief=short)]
         yield Element(
             self.identifier("CG"),
-            self._challenge_text(len(found)),
-            supported_by=tuple(one.id for one in evidence),
+            self._challenge_text(len(counterexamples)),
+            supported_by=tuple(item.id for item in evidence),
             challenges=self.identifier("G"),
             url=self.url,
             alias=self.alias("challenge"),
@@ -396,16 +398,19 @@ class _VerdictBuilder:
             f"{self.requirement} in {self.where}{how}{fault_free_violations_text(verdict)}.{more}"
         )
 
-    def _counterexample(self, index: int, one: Data) -> Element:
-        episode = one["episode"]
-        when = "" if one["time"] is None else f" at {one['time']:.4g} s"
-        margin = "" if one["margin"] is None else f", margin {one['margin']:.4g}"
+    def _counterexample(self, index: int, item: Data) -> Element:
+        episode = item["episode"]
+        when = "" if item["time"] is None else f" at {item['time']:.4g} s"
+        margin = "" if item["margin"] is None else f", margin {item['margin']:.4g}"
         known = self.facts.counterexamples.get((episode, self.verdict["component"]), {})
         seed = f", seed {known['seed']}" if known else ""
-        effect = "" if one["valid"] else ", without effect of the fault"
+        effect = "" if item["valid"] else ", without effect of the fault"
         trace = known.get("trace")
         given = evidence_option(self.record["command"])
-        models = {key: name(one) for key, one in model_options(self.record["command"]).items()}
+        models = {
+            key: name(model_option)
+            for key, model_option in model_options(self.record["command"]).items()
+        }
         command = replay_command(name(episode), None if given is None else name(given), models)
         layers = {"replay": command}
         if trace is not None:

@@ -54,8 +54,8 @@ def anchor(kind: str, *parts: str) -> str:
     Two lists of parts that differ never have the same one: a short hash tells them apart, where
     the readable text leaves anything out.
     """
-    told = "-".join(part[:MAX_READABLE] for part in parts)
-    readable = re.sub(r"[^A-Za-z0-9._]+", "-", told).strip("-")[:MAX_READABLE]
+    text = "-".join(part[:MAX_READABLE] for part in parts)
+    readable = re.sub(r"[^A-Za-z0-9._]+", "-", text).strip("-")[:MAX_READABLE]
     if len(parts) == 1 and readable == parts[0]:
         return f"{kind}-{readable}"
     joined = "\0".join(parts).encode("utf-8", "surrogatepass")
@@ -108,12 +108,12 @@ def split_folded(
 def _is_plain(case: Data, verdicts: list[Data]) -> bool:
     metrics = case["metrics"]
     collided = metrics["collided"]
-    told = case["missing_runs_total"] or metrics["invalid"] or metrics["missing"]
-    if told or (collided and collided["run"]):
+    missing_runs_total = case["missing_runs_total"] or metrics["invalid"] or metrics["missing"]
+    if missing_runs_total or (collided and collided["run"]):
         return False
     if case["without"]:  # a reference arm, the verdicts stand on the case it belongs to
         return not verdicts
-    names = {one["requirement"] for one in verdicts}
+    names = {verdict["requirement"] for verdict in verdicts}
     return bool(verdicts) and names.issuperset(case["requirements"]) and all(map(_passed, verdicts))
 
 
@@ -238,10 +238,10 @@ def violations_by_episode(record: SessionRecord) -> dict[CaseKey, list[str]]:
     """Requirements that each episode violated, by its id and component."""
     found: dict[CaseKey, list[str]] = {}
     for verdict in record["verdicts"]:
-        for one in verdict["counterexamples"]:
-            told = found.setdefault((one["episode"], verdict["component"]), [])
-            if verdict["requirement"] not in told:
-                told.append(verdict["requirement"])
+        for counterexample in verdict["counterexamples"]:
+            setdefault = found.setdefault((counterexample["episode"], verdict["component"]), [])
+            if verdict["requirement"] not in setdefault:
+                setdefault.append(verdict["requirement"])
     return found
 
 
@@ -275,7 +275,7 @@ _SHOWN_KEYS = (
 
 def _brief(episode: Data) -> Data:
     """What is shown of an episode: a thousand whole records would take much memory."""
-    critical = [one["detail"] for one in episode["events"] if one["kind"] == "critical"]
+    critical = [event["detail"] for event in episode["events"] if event["kind"] == "critical"]
     kept = {key: episode[key] for key in _SHOWN_KEYS}
     return {**kept, "run": episode["spec"]["run"], "critical": critical[0] if critical else ""}
 
@@ -312,7 +312,7 @@ class EpisodeLinks:
         """Of what was gathered, and of the episodes with a player."""
         return cls(
             {key: player_anchor(*key) for key in players},
-            {one.key: episode_anchor(*one.key) for one in gathered.listed},
+            {episode.key: episode_anchor(*episode.key) for episode in gathered.listed},
         )
 
     def of_episode(self, episode: str, component: str) -> str | None:

@@ -57,13 +57,13 @@ def matrix(
     """
     if len(places) <= len(requirements):
         rows = [
-            {**one, "cells": [cell(i, j) for j in range(len(places))]}
-            for i, one in enumerate(requirements)
+            {**requirement, "cells": [cell(i, j) for j in range(len(places))]}
+            for i, requirement in enumerate(requirements)
         ]
         return {"corner": "Requirement", "columns": places, "rows": rows}
     rows = [
-        {**one, "cells": [cell(i, j) for i in range(len(requirements))]}
-        for j, one in enumerate(places)
+        {**place, "cells": [cell(i, j) for i in range(len(requirements))]}
+        for j, place in enumerate(places)
     ]
     return {"corner": place, "columns": requirements, "rows": rows}
 
@@ -190,7 +190,7 @@ def scenario_section(record: SessionRecord, gathered: ReportContents, _links: Ep
             if (found := [row for row in rows if bool(row["without"]) is arms])
             + (folded := [row for row in rest if bool(row["without"]) is arms])
         ],
-        "overall": [one for one in record["overall"] if one["cases"] > 1],
+        "overall": [item for item in record["overall"] if item["cases"] > 1],
         "several": len({case["component"] for case in cases}) > 1,
         "users": sorted({name for case in cases for name in case["metrics"]["user"]}),
         "chart": clearance_chart(chart) if chart else None,
@@ -201,12 +201,12 @@ def _folded_sums(cases: list[Data]) -> Data:
     """The sums of cases without rows."""
     metrics = [case["metrics"] for case in cases]
     shares = {
-        word: sum(one[word]["valid"] for one in metrics if one[word])
-        for word in ("flagged", "gridlock", "rescued", "comfort_failed")
+        name: sum(metric[name]["valid"] for metric in metrics if metric[name])
+        for name in ("flagged", "gridlock", "rescued", "comfort_failed")
     }
     sums = {
-        word: sum(one[word] for one in metrics)
-        for word in ("valid", "planned", "recoveries", "alerts")
+        name: sum(metric[name] for metric in metrics)
+        for name in ("valid", "planned", "recoveries", "alerts")
     }
     return {"number": len(cases), **shares, **sums}
 
@@ -218,18 +218,18 @@ MAX_BARS = 20
 
 def coverage_section(record: SessionRecord, gathered: ReportContents, _links: EpisodeLinks) -> Data:
     """The matrix of cells, and the bars of each varied parameter."""
-    found = record["coverage"]
-    requirements = [one["id"] for one in record["requirements"]]
+    coverage = record["coverage"]
+    requirements = [requirement["id"] for requirement in record["requirements"]]
     places: dict[tuple[str, str], dict[str, list[str | None]]] = {}
-    shown, rest = _split_folded_cells(found["cells"], gathered.folded)
+    shown, rest = _split_folded_cells(coverage["cells"], gathered.folded)
     for cell in shown:
         row = places.setdefault((cell["scenario"], cell["faults"]), {})
         row.setdefault(cell["requirement"], []).append(cell["verdict"])
         if cell["requirement"] not in requirements:
             requirements.append(cell["requirement"])
     columns = sorted(places)
-    words = Counter(one["verdict"] for one in found["cells"])
-    judged = {_cell_key(one) for one in record["verdicts"] if one["run"]}
+    words = Counter(cell["verdict"] for cell in coverage["cells"])
+    judged = {_cell_key(verdict) for verdict in record["verdicts"] if verdict["run"]}
     return {
         "matrix": matrix(
             [heading(name, anchor=requirement_anchor(name)) for name in requirements],
@@ -241,15 +241,16 @@ def coverage_section(record: SessionRecord, gathered: ReportContents, _links: Ep
             lambda i, j: places[columns[j]].get(requirements[i]),
             "Scenario and faults",
         ),
-        "tested": sum(one["verdict"] is not None for one in found["cells"]),
-        "words": {word: words[word] for word in ("supported", "violated", "undecided")},
+        "tested": sum(cell["verdict"] is not None for cell in coverage["cells"]),
+        "words": {name: words[name] for name in ("supported", "violated", "undecided")},
         "not_run": sum(
-            one["verdict"] is not None and _cell_key(one) not in judged for one in found["cells"]
+            cell["verdict"] is not None and _cell_key(cell) not in judged
+            for cell in coverage["cells"]
         ),
-        "cells": len(found["cells"]) + found["left_out"],
-        "left_out": found["left_out"],
+        "cells": len(coverage["cells"]) + coverage["left_out"],
+        "left_out": coverage["left_out"],
         "folded": len(set(map(_scenario_key, rest))),
-        "parameters": [_parameter_bars(one) for one in found["parameters"]],
+        "parameters": [_parameter_bars(parameter) for parameter in coverage["parameters"]],
     }
 
 
@@ -268,21 +269,21 @@ def _scenario_key(cell: Data) -> tuple[str, str]:
     return cell["scenario"], cell["faults"]
 
 
-def _cell_key(one: Data) -> tuple[str, str, str]:
+def _cell_key(verdict: Data) -> tuple[str, str, str]:
     """What a cell and the verdicts on it have in common."""
-    return one["requirement"], one["case"], one["component"]
+    return verdict["requirement"], verdict["case"], verdict["component"]
 
 
-def _parameter_bars(one: Data) -> Data:
-    choices = one["choices"]
-    counts = one["bins"] if choices is None else [choice["count"] for choice in choices]
+def _parameter_bars(item: Data) -> Data:
+    choices = item["choices"]
+    counts = item["bins"] if choices is None else [choice["count"] for choice in choices]
     highest = max([*counts, 1])
     bars = []
     for place, count in enumerate(counts[:MAX_BARS]):
         height = round(BIN_HEIGHT * count / highest, 1)
         bars.append({"x": place * BIN_WIDTH, "y": BIN_HEIGHT - height, "height": height})
     return {
-        **one,
+        **item,
         "counts": counts,
         "bars": bars,
         "width": BIN_WIDTH * len(bars),
@@ -337,11 +338,11 @@ def _heat_map(record: SessionRecord, left_out: Collection[str]) -> Data:
         names.update(dict.fromkeys(ids or [NO_FAULT]))
     for verdict in record["verdicts"]:
         ids = faults_of.get((verdict["case"], verdict["component"])) or [NO_FAULT]
-        for one in ids:
-            names.setdefault(one)
-            cells[one, verdict["requirement"]].append(verdict)
-    order = sorted(names.keys() - left_out, key=lambda one: (one != NO_FAULT, one))
-    requirements = [one["id"] for one in record["requirements"]]
+        for item in ids:
+            names.setdefault(item)
+            cells[item, verdict["requirement"]].append(verdict)
+    order = sorted(names.keys() - left_out, key=lambda name: (name != NO_FAULT, name))
+    requirements = [requirement["id"] for requirement in record["requirements"]]
     return matrix(
         [heading(name, anchor=requirement_anchor(name)) for name in requirements],
         [heading(name) for name in order],
@@ -353,13 +354,13 @@ def _heat_map(record: SessionRecord, left_out: Collection[str]) -> Data:
 def _heat_cell(verdicts: list[Data] | None) -> Data:
     if not verdicts:
         return {"word": "untested"}
-    n = sum(one["episodes"] for one in verdicts)
-    violations = sum(one["violations"] for one in verdicts)
+    n = sum(verdict["episodes"] for verdict in verdicts)
+    violations = sum(verdict["violations"] for verdict in verdicts)
     if not n:
         return {"word": "no valid episode"}
     step = sum(violations / n > bound for bound in HEAT_STEPS)
-    doubt = not violations and any(one["verdict"] == "undecided" for one in verdicts)
-    also = sum(one["also_without"] or 0 for one in verdicts)
+    doubt = not violations and any(verdict["verdict"] == "undecided" for verdict in verdicts)
+    also = sum(verdict["also_without"] or 0 for verdict in verdicts)
     counts = {"n": n, "violations": violations, "also_without": also}
     return {"word": "", "step": step, "doubt": doubt, **counts}
 
@@ -390,10 +391,14 @@ def episode_section(record: SessionRecord, gathered: ReportContents, links: Epis
         "total": gathered.total,
         "shown": len(gathered.listed),
         "rows": [
-            _episode_row(one, links, anchors) for one in gathered.listed if one.rank < UNREMARKABLE
+            _episode_row(item, links, anchors)
+            for item in gathered.listed
+            if item.rank < UNREMARKABLE
         ],
         "others": [
-            _episode_row(one, links, anchors) for one in gathered.listed if one.rank == UNREMARKABLE
+            _episode_row(item, links, anchors)
+            for item in gathered.listed
+            if item.rank == UNREMARKABLE
         ],
         "left_out": gathered.total - len(gathered.listed),
     }
@@ -409,20 +414,22 @@ def _case_counts(key: CaseKey, tally: CaseTally, case: Data | None) -> Data:
         "never": [] if case is None else case["missing_runs"],
         "never_total": 0 if case is None else case["missing_runs_total"],
         "run": tally.words.total(),
-        **{word: tally.words[word] for word in ("valid", "invalid", "missing")},
+        **{name: tally.words[name] for name in ("valid", "invalid", "missing")},
     }
 
 
-def _episode_row(one: ListedEpisode, links: EpisodeLinks, anchors: set[str]) -> Data:
-    own = links.listed[one.key]
+def _episode_row(episode: ListedEpisode, links: EpisodeLinks, anchors: set[str]) -> Data:
+    own = links.listed[episode.key]
     anchor = None if own in anchors else own
     anchors.add(own)
     return {
-        **one.episode,
+        **episode.episode,
         "anchor": anchor,
-        "violates": [{"id": name, "anchor": requirement_anchor(name)} for name in one.violates],
-        "player": links.players.get(one.key),
-        "why": one.episode["failure"] or one.episode["invalid_reason"] or one.episode["critical"],
+        "violates": [{"id": name, "anchor": requirement_anchor(name)} for name in episode.violates],
+        "player": links.players.get(episode.key),
+        "why": episode.episode["failure"]
+        or episode.episode["invalid_reason"]
+        or episode.episode["critical"],
     }
 
 
@@ -436,15 +443,15 @@ def failure_mode_section(
     """A table over all cases for each component that gave accounts, and one of single cases."""
     cases = record["cases"]
     rows = [
-        {"case": case, **_failure_mode_row(one)}
+        {"case": case, **_failure_mode_row(failure_mode)}
         for case in cases_with_accounts(cases)
-        for one in measured_failure_modes(case["metrics"]["failure_modes"])
+        for failure_mode in measured_failure_modes(case["metrics"]["failure_modes"])
     ]
     return {
         "components": [
             {
                 "component": component,
-                "groups": _failure_mode_groups([_failure_mode_row(one) for one in modes]),
+                "groups": _failure_mode_groups([_failure_mode_row(mode) for mode in modes]),
             }
             for component, modes in failure_modes_by_component(cases).items()
         ],
@@ -456,13 +463,13 @@ def failure_mode_section(
     }
 
 
-def _failure_mode_row(one: Data) -> dict[str, Any]:
+def _failure_mode_row(item: Data) -> dict[str, Any]:
     return {
-        **one,
-        "words": failure_mode_text(one["name"]),
-        "percent": percent_text(one["share"]),
-        "null_percent": percent_text(one["null_share"]),
-        "at_most": percent_text(one.get("upper")),
+        **item,
+        "words": failure_mode_text(item["name"]),
+        "percent": percent_text(item["share"]),
+        "null_percent": percent_text(item["null_share"]),
+        "at_most": percent_text(item.get("upper")),
     }
 
 

@@ -138,24 +138,24 @@ def embed_players(record: SessionRecord, candidates: Sequence[ListedEpisode]) ->
     """
     players = Players()
     room = MAX_CHARACTERS
-    for one in candidates:
+    for candidate in candidates:
         if len(players.shown) == MAX_PLAYERS:
             break
-        if one.key in players.shown:
+        if candidate.key in players.shown:
             continue
         packed, problem = None, ""
         try:
-            packed = _packed_trace(record, one)
+            packed = _packed_trace(record, candidate)
         except Exception as error:  # told in the trace's place
             problem = describe_error(error)
         if packed is not None and len(packed) > room:
             continue
-        told = {**one.episode, "violates": one.violates, "problem": problem}
+        told = {**candidate.episode, "violates": candidate.violates, "problem": problem}
         told["packed"] = None if packed is None else _plain_base64(packed)
-        players.rows.append({**told, "anchor": player_anchor(*one.key)})
+        players.rows.append({**told, "anchor": player_anchor(*candidate.key)})
         if packed is not None:
             room -= len(packed)
-            players.shown.append(one.key)
+            players.shown.append(candidate.key)
     if players.shown:
         from pytest_dura.reports.html.player import player_assets
 
@@ -163,7 +163,7 @@ def embed_players(record: SessionRecord, candidates: Sequence[ListedEpisode]) ->
     return players
 
 
-def _packed_trace(record: SessionRecord, one: ListedEpisode) -> str:
+def _packed_trace(record: SessionRecord, episode: ListedEpisode) -> str:
     """The player's text of an episode's trace.
 
     Raises:
@@ -172,31 +172,33 @@ def _packed_trace(record: SessionRecord, one: ListedEpisode) -> str:
     from pytest_dura.evidence.mcap import read_trace
     from pytest_dura.reports.html.player import pack_data, player_data
 
-    file = _file_inside(record.directory, one.episode["trace"]["file"])
+    file = _file_inside(record.directory, episode.episode["trace"]["file"])
     digest = file_entry(file)["sha256"]
-    if digest != one.episode["trace"]["sha256"]:
+    if digest != episode.episode["trace"]["sha256"]:
         raise ValueError(f"its SHA-256 is {digest[:12]}..., and the record says another")
-    return pack_data(player_data(read_trace(file), _verdicts_on_episode(record, one)))
+    return pack_data(player_data(read_trace(file), _verdicts_on_episode(record, episode)))
 
 
-def _verdicts_on_episode(record: SessionRecord, one: ListedEpisode) -> list[Data]:
+def _verdicts_on_episode(record: SessionRecord, episode: ListedEpisode) -> list[Data]:
     """What the record says of this very episode, its violations first."""
     violated: list[Data] = []
     others: list[Data] = []
     for verdict in record["verdicts"]:
         case = verdict["case"], verdict["component"]
-        if case != (one.episode["case"], one.episode["component"]):
+        if case != (episode.episode["case"], episode.episode["component"]):
             continue
         told = {"requirement": verdict["requirement"], "check": verdict["check"]}
         against = [
-            found for found in verdict["counterexamples"] if found["episode"] == one.episode["id"]
+            counterexample
+            for counterexample in verdict["counterexamples"]
+            if counterexample["episode"] == episode.episode["id"]
         ]
-        if against and one.violates:
+        if against and episode.violates:
             told |= {"time": against[0]["time"], "margin": against[0]["margin"]}
             note = "" if against[0]["valid"] else "without effect of the fault"
             violated.append({**told, "verdict": "violated", "note": note})
         else:
-            word, note = _satisfied_verdict(verdict, one.episode)
+            word, note = _satisfied_verdict(verdict, episode.episode)
             others.append({**told, "verdict": word, "note": note})
     return violated + others
 
@@ -373,7 +375,7 @@ def read_counts(text: str) -> Counts:
         valid=episodes["valid"],
         invalid=episodes["invalid"],
         missing=episodes["missing"],
-        **{word: page.words[word] for word in CAMPAIGN_STATUSES},
+        **{campaign_status: page.words[campaign_status] for campaign_status in CAMPAIGN_STATUSES},
         waived=page.waived,
     )
 
@@ -435,12 +437,12 @@ class _PageParser(HTMLParser):
         self._text.append(data)
 
     def handle_endtag(self, tag: str) -> None:
-        told = "".join(self._text).strip()
+        strip = "".join(self._text).strip()
         if tag in ("b", "strong") and self._marked:
-            self._mark(told)
+            self._mark(strip)
             self._marked = ""
         elif tag in ("td", "th") and self._row is not None:
-            self._row.cells.append(told)
+            self._row.cells.append(strip)
         elif tag == "tr" and self._row is not None:
             self._end_row(self._row)
             self._row = None

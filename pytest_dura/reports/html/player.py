@@ -49,14 +49,16 @@ def scene_data(scene: Scene, text: Callable[[object], str]) -> dict[str, Any]:
         four as lists of differences, one per tick; it ends where the thing is absent or its size
         changes. ``same`` has ``[tick, ticks]`` in which a percept is what the truth is.
     """
-    truth = {one: _rounded_poses(scene.truth, column) for column, one in enumerate(scene.truth.ids)}
+    truth = {
+        item: _rounded_poses(scene.truth, column) for column, item in enumerate(scene.truth.ids)
+    }
     return {
         "ego": text(scene.ego),
-        "lines": [_line_data(one, text) for one in scene.lines],
-        "truth": [_object_data(text(one), *found, None) for one, found in truth.items()],
+        "lines": [_line_data(line, text) for line in scene.lines],
+        "truth": [_object_data(text(item), *found, None) for item, found in truth.items()],
         "percept": [
-            _object_data(text(one), *_rounded_poses(scene.percept, column), truth.get(one))
-            for column, one in enumerate(scene.percept.ids)
+            _object_data(text(item), *_rounded_poses(scene.percept, column), truth.get(item))
+            for column, item in enumerate(scene.percept.ids)
         ],
     }
 
@@ -142,24 +144,24 @@ def player_data(trace: Trace, verdicts: Sequence[Mapping[str, Any]] = ()) -> dic
     recording, decisions = trace.recording, trace.decisions
     return {
         "about": {key: _plain(value) for key, value in trace.about.items()},
-        "time": [_number(one) for one in trace.time.tolist()],
+        "time": [_number(item) for item in trace.time.tolist()],
         "signals": {
-            _name(signal): [_number(one) for one in column.tolist()]
+            _name(signal): [_number(item) for item in column.tolist()]
             for signal, column in trace.signals.items()
         },
-        "verdicts": [_verdict(one, trace.time.tolist()) for one in verdicts],
+        "verdicts": [_verdict(verdict, trace.time.tolist()) for verdict in verdicts],
         "margins": _margins(trace, verdicts),
         "decisions": {
-            one: _flag_texts(decisions[one].tolist() if one in decisions else ())
-            for one in ("proposed", "executed", "source")
+            item: _flag_texts(decisions[item].tolist() if item in decisions else ())
+            for item in ("proposed", "executed", "source")
         },
-        "attempts": [_number(one) for one in decisions.get("attempts", ())],
+        "attempts": [_number(attempt) for attempt in decisions.get("attempts", ())],
         "explanations": _flag_texts(recording.explanations),
         "reasons": _flag_texts(recording.reasons),
         "recoveries": _flag_texts(recording.recoveries),
-        "accounts": _flag_texts([_account(one) for one in recording.accounts]),
+        "accounts": _flag_texts([_account(account) for account in recording.accounts]),
         "flags": {
-            _name(monitor): [_number(one) for one in column.tolist()]
+            _name(monitor): [_number(item) for item in column.tolist()]
             for monitor, column in recording.flags.items()
         },
         "events": _events(trace),
@@ -193,7 +195,7 @@ def _number(value: float) -> float | int | str | None:
 
 def _flag_texts(texts: Sequence[object]) -> dict[str, list[Any]]:
     known: dict[str, int] = {}
-    at = [known.setdefault(_text(one), len(known)) for one in texts]
+    at = [known.setdefault(_text(text), len(known)) for text in texts]
     return {"words": list(known), "at": at}
 
 
@@ -204,19 +206,19 @@ def _account(account: Mapping[str, Any]) -> str:
     )
 
 
-def _verdict(one: Mapping[str, Any], time: Sequence[float]) -> dict[str, Any]:
+def _verdict(verdict: Mapping[str, Any], time: Sequence[float]) -> dict[str, Any]:
     """A verdict, with the tick of its violation if its time is known."""
-    at, margin, check = one.get("time"), one.get("margin"), one.get("check")
+    at, margin, check = verdict.get("time"), verdict.get("margin"), verdict.get("check")
     tick = None
     if at is not None and time and math.isfinite(at):
         tick = min(bisect_left(time, at - _TIME_TOLERANCE), len(time) - 1)
     return {
-        "requirement": _name(one["requirement"]),
-        "verdict": _text(one["verdict"]),
+        "requirement": _name(verdict["requirement"]),
+        "verdict": _text(verdict["verdict"]),
         "time": None if at is None else _number(float(at)),
         "margin": None if margin is None else _number(float(margin)),
         "check": "" if check is None else _text(check),
-        "note": _text(one.get("note") or ""),
+        "note": _text(verdict.get("note") or ""),
         "tick": tick,
     }
 
@@ -224,8 +226,8 @@ def _verdict(one: Mapping[str, Any], time: Sequence[float]) -> dict[str, Any]:
 def _margins(trace: Trace, verdicts: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """The margin over time of each check that is a formula, once for those of the same one."""
     found: dict[str, dict[str, Any]] = {}
-    for one in sorted(verdicts, key=lambda one: one["verdict"] != "violated"):
-        check = one.get("check") or ""
+    for verdict in sorted(verdicts, key=lambda verdict: verdict["verdict"] != "violated"):
+        check = verdict.get("check") or ""
         if check not in found:
             if len(found) == MAX_MARGINS:
                 continue
@@ -235,8 +237,8 @@ def _margins(trace: Trace, verdicts: Sequence[Mapping[str, Any]]) -> list[dict[s
             formula, column = margin
             values = [_number(value) for value in column.tolist()]
             found[check] = {"formula": _text(formula), "requirements": [], "values": values}
-            found[check]["violated"] = one["verdict"] == "violated"
-        found[check]["requirements"].append(_name(one["requirement"]))
+            found[check]["violated"] = verdict["verdict"] == "violated"
+        found[check]["requirements"].append(_name(verdict["requirement"]))
     return list(found.values())
 
 
@@ -244,9 +246,9 @@ def _events(trace: Trace) -> list[list[Any]]:
     """Rows of tick, kind, subject and detail, with the collision that a signal tells of."""
     last = max(len(trace.time) - 1, 0)
     rows = [
-        [min(max(int(one["tick"]), 0), last), _name(one["kind"]),
-         _name(one["subject"]), _text(one.get("detail", ""))]
-        for one in trace.events
+        [min(max(int(event["tick"]), 0), last), _name(event["kind"]),
+         _name(event["subject"]), _text(event.get("detail", ""))]
+        for event in trace.events
     ]  # fmt: skip
     collided = trace.signals.get("collided")
     told = any(row[1] == "collision" for row in rows)
@@ -264,9 +266,9 @@ def _faults(events: Sequence[Mapping[str, Any]], ticks: int) -> list[dict[str, A
     for event in events:
         subject, tick = event["subject"], min(max(int(event["tick"]), 0), last)
         if event["kind"] == "fault_activated":
-            one = {"id": _name(subject), "from": tick, "to": last, "manifested": []}
-            active[subject] = one
-            found.append(one)
+            item = {"id": _name(subject), "from": tick, "to": last, "manifested": []}
+            active[subject] = item
+            found.append(item)
         elif event["kind"] == "fault_manifested" and subject in active:
             active[subject]["manifested"].append(tick)
         elif event["kind"] == "fault_deactivated" and subject in active:

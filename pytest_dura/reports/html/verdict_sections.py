@@ -46,9 +46,9 @@ Data = Mapping[str, Any]
 def gate_section(record: SessionRecord, _gathered: ReportContents, _links: EpisodeLinks) -> Data:
     """Sentences, and the verdicts that the gate's reasons speak of, by the words of the reason."""
     anchors = {}
-    for one in record["verdicts"]:
-        requirement, case = one["requirement"], one["case"]
-        reason = f"{requirement} on {case} is {one['verdict']}"
+    for verdict in record["verdicts"]:
+        requirement, case = verdict["requirement"], verdict["case"]
+        reason = f"{requirement} on {case} is {verdict['verdict']}"
         anchors[reason] = verdict_anchor(requirement, case)
     return {
         "anchors": anchors,
@@ -71,7 +71,7 @@ def requirement_section(
     record: SessionRecord, gathered: ReportContents, links: EpisodeLinks
 ) -> Data:
     """The requirements with their verdicts, the worst first, or else in the record's order."""
-    several = len({one["component"] for one in record["cases"]}) > 1
+    several = len({case["component"] for case in record["cases"]}) > 1
     rows: dict[str, list[Data]] = {}
     anchors: set[str] = set()
     methods: dict[tuple[str, str], int] = {}
@@ -80,20 +80,20 @@ def requirement_section(
     for verdict in rest:
         folded.setdefault(verdict["requirement"], []).append(verdict)
     for verdict in sorted(shown, key=_verdict_rank):
-        found = verdict_anchor(verdict["requirement"], verdict["case"])
-        own = None if found in anchors else found
-        anchors.add(found)
+        anchor = verdict_anchor(verdict["requirement"], verdict["case"])
+        own = None if anchor in anchors else anchor
+        anchors.add(anchor)
         note = methods.setdefault((verdict["bound"]["method"], verdict["method"]), len(methods) + 1)
         row = {**_verdict_row(verdict, links), "anchor": own, "note": note}
         rows.setdefault(verdict["requirement"], []).append(row)
     groups = [
         {
             "declared": True,
-            **_requirement_entry(one),
-            "rows": rows.pop(one["id"], []),
-            "folded": _folded_verdicts(folded.pop(one["id"], [])),
+            **_requirement_entry(requirement),
+            "rows": rows.pop(requirement["id"], []),
+            "folded": _folded_verdicts(folded.pop(requirement["id"], [])),
         }
-        for one in record["requirements"]
+        for requirement in record["requirements"]
     ]
     others = [
         {
@@ -114,12 +114,14 @@ def _verdict_rank(verdict: Data) -> int:
 
 def _folded_verdicts(verdicts: list[Data]) -> Data:
     """What is told of verdicts without rows: all of them are supported, by valid episodes."""
-    margins = [one["margin"] for one in verdicts if one["margin"] is not None]
-    bounds = [one["bound"]["upper"] for one in verdicts if one["bound"]["upper"] is not None]
+    margins = [verdict["margin"] for verdict in verdicts if verdict["margin"] is not None]
+    bounds = [
+        verdict["bound"]["upper"] for verdict in verdicts if verdict["bound"]["upper"] is not None
+    ]
     return {
         "number": len(verdicts),
-        "episodes": sum(one["episodes"] for one in verdicts),
-        "vacuous": sum(one["vacuous"] for one in verdicts),
+        "episodes": sum(verdict["episodes"] for verdict in verdicts),
+        "vacuous": sum(verdict["vacuous"] for verdict in verdicts),
         "margin": min(margins, default=None),
         "upper": max(bounds, default=None),
     }
@@ -140,7 +142,8 @@ def _verdict_row(verdict: Data, links: EpisodeLinks) -> Data:
     return {
         **verdict,
         "worst": [
-            {**one, "link": links.of_episode(one["episode"], verdict["component"])} for one in shown
+            {**item, "link": links.of_episode(item["episode"], verdict["component"])}
+            for item in shown
         ],
         "by_assertion": assertion_sentences(verdict),
         "more": len(verdict["counterexamples"]) - len(shown),
@@ -160,20 +163,20 @@ def traceability_section(
     folded = Counter(verdict["requirement"] for verdict in rest)
     cases, folded_cases = split_folded(record["cases"], gathered.folded, "id")
     for verdict in shown:
-        told = _trace_step(verdict, links)
-        by_requirement.setdefault(verdict["requirement"], []).append(told)
-        by_case.setdefault((verdict["case"], verdict["component"]), []).append(told)
-    named = {one["id"] for one in record["requirements"]}
+        trace_step = _trace_step(verdict, links)
+        by_requirement.setdefault(verdict["requirement"], []).append(trace_step)
+        by_case.setdefault((verdict["case"], verdict["component"]), []).append(trace_step)
+    named = {requirement["id"] for requirement in record["requirements"]}
     return {
         "several": len({case["component"] for case in record["cases"]}) > 1,
         "forward": [
             {
-                **one,
-                "anchor": requirement_anchor(one["id"]),
-                "steps": by_requirement.get(one["id"], []),
-                "folded": folded[one["id"]],
+                **requirement,
+                "anchor": requirement_anchor(requirement["id"]),
+                "steps": by_requirement.get(requirement["id"], []),
+                "folded": folded[requirement["id"]],
             }
-            for one in record["requirements"]
+            for requirement in record["requirements"]
         ],
         "backward": [_case_trace(case, by_case, gathered) for case in cases],
         "folded": len(folded_cases),
@@ -195,10 +198,10 @@ def _trace_step(verdict: Data, links: EpisodeLinks) -> Data:
         "waiver": verdict["waiver"],
         "episodes": [
             {
-                "id": one["episode"],
-                "link": links.of_episode(one["episode"], verdict["component"]),
+                "id": item["episode"],
+                "link": links.of_episode(item["episode"], verdict["component"]),
             }
-            for one in shown
+            for item in shown
         ],
         "more": len(verdict["counterexamples"]) - len(shown),
     }
@@ -209,7 +212,7 @@ def _case_trace(
 ) -> Data:
     key = case["id"], case["component"]
     steps = by_case.get(key, [])
-    judged = {one["requirement"] for one in steps}
+    judged = {step["requirement"] for step in steps}
     return {
         **case,
         "anchor": case_anchor(case["id"]),
@@ -222,52 +225,54 @@ def _case_trace(
 
 def monitor_section(record: SessionRecord, _gathered: ReportContents, _links: EpisodeLinks) -> Data:
     """Monitors that had anything to see or to say, how many had not, and the pairs of recovery."""
-    told = [
-        one
-        for one in record["monitors"]
-        if one["true_positives"] + one["false_negatives"] + one["false_positives"]
+    monitors = [
+        monitor
+        for monitor in record["monitors"]
+        if monitor["true_positives"] + monitor["false_negatives"] + monitor["false_positives"]
     ]
     switching = {
         (case["id"], case["component"]): case["metrics"]["switching"] for case in record["cases"]
     }
     paired = [
         {
-            **one,
-            "anchor": verdict_anchor(one["requirement"], one["case"]),
-            "switching": switching.get((one["case"], one["component"])),
-            "fixed_n": one["method"] not in SEQUENTIAL_METHODS,
+            **verdict,
+            "anchor": verdict_anchor(verdict["requirement"], verdict["case"]),
+            "switching": switching.get((verdict["case"], verdict["component"])),
+            "fixed_n": verdict["method"] not in SEQUENTIAL_METHODS,
         }
-        for one in record["verdicts"]
-        if one["pairs"] and ("only_with" in one["pairs"] or "change" in one["pairs"])
+        for verdict in record["verdicts"]
+        if verdict["pairs"] and ("only_with" in verdict["pairs"] or "change" in verdict["pairs"])
     ]
-    attacks = [one for one in paired if one["pairs"]["without"] == FAULTS]
-    pairs = [one for one in paired if one not in attacks and "only_with" in one["pairs"]]
-    horizons = sorted({one["horizon"] for one in told if one["horizon"] is not None})
+    attacks = [item for item in paired if item["pairs"]["without"] == FAULTS]
+    pairs = [item for item in paired if item not in attacks and "only_with" in item["pairs"]]
+    horizons = sorted({item["horizon"] for item in monitors if item["horizon"] is not None})
     return {
-        "rows": _joined_targets(told),
+        "rows": _joined_targets(monitors),
         "horizons": horizons,
-        "silent": len(record["monitors"]) - len(told),
+        "silent": len(record["monitors"]) - len(monitors),
         "pairs": pairs,
         "attacks": attacks,
         "effectiveness": record["effectiveness"],
-        "several": len({one["component"] for one in record["effectiveness"]}) > 1,
+        "several": len({item["component"] for item in record["effectiveness"]}) > 1,
     }
 
 
 def _joined_targets(found: list[Data]) -> list[Data]:
     """Rows that differ in nothing but their target as one."""
     same: dict[str, dict[str, Any]] = {}
-    for one in found:
-        figures = json.dumps({key: value for key, value in one.items() if key != "target"})
-        row = same.setdefault(figures, {**one, "targets": []})
-        row["targets"].append(one["target"])
+    for item in found:
+        figures = json.dumps({key: value for key, value in item.items() if key != "target"})
+        row = same.setdefault(figures, {**item, "targets": []})
+        row["targets"].append(item["target"])
     return list(same.values())
 
 
 MAX_SEARCHES = 200
 """Searches that are shown; the record has all."""
 MOST_CHANGES = 50
-OUTCOME_RANK = {word: rank for rank, word in enumerate(OBJECTIONABLE_OUTCOMES)}
+OUTCOME_RANK = {
+    objectionable_outcome: rank for rank, objectionable_outcome in enumerate(OBJECTIONABLE_OUTCOMES)
+}
 
 
 def search_section(record: SessionRecord, _gathered: ReportContents, _links: EpisodeLinks) -> Data:
@@ -276,12 +281,12 @@ def search_section(record: SessionRecord, _gathered: ReportContents, _links: Epi
     return {
         "found": [
             {
-                **one,
-                "searched": simulations_text(one),
-                "coverage": search_coverage_text(one),
-                "rows": list(_outcome_rows(one)),
+                **item,
+                "searched": simulations_text(item),
+                "coverage": search_coverage_text(item),
+                "rows": list(_outcome_rows(item)),
             }
-            for one in ordered[:MAX_SEARCHES]
+            for item in ordered[:MAX_SEARCHES]
         ],
         "left_out": len(ordered[MAX_SEARCHES:]),
         "note": NOTHING_SUPPORTED,
@@ -290,8 +295,8 @@ def search_section(record: SessionRecord, _gathered: ReportContents, _links: Epi
 
 def _search_rank(search: Data) -> int:
     return min(
-        OUTCOME_RANK.get(outcome_status(search, one), len(OUTCOME_RANK))
-        for one in search["outcomes"]
+        OUTCOME_RANK.get(outcome_status(search, outcome), len(OUTCOME_RANK))
+        for outcome in search["outcomes"]
     )
 
 
@@ -326,7 +331,7 @@ def provenance_section(
     under_test = record["component_under_test"]
     return {
         "components": [
-            UNKNOWN_COMPONENT | one for one in (under_test, *under_test.get("others", ()))
+            UNKNOWN_COMPONENT | item for item in (under_test, *under_test.get("others", ()))
         ],
         "models": record["models"],
         "packages": sorted(record["environment"]["packages"].items()),

@@ -95,13 +95,13 @@ def monitor_timeline(episode: Episode) -> MonitorTimeline:
 
 def _stretches(times: list[float], asked: set[float], flagged: set[float]) -> tuple[Stretch, ...]:
     """Runs of times from a flagged one to the last before one that was asked and not flagged."""
-    found: list[Stretch] = []
+    stretches: list[Stretch] = []
     standing = False
     for time in times:
         stood, standing = standing, time in flagged or (standing and time not in asked)
         if standing:
-            found.append((found.pop()[0] if stood else time, time))
-    return tuple(found)
+            stretches.append((stretches.pop()[0] if stood else time, time))
+    return tuple(stretches)
 
 
 def _first(times: Iterable[float | None]) -> float | None:
@@ -410,7 +410,7 @@ def _one_claim(claims: set[tuple[str, str]]) -> tuple[str, str]:
     if len(claims) != 1:
         raise ConfigurationError(
             "a monitor is judged on episodes of one component, against one requirement",
-            found=" and ".join(f"{one} of {who}" for one, who in sorted(claims)) or "no episodes",
+            found=" and ".join(f"{item} of {who}" for item, who in sorted(claims)) or "no episodes",
             remedy="judge it apart for each",
         )
     return claims.pop()

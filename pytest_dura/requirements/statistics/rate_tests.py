@@ -164,10 +164,10 @@ class FixedN(CountingTest):
     def _most(self) -> int:
         """The most violations in all planned episodes that support the limit; -1 for none."""
         counts = range(self.planned + 1)
-        found = bisect_right(
+        right = bisect_right(
             counts, self.limit, key=lambda k: upper_bound(k, self.planned, self.confidence)
         )
-        return found - 1
+        return right - 1
 
     @cached_property
     def _least(self) -> int:

@@ -150,9 +150,9 @@ def walk(node: Node | Expression) -> Iterator[Node | Expression]:
     """The node and all below it, parents first, from left to right."""
     stack: list[Node | Expression] = [node]
     while stack:
-        one = stack.pop()
-        yield one
-        stack.extend(reversed(children(one)))
+        item = stack.pop()
+        yield item
+        stack.extend(reversed(children(item)))
 
 
 def conjuncts(root: Node) -> list[Node]:
@@ -273,7 +273,7 @@ class Formula:
             for node in walk(self.root)
             if isinstance(node, (Temporal, TemporalPair, Step)) and node.operator in FUTURE
         ]
-        return tuple(sorted(found, key=lambda one: one[1]))
+        return tuple(sorted(found, key=lambda item: item[1]))
 
     @property
     def past_only(self) -> bool:
@@ -354,12 +354,12 @@ def past_only_or_refuse(formula: Formula, what: str) -> None:
         return
     name, position = formula.future_operators[0]
     # The text's own word, where there is one: `G` and `unless` have other names in the nodes.
-    word = re.compile(r"[A-Za-z_]\w*", re.ASCII).match(formula.text, position)
-    found = word.group() if word else name
+    match = re.compile(r"[A-Za-z_]\w*", re.ASCII).match(formula.text, position)
+    group = match.group() if match else name
     raise ConfigurationError(
-        f"{what} cannot know the future: `{found}` looks ahead at column {position + 1}"
+        f"{what} cannot know the future: `{group}` looks ahead at column {position + 1}"
         f"{marked(formula.text, position)}",
-        found=found,
+        found=group,
         expected="operators that look back: once, historically, since, prev, rise, fall. Rewriting "
         "a formula into the past (pastification) is not done: it was measured to flip verdicts",
         remedy="say it with once, historically or since, as `historically[0:2] (gap > 1)`, or "

@@ -202,12 +202,12 @@ def _finite(
 ) -> Callable[[Samples], float]:
     def computed(samples: Samples) -> float:
         try:
-            found = compute(samples)
+            nan = compute(samples)
         except (ZeroDivisionError, ValueError):  # x / 0 and sqrt(-1)
-            found = math.nan
-        if not math.isfinite(found):
-            raise NotFiniteError(node, found)
-        return found
+            nan = math.nan
+        if not math.isfinite(nan):
+            raise NotFiniteError(node, nan)
+        return nan
 
     return computed
 
@@ -301,11 +301,11 @@ class OnlineFormula:
         samples = self._read(values)
         # All that can fail comes first: what keeps a state sees a sample whole or not at all.
         try:
-            found = self._root([compared(samples) for compared in self._comparisons])
+            root = self._root([compared(samples) for compared in self._comparisons])
         except NotFiniteError as error:
             raise self._not_finite(f"expression `{node_text(error.node)}`", error.value) from None
         self._index += 1
-        return Sample(*found)
+        return Sample(*root)
 
     def _read(self, values: Mapping[str, float]) -> Samples:
         samples = {}

@@ -112,8 +112,8 @@ def negation_step(_frame: Frame, values: Array) -> Array:
 
 def joined_step(_frame: Frame, left: Array, right: Array, join: np.ufunc) -> Array:
     """The lesser or the greater of two margins."""
-    found: Array = join(left, right)
-    return found
+    text: Array = join(left, right)
+    return text
 
 
 def everywhere_step(frame: Frame, value: float) -> Array:
@@ -160,9 +160,9 @@ def until_beyond_step(_frame: Frame, known: Array, least: Array, last: int | Non
         last: Last sample of the window, ``None`` for one without end.
     """
     cut = 0 if last is None else max(known.shape[-1] - last, 0)
-    found: Array = known.copy()
-    np.maximum(known[..., cut:], least[..., cut:], out=found[..., cut:])
-    return found
+    array: Array = known.copy()
+    np.maximum(known[..., cut:], least[..., cut:], out=array[..., cut:])
+    return array
 
 
 def open_tail_step(_frame: Frame, values: Array, last: int, unknown: float) -> Array:
@@ -253,12 +253,12 @@ class Program:
             needed: set[int] = set()
             stack = [slot]
             while stack:
-                one = stack.pop()
-                if one not in needed:
-                    needed.add(one)
-                    stack.extend(self._steps[one][1])
+                item = stack.pop()
+                if item not in needed:
+                    needed.add(item)
+                    stack.extend(self._steps[item][1])
             # A step's inputs were added before it.
-            order = [(one, self._steps[one]) for one in sorted(needed)]
+            order = [(item, self._steps[item]) for item in sorted(needed)]
             self._orders[slot] = order
         return order
 
@@ -272,7 +272,7 @@ class Program:
         if slot is None:
             slot = self._numbers[operation] = len(self._steps)
             self._steps.append(operation)
-            inputs_causal = all(self._causal[one] for one in inputs)
+            inputs_causal = all(self._causal[item] for item in inputs)
             self._causal.append(inputs_causal and kernel not in _AHEAD)
         return slot
 
@@ -291,11 +291,11 @@ class Program:
 
     def _comparison(self, node: Comparison, mode: Mode) -> int:
         sides = self._expression(node.left), self._expression(node.right)
-        found = self._add(margin_step, *sides, options=(node.operator,))
+        add = self._add(margin_step, *sides, options=(node.operator,))
         if mode.truth:
             on_bound = node.operator in (">=", "<=", "==")
-            return self._add(truth_step, found, options=(on_bound,))
-        return found
+            return self._add(truth_step, add, options=(on_bound,))
+        return add
 
     def _expression(self, node: Expression) -> int:
         if isinstance(node, Arithmetic):
@@ -339,10 +339,10 @@ class Program:
         first, last = self.samples(node.window)
         sliding = sliding_step if ahead else sliding_past_step
         operand = self.slot(node.operand, mode)
-        found = self._add(sliding, operand, options=(join, first, last))
+        add = self._add(sliding, operand, options=(join, first, last))
         if shows and last > 0:
-            return self._add(open_tail_step, found, options=(last, mode.unknown))
-        return found
+            return self._add(open_tail_step, add, options=(last, mode.unknown))
+        return add
 
     def _pair(self, node: TemporalPair, mode: Mode) -> int:
         left, right = self.slot(node.left, mode), self.slot(node.right, mode)
@@ -351,12 +351,12 @@ class Program:
             bounds = self.samples(node.window)
         if node.operator == "since":
             return self._add(since_step, left, right, options=bounds)
-        found = self._add(until_step, left, right, options=bounds)
+        add = self._add(until_step, left, right, options=bounds)
         last = bounds[1]
         if mode.unknown == math.inf and (mode.open_end if last is None else last > 0):
             least = self._add(running_step, left, options=(np.minimum,))
-            return self._add(until_beyond_step, found, least, options=(last,))
-        return found
+            return self._add(until_beyond_step, add, least, options=(last,))
+        return add
 
     def _step(self, node: Step, mode: Mode) -> int:
         operand = self.slot(node.operand, mode)
@@ -378,12 +378,12 @@ class Program:
 
 def _depends_on_the_end(node: Node, open_end: bool) -> bool:
     """Whether the formula looks behind the last sample, and may see something there."""
-    for one in walk(node):
-        if isinstance(one, Step) and one.operator in FUTURE:
+    for item in walk(node):
+        if isinstance(item, Step) and item.operator in FUTURE:
             return True
-        if isinstance(one, (Temporal, TemporalPair)):
-            sees = open_end or one.window is not None
-            if sees and one.operator in FUTURE:
+        if isinstance(item, (Temporal, TemporalPair)):
+            sees = open_end or item.window is not None
+            if sees and item.operator in FUTURE:
                 return True
     return False
 
@@ -414,11 +414,11 @@ class Values:
         known = self._known
         if slot not in known:
             frame = self.frame
-            for one, (kernel, inputs, options) in self._program.order(slot):
-                if one not in known:
-                    known[one] = kernel(frame, *[known[i] for i in inputs], *options)
-        found: Array = known[slot]
-        return found
+            for item, (kernel, inputs, options) in self._program.order(slot):
+                if item not in known:
+                    known[item] = kernel(frame, *[known[i] for i in inputs], *options)
+        array: Array = known[slot]
+        return array
 
     def prefixes(self) -> Callable[[int], Values]:
         """Gives the values on the first so many samples, with what is known of them already."""

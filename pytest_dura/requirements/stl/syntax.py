@@ -132,7 +132,9 @@ def read_window(text: str, tokens: Sequence[Token], at: int) -> tuple[Window, in
     last, at = _bound(text, tokens, at + 1)
     if tokens[at].text != "]":
         _unexpected(text, tokens[at])
-    if (first.unit or last.unit) and any(one.unit is None and one.value for one in (first, last)):
+    if (first.unit or last.unit) and any(
+        item.unit is None and item.value for item in (first, last)
+    ):
         remedy = "give both bounds a unit, such as [500ms:2s]"
         refuse(text, opening, "only one bound of the window has a unit", _SHAPE, remedy)
     start, end = first.seconds, last.seconds
@@ -238,9 +240,9 @@ _LEVEL = {operator: level for level, row in enumerate(_LEVELS, 1) for operator i
 _TRUTH = ("true", "false", "TRUE", "FALSE", "True", "False")
 _SHORT = ("U", "W", "S")
 _KEYWORDS = tuple(
-    word
-    for word in ("not", *_PREFIXES, *_FUNCTIONS, *_CONNECTIVES)
-    if len(word) > 1 and word.islower()
+    prefix
+    for prefix in ("not", *_PREFIXES, *_FUNCTIONS, *_CONNECTIVES)
+    if len(prefix) > 1 and prefix.islower()
 )
 _OPERAND = "a signal, a number, `(` or an operator such as `always` or `not`"
 _OPERATOR = "an operator such as `>`, `and`, `implies`, or the end of the formula"
@@ -463,10 +465,10 @@ class _Reader:
 
     def _unknown_word(self) -> NoReturn:
         """Refuse a word that is used as an operator, and name the nearest one."""
-        word = self._token.text
-        near = difflib.get_close_matches(word.lower(), _KEYWORDS, n=1)
+        text = self._token.text
+        near = difflib.get_close_matches(text.lower(), _KEYWORDS, n=1)
         remedy = f"did you mean `{near[0]}`?" if near else "check its spelling"
-        problem, expected = f"`{word}` is no operator or function", "one of " + ", ".join(_KEYWORDS)
+        problem, expected = f"`{text}` is no operator or function", "one of " + ", ".join(_KEYWORDS)
         refuse(self._text, self._token.position, problem, expected, remedy)
 
     def _no_window(self) -> NoReturn:
@@ -485,5 +487,5 @@ class _Reader:
         self._wrong(_OPERATOR)
 
     def _wrong(self, expected: str, remedy: str = EXAMPLE) -> NoReturn:
-        found = f"`{self._token.text}`" if self._token.kind != "end" else "the end"
-        refuse(self._text, self._token.position, f"found {found}", expected, remedy)
+        text = f"`{self._token.text}`" if self._token.kind != "end" else "the end"
+        refuse(self._text, self._token.position, f"found {text}", expected, remedy)

@@ -36,8 +36,8 @@ def sliding(join: np.ufunc, values: Array, first: int, last: int) -> Array:
     empty = np.inf if join is np.minimum else -np.inf
     if first >= size:
         return np.full_like(values, empty)
-    found = np.full_like(values, empty) if first else values.copy()
-    kept = found[..., : size - first]
+    full_like = np.full_like(values, empty) if first else values.copy()
+    kept = full_like[..., : size - first]
     if first:
         kept[...] = values[..., first:]
     width, wanted = 1, min(last - first + 1, size - first)
@@ -47,25 +47,25 @@ def sliding(join: np.ufunc, values: Array, first: int, last: int) -> Array:
         head = kept[..., :-shift]
         join(head, kept[..., shift:], out=head)
         width += shift
-    return found
+    return full_like
 
 
 def sliding_past(join: np.ufunc, values: Array, first: int, last: int) -> Array:
     """Minimum or maximum over the samples ``t - last .. t - first``."""
-    found: Array = sliding(join, values[..., ::-1], first, last)[..., ::-1]
-    return found
+    array: Array = sliding(join, values[..., ::-1], first, last)[..., ::-1]
+    return array
 
 
 def running(join: np.ufunc, values: Array) -> Array:
     """Minimum or maximum over this sample and all later ones."""
-    found: Array = join.accumulate(values[..., ::-1], axis=-1)[..., ::-1]
-    return found
+    array: Array = join.accumulate(values[..., ::-1], axis=-1)[..., ::-1]
+    return array
 
 
 def running_past(join: np.ufunc, values: Array) -> Array:
     """Minimum or maximum over this sample and all earlier ones."""
-    found: Array = join.accumulate(values, axis=-1)
-    return found
+    accumulate: Array = join.accumulate(values, axis=-1)
+    return accumulate
 
 
 def until(left: Array, right: Array, first: int = 0, last: int | None = None) -> Array:
@@ -92,39 +92,39 @@ def until(left: Array, right: Array, first: int = 0, last: int | None = None) ->
         width += shift
     if not first:
         return best
-    found = np.full_like(right, -np.inf)
+    full_like = np.full_like(right, -np.inf)
     before = sliding(np.minimum, left, 0, first - 1)
-    np.minimum(best, before[..., :-first], out=found[..., :-first])
-    return found
+    np.minimum(best, before[..., :-first], out=full_like[..., :-first])
+    return full_like
 
 
 def since(left: Array, right: Array, first: int = 0, last: int | None = None) -> Array:
     """The best sample of ``t - last .. t - first`` for ``right``, with ``left`` at all after it."""
-    found: Array = until(left[..., ::-1], right[..., ::-1], first, last)[..., ::-1]
-    return found
+    array: Array = until(left[..., ::-1], right[..., ::-1], first, last)[..., ::-1]
+    return array
 
 
 def following(values: Array, end: float) -> Array:
     """The next sample's value, and ``end`` at the last sample."""
-    found = np.empty_like(values)
-    found[..., :-1] = values[..., 1:]
-    found[..., -1] = end
-    return found
+    empty_like = np.empty_like(values)
+    empty_like[..., :-1] = values[..., 1:]
+    empty_like[..., -1] = end
+    return empty_like
 
 
 def preceding(values: Array, start: float) -> Array:
     """The previous sample's value, and ``start`` at the first sample."""
-    found = np.empty_like(values)
-    found[..., 1:] = values[..., :-1]
-    found[..., 0] = start
-    return found
+    empty_like = np.empty_like(values)
+    empty_like[..., 1:] = values[..., :-1]
+    empty_like[..., 0] = start
+    return empty_like
 
 
 def open_tail(values: Array, last: int, unknown: float) -> Array:
     """A copy with ``unknown`` wherever the window up to ``t + last`` leaves the trace."""
-    found: Array = values.copy()
-    found[..., max(values.shape[-1] - last, 0) :] = unknown
-    return found
+    array: Array = values.copy()
+    array[..., max(values.shape[-1] - last, 0) :] = unknown
+    return array
 
 
 @dataclass(slots=True, eq=False)
@@ -179,7 +179,7 @@ class Frame:
 
 def first_not_finite(values: Array) -> tuple[int, ...]:
     """Index of the first sample that is not finite."""
-    return tuple(int(one) for one in np.argwhere(~np.isfinite(values))[0])
+    return tuple(int(item) for item in np.argwhere(~np.isfinite(values))[0])
 
 
 def arrays(

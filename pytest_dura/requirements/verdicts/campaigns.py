@@ -223,7 +223,7 @@ class CampaignVerdict:
         return asdict(self) | {
             "open": list(self.open),
             "unseen_crashes": list(self.unseen_crashes),
-            "counterexamples": [asdict(one) for one in self.counterexamples],
+            "counterexamples": [asdict(counterexample) for counterexample in self.counterexamples],
         }
 
     @classmethod
@@ -237,7 +237,9 @@ class CampaignVerdict:
                 "unseen_crashes": tuple(data["unseen_crashes"]),
                 "bound": Bound(**data["bound"]),
                 "margins": None if margins is None else Margins(**margins),
-                "counterexamples": tuple(Counterexample(**one) for one in data["counterexamples"]),
+                "counterexamples": tuple(
+                    Counterexample(**counterexample) for counterexample in data["counterexamples"]
+                ),
                 "spoilt": None if spoilt is None else UncountedEpisode(**spoilt),
             }
         )

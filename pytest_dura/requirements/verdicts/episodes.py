@@ -215,7 +215,11 @@ def is_unseen_crash(
     """
     if episode.termination != "critical":
         return False
-    checks = [one.check for one in requirements if one.check and one.paired is None]
+    checks = [
+        requirement.check
+        for requirement in requirements
+        if requirement.check and requirement.paired is None
+    ]
     return not any(_violates(known, episode) for known in ([check, *checks] if check else checks))
 
 
@@ -337,17 +341,17 @@ def evaluate_episode(formula: Formula, episode: Episode) -> tuple[Evaluation | N
     # Who judged that the episode may end early did not ask for every formula.
     whole = samples == episode.ticks and episode.failure is None
     cut = {name: column[:samples] for name, column in columns.items()}
-    found = evaluate(
+    text = evaluate(
         formula,
         episode.time[:samples],
         cut,
         ending=_ENDINGS.get(episode.termination, "time") if whole else "open",
         time_step=episode.spec.time_step,
     )
-    if episode.termination == "decided" and found.status == "satisfied":
+    if episode.termination == "decided" and text.status == "satisfied":
         # So far it may be more: what would have followed can lessen it to this.
-        found = replace(found, margin=found.lower)
-    return found, gap
+        text = replace(text, margin=text.lower)
+    return text, gap
 
 
 def _without_account(
@@ -384,7 +388,7 @@ class JudgedEpisode(Episode):
 
         It cannot be changed: what one requirement looks at, the next one looks at too.
         """
-        made = cls(**{one.name: getattr(episode, one.name) for one in fields(Episode)})
+        made = cls(**{field.name: getattr(episode, field.name) for field in fields(Episode)})
         made.time.flags.writeable = False
         made.signals = SealedColumns(made.signals)
         made.decisions = SealedColumns(made.decisions)

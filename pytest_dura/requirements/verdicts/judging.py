@@ -85,32 +85,32 @@ def not_manifested(verdicts: Sequence[EpisodeVerdict]) -> list[str]:
     """The planned faults that manifested in none of the episodes: nothing is known of them."""
     if not verdicts:
         return []
-    return [name for name in verdicts[0].idle if all(name in one.idle for one in verdicts)]
+    return [name for name in verdicts[0].idle if all(name in verdict.idle for verdict in verdicts)]
 
 
 def first_uncounted(verdicts: Sequence[EpisodeVerdict]) -> UncountedEpisode | None:
     """The first missing episode, or else the first invalid one, or else the first open one."""
     words: tuple[Literal["missing", "invalid", "open"], ...] = ("missing", "invalid", "open")
     for word in words:
-        for one in verdicts:
-            if one.verdict == word:
-                return UncountedEpisode(one.episode, word, one.detail)
+        for verdict in verdicts:
+            if verdict.verdict == word:
+                return UncountedEpisode(verdict.episode, word, verdict.detail)
     return None
 
 
 def counterexamples(judged: Sequence[EpisodeVerdict]) -> tuple[Counterexample, ...]:
     """The violating episodes, the valid ones first, of each kind the largest violation first."""
-    violated = [one for one in judged if one.verdict == "violated"]
+    violated = [verdict for verdict in judged if verdict.verdict == "violated"]
     violated.sort(
-        key=lambda one: (
-            one.without_effect,
-            one.margin if one.margin is not None else 0.0,
-            one.episode,
+        key=lambda item: (
+            item.without_effect,
+            item.margin if item.margin is not None else 0.0,
+            item.episode,
         )
     )
     return tuple(
-        Counterexample(one.episode, one.time, one.margin, not one.without_effect)
-        for one in violated
+        Counterexample(item.episode, item.time, item.margin, not item.without_effect)
+        for item in violated
     )
 
 
@@ -203,16 +203,16 @@ class CampaignJudge:
         if self.sequential and verdict.valid:
             self._test(verdict.verdict)
 
-    def _test(self, word: EpisodeStatus) -> None:
+    def _test(self, status: EpisodeStatus) -> None:
         """Count a valid episode in the tests of the rate, as far as they have not decided."""
         if self.test is None or self._rejecting is None:
             return
         if self.test.decision == "supported":
-            self._after_support += word != "satisfied"
+            self._after_support += status != "satisfied"
         elif self.test.decision is None:
-            self.test.update(word != "satisfied")
+            self.test.update(status != "satisfied")
         if self._rejecting.decision is None:
-            self._rejecting.update(word == "violated")
+            self._rejecting.update(status == "violated")
 
     @property
     def decided(self) -> bool:
@@ -239,8 +239,12 @@ class CampaignJudge:
         """The verdict on what was added so far."""
         decide = self._decide if self.situation is None else self._decide_on_one_situation
         word, reason = decide()
-        valid = [one for one in self.verdicts if one.valid]
-        margins = [one.margin for one in valid if one.margin is not None and one.verdict != "open"]
+        valid = [verdict for verdict in self.verdicts if verdict.valid]
+        margins = [
+            verdict.margin
+            for verdict in valid
+            if verdict.margin is not None and verdict.verdict != "open"
+        ]
         early = self.sequential and self.decided and word != "undecided"
         early = early or self.situation == REPEATED
         return CampaignVerdict(
@@ -255,12 +259,14 @@ class CampaignJudge:
             saved=max(0, self.planned - len(self.verdicts)) if early else 0,
             episodes=len(valid),
             violations=self._count("violated"),
-            open=tuple(one.episode for one in valid if one.verdict == "open"),
-            unseen_crashes=tuple(one.episode for one in self.verdicts if one.unseen_crash),
+            open=tuple(verdict.episode for verdict in valid if verdict.verdict == "open"),
+            unseen_crashes=tuple(
+                verdict.episode for verdict in self.verdicts if verdict.unseen_crash
+            ),
             without_effect=self._count("without effect"),
             invalid=self._invalid,
             missing=self._count("missing"),
-            vacuous=sum(one.vacuous for one in valid),
+            vacuous=sum(item.vacuous for item in valid),
             bound=self._bound(len(valid)),
             margin=min(margins) if margins else None,
             margins=Margins.of(margins),
@@ -331,20 +337,20 @@ class CampaignJudge:
 
     def _decide_sequential(self, test: SequentialTest, counts: str) -> tuple[CampaignStatus, str]:
         limit, confidence = self.requirement.at_most, self.requirement.confidence
-        told = f"{counts}; {self.method} at {confidence:g} confidence"
+        text = f"{counts}; {self.method} at {confidence:g} confidence"
         if self._rejecting is not None and self._rejecting.decision == "violated":
             # What this test shows is weaker than its word: the limit itself may hold.
             p0 = self.requirement.p0
             why = "" if p0 is None else f", since the rate is above p0 = {p0:g}"
-            return "violated", f"{told} rejects a rate of at most {limit:g}{why}"
+            return "violated", f"{text} rejects a rate of at most {limit:g}{why}"
         obstacles = self._obstacles(decided=test.decision is not None)
         if obstacles:
             return "undecided", "; ".join(obstacles)
         if test.decision == "supported":
-            return "supported", f"{told} supports a rate of at most {limit:g}"
+            return "supported", f"{text} supports a rate of at most {limit:g}"
         return (
             "undecided",
-            f"{told} has not decided on at most {limit:g} within {self.planned} runs",
+            f"{text} has not decided on at most {limit:g} within {self.planned} runs",
         )
 
     def _decide_fixed(self, counts: str) -> tuple[CampaignStatus, str]:
@@ -400,14 +406,14 @@ class CampaignJudge:
                 "violated it or ended before it was decided"
             )
         satisfied = self._count("satisfied")
-        vacuous = sum(one.vacuous for one in self.verdicts)
+        vacuous = sum(verdict.vacuous for verdict in self.verdicts)
         if satisfied and satisfied == vacuous and not self._count("violated"):
             found.append(f"its condition held in none of the {valid} valid {self._noun} (vacuous)")
-        never = not_manifested([one for one in self.verdicts if one.valid])
+        never = not_manifested([verdict for verdict in self.verdicts if verdict.valid])
         if never:
             found.append(f"{', '.join(never)} manifested in none of the {valid} valid {self._noun}")
-        asked = sum(one.proposals for one in self.verdicts)
-        answered = sum(one.valid_proposals for one in self.verdicts)
+        asked = sum(verdict.proposals for verdict in self.verdicts)
+        answered = sum(verdict.valid_proposals for verdict in self.verdicts)
         if answered < MIN_VALID_PROPOSALS * asked:
             ticks = f"{answered} of {asked} ticks"
             found.append(f"the component made a valid proposal at only {ticks}")
@@ -416,15 +422,17 @@ class CampaignJudge:
     def _early_ends(self) -> list[str]:
         """Runs whose end the component may have caused, where no bound counts them."""
         found = []
-        open_ = [one for one in self.verdicts if one.verdict == "open"]
+        open_ = [verdict for verdict in self.verdicts if verdict.verdict == "open"]
         if open_ and self.test is None:
             count = f"{len(open_)} of {self._valid} valid {self._noun}"
             found.append(f"{count} ended before it was decided ({_ends(open_)})")
-        unharmed = [one for one in self.verdicts if one.verdict == "invalid" and one.ended]
+        unharmed = [
+            verdict for verdict in self.verdicts if verdict.verdict == "invalid" and verdict.ended
+        ]
         if unharmed:
             count = f"{len(unharmed)} invalid {self._noun}"
             found.append(f"{count} ended before a fault had an effect ({_ends(unharmed)})")
-        unseen = [one.episode for one in self.verdicts if one.unseen_crash]
+        unseen = [verdict.episode for verdict in self.verdicts if verdict.unseen_crash]
         if unseen:
             runs = f"{unseen[0]} and {len(unseen) - 1} more" if unseen[1:] else unseen[0]
             found.append(f"a crash that no requirement sees: {runs} ended critical")
@@ -433,7 +441,7 @@ class CampaignJudge:
 
 def _ends(verdicts: Sequence[EpisodeVerdict]) -> str:
     """How the runs ended, with their numbers, such as ``8 critical, 1 halt``."""
-    ends = Counter(one.ended for one in verdicts)
+    ends = Counter(verdict.ended for verdict in verdicts)
     return ", ".join(f"{count} {end}" for end, count in sorted(ends.items()))
 
 
@@ -465,16 +473,16 @@ def judge_campaign(
     judge = CampaignJudge(
         requirement, case, planned=planned, component=component, until_decided=until_decided
     )
-    for one in _last_attempts(verdicts):
-        judge.add(one)
+    for attempt in _last_attempts(verdicts):
+        judge.add(attempt)
     judge.situation = situation
     return judge.verdict()
 
 
 def _last_attempts(verdicts: Sequence[EpisodeVerdict]) -> list[EpisodeVerdict]:
     latest: dict[str, EpisodeVerdict] = {}
-    for one in verdicts:
-        before = latest.get(one.episode)
+    for verdict in verdicts:
+        before = latest.get(verdict.episode)
         if before is None or before.verdict != "violated":
-            latest[one.episode] = one
+            latest[verdict.episode] = verdict
     return list(latest.values())

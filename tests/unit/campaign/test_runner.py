@@ -6,7 +6,7 @@ import pytest
 from thermostat import Controller, Thermostat
 
 from pytest_dura import ConfigurationError, RoleSpec
-from pytest_dura.campaign.campaign import RequirementViolated
+from pytest_dura.campaign.runs import RequirementViolated
 from pytest_dura.library.loading import load_library
 from pytest_dura.library.roles import LocalRole, generator_of_option, role_of_fixture
 from pytest_dura.requirements.model import Requirement
