@@ -343,7 +343,7 @@ def tool_code() -> str:
 
 
 def _digest() -> str | None:
-    file = Path(__file__).absolute().parents[1] / "__init__.py"
+    file = Path(__file__).absolute().parent / "__init__.py"
     sources = sources_of(file, _OURS, file.parent, most=_MAX_OWN_FILES)
     return None if sources is None else sources.digest
 

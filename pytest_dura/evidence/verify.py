@@ -363,6 +363,7 @@ def _trace_episode(trace: Trace, episode: Data) -> JudgedEpisode:
 
 _RESUME_FILE = re.compile(r"\.episodes/[0-9a-f]{2}/[0-9a-f]{64}\.(episode|claim)")
 DAMAGE_ERRORS = (
+    DuraError,
     AttributeError,
     LookupError,
     TypeError,
@@ -439,7 +440,7 @@ def verify_bundle(directory: Path, junit: Path | None = None) -> Verification:
         verification.counts = Counts.of(record)
         verification.problems += record_problems(record, verification.counts)
     except DAMAGE_ERRORS as error:
-        verification.problems.append(f"{RECORD_FILE}: damaged ({type(error).__name__}: {error})")
+        verification.problems.append(_damaged(error))
         return verification
     verification.problems += _extra_files(record)
     verification.not_rendered = other_version(record)
@@ -448,10 +449,15 @@ def verify_bundle(directory: Path, junit: Path | None = None) -> Verification:
     try:
         verification.problems += derived_problems(record, verification.rejudged)
     except DAMAGE_ERRORS as error:
-        verification.problems.append(f"{RECORD_FILE}: damaged ({type(error).__name__}: {error})")
+        verification.problems.append(_damaged(error))
     if junit is not None:
         verification.problems += junit_problems(record, junit)
     return verification
+
+
+def _damaged(error: Exception) -> str:
+    why = str(error).partition("\n")[0]
+    return f"{RECORD_FILE}: damaged ({type(error).__name__}: {why})"
 
 
 def _kept_episodes(record: SessionRecord, names: Iterable[str]) -> list[str]:

@@ -174,12 +174,10 @@ def search_problems(record: SessionRecord) -> Iterator[str]:
 
 
 def _search_in_rate_problems(record: SessionRecord) -> Iterator[str]:
-    """Whether episodes that a search chose stand where a rate is made of them."""
-    for episode in record.episodes():
-        if episode["planned"] and (
-            EPISODE_MARK in episode["case"] or EPISODE_MARK in episode["id"]
-        ):
-            yield f"episode {episode['id']}: a search chose it, and it counts as planned"
+    """Whether cases that a search chose have runs or verdicts, of which a rate is made.
+
+    A planned episode is one of the runs of its case, and named after it.
+    """
     for case in record["cases"]:
         if EPISODE_MARK in case["id"] and (case["planned"] or case["metrics"]["run"]):
             yield f"case {case['id']}: a search chose it, and there are metrics of it"

@@ -468,7 +468,6 @@ class CampaignInjector(FaultInjector):
     def _chain(self, event: str, name: str, time: float) -> None:
         for follower in self._followers.get((name, event), ()):
             follower.follow(time)
-            self._wake = min(self._wake, follower.wake)
 
     def _next(self) -> float:
         """The time before which there is nothing to do, in s."""

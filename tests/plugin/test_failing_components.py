@@ -106,14 +106,19 @@ def test_it(episode):
 """
 
 
-def test_a_test_cannot_pass_on_an_invalid_episode(project):
+@pytest.mark.parametrize("name", ["'GAP-1'", "'OWN-1', text='It keeps away.'", None])
+def test_a_test_cannot_pass_on_an_invalid_episode(project, name):
     scenario(project, "idle", faults=IDLE, fault_injector="Idle")
-    project.write("test_it.py", TEST.format("idle"))
+    text = TEST.format("idle")
+    if name is None:
+        text = text.replace('@pytest.mark.requirement("GAP-1")\n', "")
+        text = text.replace('idle")', 'idle", verdict=False)')
+    project.write("test_it.py", text.replace('"GAP-1"', str(name)))
     result = project.run("test_it.py")
     result.assert_outcomes(failed=2)
     assert "invalid: corridor/idle#0: never manifested: ghost-obstacle" in result.stdout.str()
-    (verdict,) = project.evidence()["verdicts"]
-    assert (verdict["verdict"], verdict["invalid"]) == ("undecided", 2)
+    verdicts = [(one["verdict"], one["invalid"]) for one in project.evidence()["verdicts"]]
+    assert verdicts == ([] if name is None else [("undecided", 2)])
 
 
 def test_a_violation_on_an_invalid_episode_is_a_violation(project):

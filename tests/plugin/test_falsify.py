@@ -287,6 +287,38 @@ def test_what_cannot_be_kept_is_found_all_the_same(project):
     assert "a counterexample cannot be kept" in output(result)
 
 
+FADING = """
+from corridor import Careful
+from pytest_dura import Proposal
+
+class Fading(Careful):
+    '''Drives into the wall, and from the third time on at the same wall a little slower.'''
+
+    times = {}
+
+    def reset(self, context):
+        super().reset(context)
+        wall = context.scenario["world"]["wall"]
+        self.times[wall] = self.times.get(wall, 0) + 1
+        self.slower = 0.1 * (self.times[wall] > 2)
+
+    def propose(self, view):
+        return Proposal(9.0 - self.slower)
+"""
+
+
+def test_a_file_that_brings_up_another_margin_is_not_kept(project):
+    project.write("fading.py", FADING)
+    check = "'always (x < 5)', budget=60, shrink=0"
+    project.write("test_search.py", SEARCH.format(arguments=check))
+    result = project.run("test_search.py", "--dura-generator=fading:Fading")
+    assert result.ret == 1
+    (outcome,) = the_search(project)["outcomes"]
+    assert (outcome["word"], outcome["counterexample"]["file"]) == ("falsified", None)
+    assert "does not come up again from its file" in output(result)
+    assert found_files(project) == []
+
+
 def test_a_check_that_no_file_can_name_is_falsified_and_said_not_to_be_kept(project):
     check = "lambda episode: episode.signals['gap'].min() - 0.01, budget=60, shrink=0"
     result = project.run(*hasty(project, arguments=check))

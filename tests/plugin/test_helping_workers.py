@@ -82,6 +82,18 @@ def test_nobody_helps_where_the_session_may_stop_before_its_last_item(logged, mo
     assert [test for _, _, test in simulated if test == "-"] == []
 
 
+def test_nobody_helps_in_a_session_that_was_stopped(logged, project, monkeypatch):
+    monkeypatch.setenv("HELP_SLEEP", "0.01")
+    project.write(
+        "conftest.py",
+        "import pytest\n"
+        "@pytest.hookimpl(trylast=True)\n"
+        "def pytest_runtest_teardown(item): item.session.shouldstop = 'the time is up'\n",
+    )
+    _, simulated = logged("-n2", runs=10, requirements=["PAIR", "WATCH", "BASE"])
+    assert [test for _, _, test in simulated if test == "-"] == []
+
+
 def test_nobody_helps_with_what_others_would_not_find(logged, project, monkeypatch):
     monkeypatch.setenv("HELP_SLEEP", "0.01")
     project.write(

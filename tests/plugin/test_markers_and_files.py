@@ -73,6 +73,17 @@ def test_what_its_file_says_may_be_repeated(project, rate, call):
     assert (found["pairs"] is not None) is ("paired" in rate or "paired" in call)
 
 
+def test_a_rate_of_a_file_is_decided_on_all_runs_and_fails_none_of_them(project):
+    requirement(project, "always (gap > 0)", at_most=0.9)
+    walls = "{world.wall: {choice: [1.0, 20.0]}}"
+    scenario(project, variation=walls, **PUSHED)
+    write_test(project, "assert episode.ticks", "requirement('R-1')", look="episode", runs=8)
+    result = project.run("test_it.py")
+    result.assert_outcomes(passed=8)
+    found = expect(project, result, "supported")
+    assert 0 < found["violations"] < found["episodes"] == 8
+
+
 @pytest.mark.parametrize("value", ["numpy.float32(0.75)", "fractions.Fraction(3, 4)"])
 def test_a_rate_may_be_a_number_of_any_kind(project, value):
     scenario(project)

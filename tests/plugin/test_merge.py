@@ -7,10 +7,12 @@ import os
 import shutil
 import subprocess
 import sys
+from collections import defaultdict
 from itertools import permutations
 from pathlib import Path
 
 import pytest
+from forging import forgeries
 from sealing import seal
 
 from pytest_dura.__main__ import main
@@ -20,9 +22,11 @@ from pytest_dura.evidence.baseline import Baseline
 from pytest_dura.evidence.bundle import read_session_record, write_bundle
 from pytest_dura.evidence.files import DirectoryLock, file_entry, files_below
 from pytest_dura.evidence.merge import merge_bundles
-from pytest_dura.evidence.model import SessionRecord
+from pytest_dura.evidence.model import Counts, SessionRecord
+from pytest_dura.evidence.schema import record_schema
 from pytest_dura.evidence.sessions import ShardUnit, plan_digest
 from pytest_dura.evidence.verify import verify_bundle
+from pytest_dura.evidence.verify_record import record_problems
 
 PROJECT = Path(__file__).with_name("project")
 TESTS = """
@@ -91,6 +95,16 @@ def made(tmp_path_factory):
         for index in range(1, count + 1)
     ]
     sessions.append([*ARGUMENTS[:6], "-k", "nothing", "--dura-shard=1/1", "--dura-evidence=none"])
+    sessions += [
+        [
+            *ARGUMENTS[:6],
+            "-k",
+            "nothing",
+            f"--dura-shard={index}/2",
+            f"--dura-evidence=idle/{index}",
+        ]
+        for index in (1, 2)
+    ]
     # In the middle of the plan, other runs are planned: the second shard of another session.
     sessions.append([*ARGUMENTS, "--dura-runs=1", "--dura-shard=2/2", "--dura-evidence=other"])
     environment = {name: one for name, one in os.environ.items() if name != "PYTEST_ADDOPTS"}
@@ -216,6 +230,72 @@ def test_the_whole_passes_only_if_nothing_in_any_shard_speaks_against_it(made, t
     told = capsys.readouterr().out
     assert "GAP-1 on corridor/free is violated" in told
     assert "gate of the whole: failed" in told
+
+
+CODES = {
+    (0, 0): (0, "passed"),
+    (0, 6): (6, "failed"),
+    (6, 6): (6, "failed"),
+    (6, 7): (1, "failed"),
+    (5, 5): (5, "failed"),
+    (0, 5): (1, "failed"),
+    (5, 7): (7, "failed"),
+}
+
+
+@pytest.mark.parametrize("codes, whole", CODES.items(), ids=str)
+def test_the_whole_fails_if_any_shard_did_whatever_its_exit_code(made, tmp_path, codes, whole):
+    """Of shards with nothing to run, as if plugins had ended them with these codes."""
+    bundles = [shutil.copytree(made / f"idle/{index}", tmp_path / str(index)) for index in (1, 2)]
+    for folder, code in zip(bundles, codes, strict=True):
+        reasons = [f"pytest ended with exit code {code}"] if code not in (0, 5) else []
+        gate = {
+            "result": "failed" if code else "passed", "exit_code": code,
+            "reasons": ["no test was run"] if code == 5 else reasons,
+        }  # fmt: skip
+
+        def end(record, gate=gate):
+            record["gate"].update(gate)
+            record["totals"]["gate"] = gate["result"]
+
+        rewritten(folder, end)
+    merge_bundles(bundles, tmp_path / "out")
+    gate = read_session_record(tmp_path / "out")["gate"]
+    assert (gate["exit_code"], gate["result"]) == whole
+    assert bool(gate["reasons"]) == (whole[1] == "failed")
+
+
+def test_what_stood_against_a_shard_stands_against_the_whole(two, tmp_path):
+    against = [f"infrastructure: the disk of {folder.name} was full" for folder in two]
+    for folder, reason in zip(two, against, strict=True):
+        rewritten(folder, lambda record, reason=reason: record["gate"]["reasons"].append(reason))
+    assert {*against} <= {*merge_bundles(two, tmp_path / "out").reasons}
+
+
+MERGED = {
+    ("created", "other"), ("finished", "other"), ("merged_from", "fewer"),
+    ("merged_from[].index", "other"), ("merged_from[].count", "other"),
+    ("merged_from[].plan", "other"), ("merged_from[].created", "other"),
+    ("merged_from[].finished", "other"),
+}  # fmt: skip
+"""What a merged record says of its shards, and of which it says something else besides."""
+
+
+def test_one_forged_field_of_a_merged_record_is_found(made, tmp_path):
+    output = tmp_path / "out"
+    merge_bundles(of(made, 2), output)
+    text = (output / "evidence.json").read_text()
+    by_field = defaultdict(list)
+    for forgery in forgeries(record_schema(), json.loads(text)):
+        by_field[forgery.field, forgery.kind].append(forgery)
+    for key in sorted(MERGED):
+        refuted = []
+        for forgery in by_field[key]:
+            record = json.loads(text)
+            forgery.apply(record)
+            forged = SessionRecord.of(record, output)
+            refuted.append(next(record_problems(forged, Counts.of(forged)), None))
+        assert any(refuted), key
 
 
 def test_replay_and_baseline_take_the_merged_bundle(made, tmp_path, pytester, monkeypatch):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 from corridors import expect, scenario
 
@@ -25,23 +27,24 @@ def write_test(project, body="pass"):
 
 
 @pytest.mark.parametrize(
-    "body, arguments, run, ret",
+    "body, arguments, run, gate",
     [
-        (BREAKS, ["-x"], 2, 1),
-        (BREAKS, ["--maxfail=1"], 2, 1),
-        ("pass", ["-k", "it and 2"], 1, 1),
-        ("pass", ["--deselect", "test_it.py::test_it[corridor/it#0]"], 3, 1),
-        ("pass", ["test_it.py::test_it[corridor/it#3]"], 1, 1),
+        (BREAKS, ["-x"], 2, "incomplete"),
+        (BREAKS, ["--maxfail=1"], 2, "incomplete"),
+        ("pass", ["-k", "it and 2"], 1, "failed"),
+        ("pass", ["--deselect", "test_it.py::test_it[corridor/it#0]"], 3, "failed"),
+        ("pass", ["test_it.py::test_it[corridor/it#3]"], 1, "failed"),
     ],
     ids=["-x", "--maxfail", "-k", "--deselect", "one node id"],
 )
-def test_fewer_episodes_than_planned_are_undecided(project, body, arguments, run, ret):
+def test_fewer_episodes_than_planned_are_undecided(project, body, arguments, run, gate):
     write_test(project, body)
     paths = [] if "::" in arguments[0] else ["test_it.py"]
     result = project.run(*paths, *arguments)
     reason = f"only {run} of 4 planned episodes were run"
-    found = expect(project, result, "undecided", reason, ret=ret, requirement="GAP-1")
+    found = expect(project, result, "undecided", reason, requirement="GAP-1")
     assert (found["planned"], found["run"]) == (4, run)
+    assert project.evidence()["gate"]["result"] == gate
 
 
 def test_last_failed_runs_fewer_episodes_than_planned(project):
@@ -93,6 +96,10 @@ def test_an_item_that_kills_its_worker_is_tried_once_and_the_others_run(
         scenario(project, name, requirements="[GAP-1]", runs=1)
     scenario(project, "d", requirements="[GAP-1, GO-1]", runs=1, world="{dies: true}")
     result = project.scenarios("-n", workers, select="corridor/[a-f]")
+    crashes = re.findall(
+        r"^worker 'gw\d' crashed while running '(.*)'$", result.stdout.str(), re.MULTILINE
+    )
+    assert sorted(crashes) == ["corridor/d::GAP-1", "corridor/d::GO-1"]
     words = {case: word for (case, of), word in project.verdicts().items() if of == "GAP-1"}
     assert words.pop("corridor/d") == "undecided"
     assert words == dict.fromkeys([f"corridor/{name}" for name in "abcef"], "supported")

@@ -294,6 +294,22 @@ def test_episodes_are_kept_from_session_to_session_where_it_is_asked_for(project
     assert sorted(simulations(project).values()) == [1, 1, 2, 2, 2, 5]
 
 
+def test_only_a_variable_that_the_code_reads_makes_other_episodes_of_it(project, monkeypatch):
+    counting(project, runs=3)
+    file = project.path / "planner.py"
+    file.write_text(file.read_text() + 'PACE = os.environ.get("PLANNER_PACE")\n')
+    project.run("corridor/it", "--dura-reuse=kept")
+    monkeypatch.setenv("UNRELATED_PACE", "fast")
+    same = project.run("corridor/it", "--dura-reuse=kept")
+    assert "3 episodes taken over from 1 earlier session, 0 simulated" in output(same)
+    monkeypatch.setenv("PLANNER_PACE", "fast")
+    other = project.run("corridor/it", "--dura-reuse=kept")
+    assert "0 episodes taken over, 3 simulated" in output(other)
+    line = "3 episodes simulated again: environment variable PLANNER_PACE changed"
+    assert line in output(other)
+    check_intact(project)
+
+
 def test_two_sessions_at_once_share_what_they_simulate(project):
     counting(project, runs=8)
     project.run("corridor/it", "--dura-evidence=whole")

@@ -234,6 +234,7 @@ CHANGES = {
     "a session that did not end": running,
     "a case with more flags than its episodes": more_flags,
     "a waiver that nobody gave": waive,
+    "a method that there is not": set_verdict("supported", method="by eye"),
 }
 
 

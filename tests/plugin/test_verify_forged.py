@@ -7,23 +7,29 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
+from collections import defaultdict
 from pathlib import Path
 
 import pytest
+from forging import forgeries
 
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.evidence.bundle import read_session_record
 from pytest_dura.evidence.model import Counts, SessionRecord
+from pytest_dura.evidence.schema import record_schema
 from pytest_dura.evidence.verify import (
+    DAMAGE_ERRORS,
     RejudgedCount,
     derived_problems,
     trace_problems,
     verify_bundle,
 )
 from pytest_dura.evidence.verify_record import record_problems
+from pytest_dura.requirements.statistics.rate_tests import upper_bound
 
 PROJECT = Path(__file__).with_name("project")
 NUDGED = """
@@ -40,6 +46,24 @@ roles:
 faults: [{type: noise, id: g, target: gap, activation: {at: 0.1}, duration: once}]
 requirements: [GAP-1, RATE-1, SEQ-1]
 """
+SEARCHED = """
+name: hall/searched
+simulator: corridor:Corridor
+duration: 1.0
+world: {wall: 10.0}
+variation: {world.wall: {min: 0.5, max: 11.0}}
+roles: {generator: "corridor:Reckless"}
+"""
+UNHURT = """
+name: hall/unhurt
+simulator: corridor:Corridor
+duration: 1.0
+runs: 4
+world: {wall: 10.0}
+roles: {generator: "corridor:Careful", fault_injector: "corridor:Idle"}
+faults: [{type: noise, id: g, target: gap, activation: {at: 0.1}, duration: once}]
+requirements: [GAP-1]
+"""
 RATES = """
 requirements:
   - {id: RATE-1, text: t, kind: safety, check: always (gap > 0.01), at_most: 0.97, confidence: 0.6}
@@ -47,12 +71,36 @@ requirements:
 """
 TESTS = """
 import pytest
+from pytest_dura import derive_seed
+
+def test_by_hand_what_is_planned_later(orchestrator):
+    orchestrator.run("corridor/paired", seed=derive_seed(0, "corridor/paired", 0))
+
 @pytest.mark.dura(scenario="corridor/paired", runs=3)
 def test_pairs(campaign):
     campaign.paired(without="recovery_planner").require("always (gap > 0)")
 
 def test_by_hand(orchestrator):
     orchestrator.run("corridor/free", seed=7)
+
+@pytest.mark.dura(scenario="hall/unhurt")
+@pytest.mark.requirement("GAP-1")
+def test_all_runs(campaign):
+    campaign.require()
+
+@pytest.mark.dura(scenario="hall/unhurt", runs=2)
+@pytest.mark.requirement("GAP-1")
+def test_each_run(episode):
+    assert not episode.collided
+
+@pytest.mark.dura(scenario="hall/searched")
+@pytest.mark.requirement("GAP-1")
+def test_search(campaign):
+    campaign.falsify(budget=12, shrink=10)
+
+@pytest.mark.dura(scenario="hall/searched")
+def test_search_in_vain(campaign):
+    campaign.falsify("always (gap > -1)", budget=12)
 
 class TestInstance:
     @pytest.fixture(scope="session")
@@ -80,11 +128,13 @@ def made(tmp_path_factory):
     paired = paired.replace("faults: [{", "description: '").replace("once}]", "once'")
     (scenarios / "corridor/paired.yaml").write_text(paired)
     (scenarios / "rates.yaml").write_text(RATES)
+    (scenarios / "searched.yaml").write_text(SEARCHED)
+    (scenarios / "unhurt.yaml").write_text(UNHURT)
     (folder / "test_it.py").write_text(TESTS)
     environment = {name: one for name, one in os.environ.items() if name != "PYTEST_ADDOPTS"}
     subprocess.run(
         [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "test_it.py",
-         "--dura-scenarios", "--dura-select=corridor/*"],
+         "--dura-scenarios", "--dura-select=corridor/*", "--junit-xml=junit.xml"],
         cwd=folder, env=environment, capture_output=True, text=True, timeout=60, check=False,
     )  # fmt: skip
     return folder / "dura-evidence"
@@ -115,6 +165,17 @@ def test_the_session_is_intact_though_its_campaigns_are_of_different_lengths(mad
     runs = {one["run"] for one in verdicts if one["case"] == "corridor/idle"}
     assert len(runs) > 1
     assert any(one["pairs"] for one in verdicts)
+
+
+def plan_searched(record):
+    """A run that a search chose, by hand in the record, counted among those of a plan."""
+    chosen = json.loads(json.dumps(episode(record, lambda run: run["case"] == "corridor/free")))
+    case = json.loads(json.dumps(record["cases"][0]))
+    name = "corridor/free@0123456789"
+    chosen |= {"id": f"{name}#0", "case": name}
+    chosen["spec"]["case"] = case["id"] = name
+    record["episodes"].append(chosen)
+    record["cases"].append(case)
 
 
 CHANGES = {
@@ -194,7 +255,29 @@ CHANGES = {
     "the exit code": lambda r: r["gate"].update(exit_code=0),
     "a number that is not finite": lambda r: r["timings"].update(simulated_seconds=float("inf")),
     "an incomplete gate": lambda r: r["gate"].update(result="incomplete"),
+    "a larger plan, as if more runs had been saved": lambda r: verdict(
+        r, requirement="SEQ-1", case="corridor/paired"
+    ).update(planned=12, saved=7),
+    "invalid runs of a test as valid ones": lambda r: valid_after_all(
+        verdict(r, item="test_it.py::test_each_run")
+    ),
+    "a first violation after the end of the search": lambda r: first_of_search(r).update(
+        {"GAP-1": 10**6}
+    ),
+    "an episode that a search chose as planned": plan_searched,
 }
+
+
+def valid_after_all(judged):
+    assert (judged["run"], judged["invalid"], judged["episodes"]) == (2, 2, 0)
+    judged |= {"episodes": 2, "invalid": 0}
+    judged["bound"]["upper"] = upper_bound(0, 2, judged["bound"]["confidence"])
+
+
+def first_of_search(record):
+    """By the requirement, at which of its simulations a baseline violated it first."""
+    search = next(each for each in record["searches"] if "test_search[" in each["item"])
+    return search["baselines"][0]["first"]
 
 
 def paired(record):
@@ -209,6 +292,132 @@ def test_what_follows_from_the_rest_is_computed_again(made, change):
     assert json.dumps(record) != before
     record["totals"] = Counts.of(SessionRecord.of(record, made)).to_json()
     assert problems_of(made, record)
+
+
+FREE = {
+    "who wrote it, where, when and how fast, which nothing else in it repeats": """
+        created, finished, command, tool, environment, execution, reuse.session, selection,
+        require_repeatable, timings.wall_seconds, timings.evidence_seconds,
+        episodes[].metrics.processing_us, inputs
+    """,
+    "what was asked for, in the words of its own file": """
+        requirements[].text, requirements[].kind, requirements[].source, requirements[].reason,
+        requirements[].method, requirements[].p0, requirements[].at_most (null),
+        requirements[].paired, verdicts[].paired, verdicts[].item, cases[].order,
+        cases[].without[], cases[].faults[].duration, cases[].faults[].by_chance,
+        cases[].faults[].activation, cases[].faults[].parameters
+    """,
+    "what the component is, beside its name and the digest of its code": """
+        component_under_test.path, component_under_test.version, component_under_test.opaque,
+        component_under_test.distribution, component_under_test.files,
+        component_under_test.digest (null), component_under_test.others[].path,
+        component_under_test.others[].version, component_under_test.others[].opaque,
+        component_under_test.others[].distribution, component_under_test.others[].files,
+        component_under_test.others[].digest (null)
+    """,
+    "what an episode was simulated from: simulating it again tells": """
+        episodes[].spec.roles, episodes[].spec.simulator, episodes[].spec.scenario.duration,
+        episodes[].spec.scenario.world, episodes[].spec.termination, episodes[].spec.time_budget,
+        episodes[].spec.faults[].duration, episodes[].spec.faults[].by_chance,
+        episodes[].spec.faults[].activation, episodes[].spec.faults[].parameters
+    """,
+    "what was seen in an episode, and is in no trace: simulating it again tells": """
+        cases[].repeat (null), cases[].repeat.detail, episodes[].trajectory, episodes[].drawn,
+        episodes[].metrics.robustness_min, episodes[].metrics.violations,
+        episodes[].metrics.recoveries_succeeded, episodes[].faults[].planned_at,
+        episodes[].faults[].deactivated_at, episodes[].faults[].detected_by,
+        episodes[].faults[].pattern, episodes[].faults[].recovery,
+        episodes[].faults[].recovery_at, episodes[].faults[].activations,
+        episodes[].faults[].manifest_ticks, episodes[].faults[].by_chance,
+        episodes[].faults[].propagation, episodes[].faults[].propagated_at,
+        episodes[].faults[].unknown, monitors[].untimed, monitors[].invalid, monitors[].missing,
+        monitors[].false_alarms, monitors[].horizon (other)
+    """,
+    "what a test asserted, and how a session ended beside its verdicts: running it tells": """
+        verdicts[].assertion, verdicts[].spoilt.detail, gate.failed, gate.reasons,
+        gate.warn_undecided
+    """,
+    "what a search did, of which no verdict is made: searching again tells": """
+        searches (fewer), searches[].seed, searches[].budget, searches[].refused, searches[].rule,
+        searches[].parameters, searches[].searchers[].trivial,
+        searches[].searchers[].first.* (null), searches[].baselines (fewer),
+        searches[].baselines[].name, searches[].baselines[].best.*,
+        searches[].baselines[].first.* (null), searches[].coverage, searches[].simulator,
+        searches[].roles, searches[].item
+    """,
+    "what a search found: replaying the counterexample tells": """
+        searches[].outcomes[].counterexample.case, searches[].outcomes[].counterexample.scenario,
+        searches[].outcomes[].counterexample.digest, searches[].outcomes[].counterexample.margin,
+        searches[].outcomes[].counterexample.time, searches[].outcomes[].counterexample.detail,
+        searches[].outcomes[].counterexample.shrinking (null),
+        searches[].outcomes[].counterexample.shrinking.before,
+        searches[].outcomes[].counterexample.shrinking.budget,
+        searches[].outcomes[].counterexample.shrinking.finished,
+        searches[].outcomes[].counterexample.file (other),
+        searches[].outcomes[].counterexample.name (other)
+    """,
+}
+"""Fields from which nothing else in a bundle follows, and why; with all that is below them."""
+
+
+def free_names():
+    return [name.strip() for names in FREE.values() for name in names.split(",")]
+
+
+def names_it(name, field, kind):
+    """Whether the name of a field, or of a kind of other value of it, is about this one."""
+    return re.match(re.escape(name) + r"(?![\w*])", f"{field} ({kind})") is not None
+
+
+def is_refuted(made, record, on_traces):
+    """Whether verify says anything against a record: by itself or its traces, formats aside.
+
+    What is slow comes last: reading the traces, whose verdicts ``on_traces`` has.
+    """
+    record["totals"] = Counts.of(SessionRecord.of(record, made)).to_json()
+    read = SessionRecord.of(record, made)
+    checks = (
+        lambda: record_problems(read, Counts.of(read)),
+        lambda: derived_problems(read, on_traces),
+        lambda: trace_problems(read, RejudgedCount()),
+    )
+    try:
+        return any(True for check in checks for _ in check())
+    except DAMAGE_ERRORS:
+        return True
+
+
+def test_one_forged_field_is_found_whatever_field_it_is(made):
+    """Each field of the schema that this session fills, with each kind of other value.
+
+    Where a field stands several times, it is enough that one of its places is found: not all
+    verdicts rest on traces.
+    """
+    text = (made / "evidence.json").read_text()
+    by_field = defaultdict(list)
+    for forgery in forgeries(record_schema(), json.loads(text)):
+        by_field[forgery.field, forgery.kind].append(forgery)
+    free = {key: {name for name in free_names() if names_it(name, *key)} for key in by_field}
+    claims = [
+        key
+        for key, names in free.items()
+        if not names and key[0].partition(".")[0] != "totals"  # a forger counts anew
+    ]
+    on_traces, intact = RejudgedCount(), SessionRecord.of(json.loads(text), made)
+    assert [*trace_problems(intact, on_traces)] == []
+    assert {name for names in free.values() for name in names} == {*free_names()}
+    assert len(claims) > 350
+    missed = []
+    for key in claims:
+        places = by_field[key]
+        for number in dict.fromkeys((0, len(places) - 1, len(places) // 2)):
+            record = json.loads(text)
+            places[number].apply(record)
+            if is_refuted(made, record, on_traces):
+                break
+        else:
+            missed.append(key)
+    assert not missed, "\n".join(f"{field} ({kind})" for field, kind in missed)
 
 
 @pytest.mark.parametrize(
@@ -226,6 +435,23 @@ def test_what_is_no_record_is_refused(made, tmp_path, before, after):
     (tmp_path / "evidence.json").write_text(text.replace(before, after, 1))
     with pytest.raises(ConfigurationError, match="no evidence record"):
         read_session_record(tmp_path)
+
+
+TESTCASE = re.compile(r"<testcase .*?</testcase>", re.DOTALL)
+
+
+@pytest.mark.parametrize("status", ["supported", "violated", "undecided"])
+def test_a_junit_file_with_a_verdict_that_the_record_lacks_is_found(made, tmp_path, status):
+    text = (made.parent / "junit.xml").read_text()
+    assert verify_bundle(made, made.parent / "junit.xml").problems == []
+    case = next(
+        case for case in TESTCASE.findall(text) if f'name="verdict" value="{status}"' in case
+    )
+    invented = case.replace('name="requirement" value="', 'name="requirement" value="NEW-')
+    (tmp_path / "junit.xml").write_text(text.replace(case, case + invented, 1))
+    problems = verify_bundle(made, tmp_path / "junit.xml").problems
+    assert problems
+    assert any("and not in the record" in problem for problem in problems)
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")

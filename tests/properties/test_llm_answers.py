@@ -52,3 +52,28 @@ def test_what_was_answered_keeps_to_the_schema(said):
         assert any(
             "\ud800" <= letter <= "\udfff" for letter in json.dumps(said, ensure_ascii=False)
         )
+
+
+GOOD = {
+    "observations": "clear",
+    "threat_ids": ["V1"],
+    "reasoning": "nothing ahead",
+    "intent": "hold",
+    "maneuver": "proceed",
+    "confidence": 50,
+}
+
+
+@settings(derandomize=True, deadline=None, max_examples=60)
+@given(key=st.sampled_from(sorted(GOOD)), place=st.integers(0, len(GOOD)), value=st.none() | JSON)
+def test_an_answer_that_says_something_twice_says_nothing(key, place, value):
+    """Whether both agree or not, and wherever the repeated key stands."""
+    pairs = list(GOOD.items())
+    assert read_answer(Answer(_object(pairs)), SCHEMA).answered
+    repeated = GOOD[key] if value is None else value
+    pairs.insert(place, (key, repeated))
+    assert read_answer(Answer(_object(pairs)), SCHEMA).outcome == "malformed"
+
+
+def _object(pairs):
+    return "{" + ", ".join(f"{json.dumps(key)}: {json.dumps(value)}" for key, value in pairs) + "}"

@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 from typing import Any
 
+import pytest
+from handmade import handmade
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import binomtest
 
-from pytest_dura.requirements.pairs import Change, Pair, PairCounts, judge_pairs
-from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict
+from pytest_dura import EpisodeVerdict, Paired, Requirement
+from pytest_dura.requirements.pairs import (
+    Change,
+    Pair,
+    PairCounts,
+    change_verdict,
+    judge_pairs,
+    pair_verdict,
+)
 
 lawful = settings(derandomize=True, deadline=None, max_examples=100)
 
@@ -106,3 +116,54 @@ def test_the_summary_lies_within_the_extremes(sides: Any) -> None:
         slack = 1e-9 * max(abs(low), abs(high))
         assert low - slack <= found.mean <= high + slack
         assert low <= found.median <= high
+
+
+KINDS = ("satisfied", "violated", "open", "invalid", "missing")
+
+
+def outcome(with_it: str, without: str) -> str:
+    """What a pair of runs comes to: an open run may yet come to either."""
+    for spoilt in ("missing", "invalid"):
+        if spoilt in (with_it, without):
+            return spoilt
+    sides = [
+        ("satisfied", "violated") if kind == "open" else (kind,) for kind in (with_it, without)
+    ]
+    outcomes = {
+        "violated" if pair == ("violated", "satisfied") else "satisfied"
+        for pair in itertools.product(*sides)
+    }
+    return outcomes.pop() if len(outcomes) == 1 else "open"
+
+
+@pytest.mark.parametrize("without", KINDS)
+@pytest.mark.parametrize("with_it", KINDS)
+def test_a_pair_comes_to_what_its_runs_come_to_and_is_vacuous_if_both_are(
+    with_it: str, without: str
+) -> None:
+    expected = outcome(with_it, without)
+    for own, other in itertools.product((False, True), repeat=2):
+        result = pair_verdict(
+            EpisodeVerdict("R", "case#0", "P", with_it, 1.0, None, "", 10, 10, vacuous=own),
+            EpisodeVerdict("R", "twin#0", "P", without, 1.0, None, "", 10, 10, vacuous=other),
+        )
+        assert (result.verdict, result.episode) == (expected, "case#0")
+        if expected == "satisfied":
+            assert result.vacuous == (own and other)
+
+
+@lawful
+@given(st.integers(-99, 999), st.integers(-99, 999), st.integers(0, 99), st.sampled_from([10, 30]))
+def test_a_change_is_held_against_its_bound_as_the_numbers_are_written(
+    own: int, other: int, bound: int, per_unit: int
+) -> None:
+    """Tenths and thirtieths have no exact float, and a change may equal its bound."""
+    run = handmade(3, gap=[1, 1, 1])
+    for more in (own, other + bound):
+        paired = Paired("recovery_planner", measure="a:b", change_at_most=bound / per_unit)
+        values = (more / per_unit, other / per_unit)
+        result = change_verdict(Requirement("R", paired=paired), run, run, values)
+        growth = more - other
+        assert result.verdict == ("violated" if growth > bound else "satisfied")
+        assert (result.margin == 0) == (growth == bound)
+        assert math.isclose(result.margin, (bound - growth) / per_unit, rel_tol=1e-6)

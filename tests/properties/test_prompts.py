@@ -19,6 +19,7 @@ from pytest_dura.core.seeding import stream
 from pytest_dura.core.state import PastDecision
 from pytest_dura.driving.bodies import Body, BodyList
 from pytest_dura.driving.maneuvers import Command, Maneuver
+from pytest_dura.driving.percepts import DISTANCE_TOLERANCE
 from pytest_dura.driving.sensors import Imu, Odometry, Pose, Sign
 from pytest_dura.llm.driving.blocks import percept_prompt
 from pytest_dura.llm.driving.planner import driving_templates, with_conflict, with_injection
@@ -178,3 +179,40 @@ words = (
 def test_words_of_any_script_stay_as_they_are(text: str) -> None:
     bracketless = text.translate({0x1438: "(", 0x1433: ")"})
     assert harmless(text) == re.sub("(?i)perceivedtext", "(tag)", bracketless)
+
+
+angles = st.floats(-2 * math.pi, 2 * math.pi) | st.sampled_from([-math.pi, math.pi, -0.0])
+
+
+def radar_of(percept: Any) -> Any:
+    """The objects of the block RADAR."""
+    (block,) = (block for block in percept_prompt(percept).blocks if block.name == "RADAR")
+    return block.facts["objects"]
+
+
+@laws
+@given(st.lists(angles, min_size=1, max_size=5))
+def test_each_direction_is_one_whole_number_of_degrees(azimuths: list[float]) -> None:
+    """From -179 to 180: straight behind has one name, whichever way round it was measured."""
+    percept = {**channels_of(), "radar": np.array([[10.0, angle, 0.0] for angle in azimuths])}
+    shown = {made["id"]: made["bearing"] for made in radar_of(percept)}
+    for index, angle in enumerate(azimuths):
+        bearing = shown[f"R{index}"]
+        assert -180 < bearing <= 180
+        assert math.cos(math.radians(bearing) - angle) >= math.cos(math.radians(0.5 + 1e-6))
+
+
+@laws
+@given(angles, angles, st.sampled_from([0.0, 0.9, 0.99, 1.01, 1.5, 2.9, 3.1]))
+def test_a_radar_return_has_the_id_of_the_object_at_its_place_alone(
+    azimuth: float, towards: float, share: float
+) -> None:
+    """Within radar's own tolerance, and not beyond it: a ghost must not borrow a real id."""
+    percept = channels_of()
+    pose, apart = percept["localisation"], share * DISTANCE_TOLERANCE
+    x = pose.x + 20.0 * math.cos(pose.heading - azimuth) + apart * math.cos(towards)
+    y = pose.y + 20.0 * math.sin(pose.heading - azimuth) + apart * math.sin(towards)
+    percept["lidar"] = BodyList.of([Body("V1", x, y, 0.0, 0.0, 0.0, 4.5, 1.8)])
+    percept["radar"] = np.array([[20.0, azimuth, 0.0]])
+    (made,) = radar_of(percept)
+    assert made["id"] == ("V1" if share < 1.0 else "R0")

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
+from itertools import combinations
+
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -82,6 +85,25 @@ def test_trivial_searchers_lie_in_the_space_and_need_no_answers(layout, seed) ->
             points = searcher.ask()
             assert points.shape[1] == layout.size
             assert np.all((points >= 0.0) & (points <= 1.0))
+
+
+@settings(lawful, max_examples=6)
+@given(st.integers(24, 64), seeds)
+def test_no_searcher_and_no_baseline_draws_what_another_draws(size, seed) -> None:
+    """So a baseline is another sample, and one searcher more or less shifts nobody's draws."""
+    layout = Layout((Group("input", size=size), Group("number")))
+    drawn: dict[str, set[tuple[float, ...]]] = defaultdict(set)
+    for batch in batches(layout, seed, []):
+        drawn[f"search {batch.searcher}"] |= set(map(tuple, batch.points.tolist()))
+    for name, searcher in trivial_searchers(layout, seed):
+        for _ in range(8):
+            drawn[f"baseline {name}"] |= set(map(tuple, searcher.ask().tolist()))
+    # Corners and the centre are nobody's draws.
+    fixed = {0.0, 0.5, 1.0}
+    own = {name: {point for point in drawn[name] if {*point} - fixed} for name in drawn}
+    assert all(own.values())
+    for name, other in combinations(sorted(own), 2):
+        assert not own[name] & own[other], (name, other)
 
 
 @lawful

@@ -2,22 +2,31 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import Any
 from unittest.mock import patch
 
 import numpy as np
+import pytest
 import stl_oracle
 from formulas import formulas, traces
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pytest_dura.requirements.stl.evaluation import evaluate
+from pytest_dura.requirements.stl.evaluation import Ending, evaluate
 from pytest_dura.requirements.stl.formula import (
+    Boolean,
+    Comparison,
+    Constant,
     Formula,
+    Node,
+    Signal,
     Step,
     Temporal,
     TemporalPair,
+    Window,
     children,
+    node_text,
     walk,
 )
 from pytest_dura.requirements.stl.robustness import (
@@ -30,6 +39,7 @@ NAMES = ("a", "b")
 STEP = 0.1
 AHEAD = ("always", "eventually", "until", "next", "strong_next")
 any_formula = formulas(NAMES, time_step=STEP)
+COMPARISON = Comparison(">", Signal("a"), Constant(0.0))
 
 
 def laws(examples: int) -> Any:
@@ -191,3 +201,88 @@ def test_what_a_prefix_decides_the_whole_trace_confirms(
         assert late.time == early.time
     assert early.lower <= late.lower
     assert late.upper <= early.upper
+
+
+def textbook_vacuous(
+    node: Node, trace: dict[str, list[float]], at: set[int], *, complete: bool
+) -> bool:
+    """Whether what is asked at these samples rests on conditions that held at none of them."""
+
+    def held(part: Node) -> set[int]:
+        formula = Formula(part, node_text(part))
+        least, _ = robustness_interval(formula, trace, STEP, complete=complete, truth=True)
+        return {sample for sample in at if least[sample] > 0}
+
+    def of(part: Node, asked: set[int] = at) -> bool:
+        return textbook_vacuous(part, trace, asked, complete=complete)
+
+    if isinstance(node, Temporal):
+        size = len(trace["a"])
+        return of(
+            node.operand,
+            {other for now in at for other in stl_oracle.samples(node, now, size, STEP)},
+        )
+    if not isinstance(node, Boolean):
+        return False
+    if node.operator == "implies":
+        return not held(node.left) or of(node.right, held(node.left))
+    if node.operator == "and":
+        return of(node.left) and of(node.right)
+    if node.operator == "or":
+        sides = [(node.left, node.right), (node.right, node.left)]
+        return any(of(side) and (of(other) or not held(other)) for side, other in sides)
+    return False
+
+
+def conditional() -> st.SearchStrategy[Formula]:
+    """Formulas with an implication in them, ranged over or joined with another."""
+    small = formulas(NAMES, time_step=STEP, max_leaves=2, max_window=3).map(
+        lambda formula: formula.root
+    )
+    implied = st.builds(Boolean, st.just("implies"), small, small)
+    windows = st.none() | st.just(Window(0.1, 0.3))
+    kinds = st.sampled_from(["always", "eventually", "once", "historically"])
+    ranged = st.builds(Temporal, kinds, implied, windows)
+    joined = st.builds(Boolean, st.sampled_from(["and", "or", "implies"]), ranged | small, ranged)
+    return st.one_of(ranged, joined, st.builds(Temporal, kinds, joined, windows)).map(
+        lambda root: Formula(root, node_text(root))
+    )
+
+
+def test_a_satisfied_formula_is_vacuous_where_its_conditions_held_nowhere_that_it_was_asked() -> (
+    None
+):
+    counts: Counter[bool] = Counter()
+
+    @laws(300)
+    @given(conditional(), traces(NAMES, min_size=1), st.booleans())
+    def law(formula: Formula, trace: dict[str, list[float]], complete: bool) -> None:
+        ending: Ending = "time" if complete else "open"
+        found = evaluate(formula, seconds(trace), trace, ending=ending, time_step=STEP)
+        if found.status != "satisfied":
+            assert not found.vacuous
+            return
+        expected = textbook_vacuous(formula.root, trace, {0}, complete=complete)
+        assert found.vacuous == expected
+        counts[expected] += 1
+
+    law()
+    assert min(counts[True], counts[False]) > 30, counts
+
+
+@pytest.mark.parametrize("size", [1, 2, 5])
+@pytest.mark.parametrize("window", [(0, 0), (0, 1), (1, 1), (1, 3), (2, 5)], ids=str)
+@pytest.mark.parametrize("operator", ["always", "eventually"])
+def test_a_window_is_open_from_the_first_sample_that_it_misses_on(
+    operator: str, window: tuple[int, int], size: int
+) -> None:
+    first, last = window
+    node = Temporal(operator, COMPARISON, Window(first * STEP, last * STEP))
+    trace = {"a": [3.0, -1.0, 2.0, 5.0, 4.0][:size], "b": [0.0] * size}
+    lower, upper = robustness_interval(Formula(node, node_text(node)), trace, STEP)
+    seen = stl_oracle.robustness(node, trace, STEP)
+    for sample in range(size):
+        is_open = sample + last >= size
+        least = -np.inf if is_open and operator == "always" else seen[sample]
+        most = np.inf if is_open and operator == "eventually" else seen[sample]
+        assert (lower[sample], upper[sample]) == (least, most)

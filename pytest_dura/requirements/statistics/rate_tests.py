@@ -54,7 +54,7 @@ def lower_bound(violations: int, episodes: int, confidence: float) -> float:
         return 0.0
     from scipy.special import betaincinv
 
-    return float(betaincinv(violations, episodes - violations + 1, 1.0 - confidence))
+    return float(betaincinv(violations, episodes - violations + 1, error_level(confidence)))
 
 
 def runs_needed(at_most: float, confidence: float, violations: int = 0) -> int:

@@ -288,12 +288,12 @@ settings.register_profile("odd", derandomize=True, max_examples=1, phases=[Phase
 settings.load_profile("odd")
 import hypothesis.core
 hypothesis.core.global_force_seed = 7
-from pytest_dura.search.shrinking import minimal
+from pytest_dura.search.shrinking import minimise
 tried = []
 def interesting(places):
     tried.append(places)
     return places[1] == 1 and places[4] > 11
-print(minimal((1, 1, 9, 9, 30), interesting, 5), tried)
+print(minimise((1, 1, 9, 9, 30), interesting, 5), tried)
 """
 
 
@@ -320,10 +320,10 @@ def test_it_is_the_same_under_any_profile_and_leaves_nothing_behind(tmp_path: Pa
 COPIED = """
 import os, threading, warnings
 warnings.simplefilter("ignore")  # a copy of a process with threads is what this is about
-from pytest_dura.search.shrinking import minimal
+from pytest_dura.search.shrinking import minimise
 def found():
-    return minimal((9, 9, 30), lambda places: places[2] > 11, 5)
-assert found() == found() == minimal((3,), lambda places: found() == (0, 0, 12), 5) + (0, 12)
+    return minimise((9, 9, 30), lambda places: places[2] > 11, 5)
+assert found() == found() == minimise((3,), lambda places: found() == (0, 0, 12), 5) + (0, 12)
 print(sum(one.name == "shrinking" for one in threading.enumerate()), flush=True)
 if os.fork() == 0:
     print(found(), flush=True)

@@ -191,13 +191,18 @@ CHOSEN = "a/clear@0123456789"
 
 
 def test_a_searched_episode_that_counts_as_planned():
-    told = session_record()
-    episodes = [dict(one) for one in told.episodes()]
+    record = session_record()
+    episodes = [dict(episode) for episode in record.episodes()]
     episodes[0] |= {"case": CHOSEN, "id": f"{CHOSEN}#0"}
-    expected = f"episode {CHOSEN}#0: a search chose it, and it counts as planned"
-    assert problems(episodes=episodes) == [expected]
-    episodes[0]["planned"] = False
-    assert problems(episodes=episodes) == []
+    episodes[0]["spec"] = {**episodes[0]["spec"], "case": CHOSEN}
+    case = next(case for case in record["cases"] if case["id"] == CASES[0])
+    metrics = {**case["metrics"], "run": 1, "valid": 1}
+    chosen = {**case, "id": CHOSEN, "planned": 0, "metrics": metrics}
+    forged = session_record(episodes=episodes, cases=[*record["cases"], chosen])
+    expected = f"case {CHOSEN}: a search chose it, and there are metrics of it"
+    assert f"evidence.json: {expected}" in list(record_problems(forged, Counts.of(forged)))
+    unlisted = session_record(episodes=episodes)
+    assert list(record_problems(unlisted, Counts.of(unlisted)))
 
 
 def test_a_searched_case_with_metrics():

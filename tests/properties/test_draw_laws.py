@@ -1,0 +1,142 @@
+"""Laws of draws: adding a fault, a role, an arm or a run shifts the numbers of nobody else.
+
+Faults among themselves stand in ``test_fault_plan_laws`` and ``test_fault_independence``, and the
+samples of a language model in ``test_llm_planner_laws``.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import pytest
+from clockwork import Clockwork
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from injecting import Drawing, fault
+from loops import run_loop
+
+from pytest_dura import Assessment, Proposal, RoleContext, SafetyMonitor, stream
+from pytest_dura.core.state import GeneratorView
+from pytest_dura.faults.injector import CampaignInjector
+from pytest_dura.library.cases import Case, case_with_faults, expand_cases
+from pytest_dura.library.loading import load_library
+from pytest_dura.library.scenario import Scenario
+
+law = settings(derandomize=True, deadline=None, max_examples=25)
+
+
+# Within an episode
+
+
+class Gambler(SafetyMonitor):
+    """Scores each proposal by a number that it draws."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def reset(self, context: RoleContext) -> None:
+        self._stream = stream(context.seed, self._name)
+
+    def run(self, view: Any) -> Assessment:
+        return Assessment(score=float(self._stream.random()))
+
+
+PLANS = {
+    name: fault(name, type="injecting:Drawing", target="level", probability=0.3, duration="once")
+    for name in ("first", "second")
+}
+ROLES = ("gambler", "player")
+
+
+def draws(seed: int, parts: frozenset[str]) -> dict[str, Any]:
+    """All that was drawn in an episode with these faults and roles, by who drew it."""
+    Drawing.noted.clear()
+
+    def propose(view: GeneratorView) -> Proposal:
+        view.percept["level"]
+        return Proposal(0.0)
+
+    episode = run_loop(
+        propose,
+        simulator=Clockwork(),
+        seconds=2.0,
+        spec={"seed": seed, "faults": tuple(PLANS[name] for name in PLANS if name in parts)},
+        fault_injector=CampaignInjector(),
+        **{name: Gambler(name) for name in ROLES if name in parts},
+    )
+    numbers: dict[str, Any] = {"world": episode.signals["noise"].tolist()}
+    for name in PLANS:
+        if name in parts:
+            numbers[name] = [row for row in Drawing.noted if row[0] == name]
+    return numbers | {name: scores[1] for name, scores in episode.metrics.robustness.items()}
+
+
+@law
+@given(st.integers(0, 2**53 - 1), st.sets(st.sampled_from([*PLANS, *ROLES])))
+def test_world_faults_and_roles_draw_the_same_whoever_else_draws(
+    seed: int, parts: set[str]
+) -> None:
+    everybody = draws(seed, frozenset([*PLANS, *ROLES]))
+    some = draws(seed, frozenset(parts))
+    assert set(some) == {"world", *parts}
+    assert some == {name: everybody[name] for name in some}
+    other = draws(seed + 1, frozenset(parts))
+    for name in {"world", *parts} & {"world", *ROLES}:
+        assert not set(some[name]) & set(other[name])
+    assert not set(everybody["world"]) & {*everybody["gambler"], *everybody["player"]}
+    assert not set(everybody["gambler"]) & set(everybody["player"])
+
+
+# Within a campaign
+
+NAME = "intersection/congested"
+ARMS: dict[str, list[str] | str] = {
+    "none": "none",
+    "delay": ["delay"],
+    "both": ["gnss-jump", "object-miss"],
+}
+
+
+@cache
+def scenario() -> Scenario:
+    return load_library(()).scenarios[NAME]
+
+
+def situation(case: Case, run: int, base_seed: int) -> tuple[int, Any]:
+    """The seed and the world of a run."""
+    spec = case.spec(run, base_seed)
+    return spec.seed, spec.scenario["world"]
+
+
+@law
+@given(
+    st.integers(0, 2**40),
+    st.integers(0, 300),
+    st.sampled_from(["recovery_planner", "safety_monitor"]),
+)
+def test_the_arms_of_a_scenario_meet_the_same_worlds_run_by_run(
+    base_seed: int, run: int, role: str
+) -> None:
+    """So that each run is a pair with its run of every other arm, also of one without a role."""
+    plain = case_with_faults(scenario(), "none")
+    arms = [case_with_faults(scenario(), faults) for faults in ARMS.values()]
+    arms += [arm.switched_off(role) for arm in arms]
+    assert len({arm.id for arm in arms}) == len(arms)
+    for arm in arms:
+        assert situation(arm, run, base_seed) == situation(plain, run, base_seed)
+    for other in (situation(plain, run + 1, base_seed), situation(plain, run, base_seed + 1)):
+        seed, world = situation(plain, run, base_seed)
+        assert other[0] != seed
+        assert other[1] != world, "what varies is drawn anew"
+
+
+@pytest.mark.parametrize("runs", [1, 7, 400])
+def test_planning_more_runs_or_more_arms_shifts_no_run(runs: int) -> None:
+    planned = scenario().model_copy(update={"runs": runs})
+    (alone,) = expand_cases([planned], ["none"])
+    among = {case.id: case for case in expand_cases([planned], list(ARMS.values()))}[alone.id]
+    known = case_with_faults(scenario(), "none")
+    for run in range(5):
+        expected = situation(known, run, 3)
+        assert situation(alone, run, 3) == situation(among, run, 3) == expected
