@@ -68,7 +68,7 @@ def _resolved(path: Path) -> Path:
 
 MAX_LISTED_FILES = 50
 """Files that are listed by name; with more of them, the defining one is."""
-MAX_COMPONENT_FILES = 1000
+_MAX_COMPONENT_FILES = 1000
 """Files that are read; with more of them, the defining one is."""
 _NO_SOURCES = {"__pycache__", "node_modules", "site-packages"}
 
@@ -91,7 +91,7 @@ class Sources:
 
 
 def sources_of(
-    file: Path, module: str, root: Path, *, most: int = MAX_COMPONENT_FILES
+    file: Path, module: str, root: Path, *, most: int = _MAX_COMPONENT_FILES
 ) -> Sources | None:
     """All Python files of the top-level package that defines something; ``None`` without a file.
 
@@ -104,8 +104,8 @@ def sources_of(
         root: The project's root, to which names are relative.
         most: Of how many files at most; see :data:`MOST`.
     """
-    package = top_package(file, module)
-    files = sorted(python_files(package, most)) if package is not None else []
+    package = _top_package(file, module)
+    files = sorted(_python_files(package, most)) if package is not None else []
     base = file.parent
     if package is None or not 0 < len(files) <= most or file not in files:
         files = [file]
@@ -140,7 +140,7 @@ def digest_of(named: Mapping[str, str]) -> str:
     return state.hexdigest()
 
 
-def top_package(file: Path, module: str) -> Path | None:
+def _top_package(file: Path, module: str) -> Path | None:
     """The folder of the top-level package, if the file lies where its module's name says."""
     parts = module.split(".")
     if file.name != "__init__.py":
@@ -151,7 +151,7 @@ def top_package(file: Path, module: str) -> Path | None:
     return package if package.name == parts[0] else None
 
 
-def python_files(package: Path, most: int) -> Iterator[Path]:
+def _python_files(package: Path, most: int) -> Iterator[Path]:
     """The files below a package, one more than ``most`` at most."""
     found = 0
     for folder, inner, names in os.walk(package):
@@ -173,7 +173,7 @@ _EXCLUDED = re.compile(r"PYTEST_|.*(?:KEY|TOKEN|SECRET|PASSW|CREDENTIAL)", re.IG
 """Names of what is another one in each process or for each user, and no episode should rest on."""
 
 
-def variables_in(text: str) -> set[str]:
+def _variables_in(text: str) -> set[str]:
     """The names of the variables that a text of Python reads; computed names are not found.
 
     Secrets are left out, and what pytest sets for each of its processes and tests.
@@ -189,7 +189,7 @@ def describe_variable(name: str) -> str:
     return hashlib.sha256(f"{name}={value}".encode("utf-8", "surrogateescape")).hexdigest()
 
 
-MAX_PACKAGE_FILES = 5000
+_MAX_PACKAGE_FILES = 5000
 """Files that are read of one package; nothing is known of one that has more."""
 _OURS = "pytest_dura"
 _IMPORT = re.compile(
@@ -249,7 +249,7 @@ class _FileCollector:
 
     def told(self) -> UserCode | None:
         """What was found; ``None`` if there are too many files."""
-        if len(self._files) > MAX_PACKAGE_FILES:
+        if len(self._files) > _MAX_PACKAGE_FILES:
             return None
         state = hashlib.sha256()
         for name, sha256 in sorted(self._files.values()):
@@ -262,16 +262,16 @@ class _FileCollector:
         Raises:
             OSError: If one of them cannot be read.
         """
-        package = top_package(file, module)
+        package = _top_package(file, module)
         self._looked_for.add(module.partition(".")[0])
-        files = [] if package is None else list(python_files(package, MAX_PACKAGE_FILES))
+        files = [] if package is None else list(_python_files(package, _MAX_PACKAGE_FILES))
         if package is None or file not in files:
             self._read(file, file.parent)
         for item in files:
             self._read(item, (package or item).parent)
 
     def _read(self, file: Path, base: Path) -> None:
-        if file in self._files or len(self._files) > MAX_PACKAGE_FILES:
+        if file in self._files or len(self._files) > _MAX_PACKAGE_FILES:
             return
         data = file.read_bytes()
         name = file.relative_to(base).as_posix()
@@ -280,7 +280,7 @@ class _FileCollector:
             return
         # Another encoding than UTF-8 spoils letters of names that are not ASCII, and nothing else.
         text = _CONTINUED.sub(" ", data.decode(errors="replace"))
-        self._variables |= variables_in(text)
+        self._variables |= _variables_in(text)
         for top in _imported(text):
             if top not in self._looked_for:
                 self._looked_for.add(top)
@@ -313,7 +313,7 @@ def _origins(top: str, beside: Path) -> Iterator[Path]:
         yield Path(spec.origin).absolute()
     else:
         for folder in spec.submodule_search_locations or ():
-            yield from python_files(Path(folder), MAX_PACKAGE_FILES)
+            yield from _python_files(Path(folder), _MAX_PACKAGE_FILES)
 
 
 _MAX_OWN_FILES = 5000
@@ -348,8 +348,8 @@ def _digest() -> str | None:
     return None if sources is None else sources.digest
 
 
-DISTRIBUTION = "pytest-dura"
-PACKAGES = (
+_DISTRIBUTION = "pytest-dura"
+_PACKAGES = (
     "pytest-dura", "pytest", "pytest-xdist", "hypothesis", "highway-env", "gymnasium",
     "allure-pytest", "numpy", "scipy", "pydantic", "PyYAML",
 )  # fmt: skip
@@ -407,7 +407,7 @@ def describe_hypothesis() -> dict[str, Any] | None:
     }
 
 
-NUMERIC = ("numpy", "scipy", "highway-env", "gymnasium")
+_NUMERIC = ("numpy", "scipy", "highway-env", "gymnasium")
 """Packages whose versions are told one by one, since most episodes rest on them."""
 _TOOLS = ("pytest", "hypothesis", "allure", "execnet", "ruff", "mypy", "pip", "setuptools", "dask",
           "distributed")  # fmt: skip
@@ -430,7 +430,7 @@ def describe_packages() -> dict[str, str]:
             Path(name).stem for name in names if name.endswith((".dist-info", ".egg-info"))
         )
     rest = sorted(name for name in found if not name.lower().startswith((*_TOOLS, "pytest_dura")))
-    told = {name: version for name in NUMERIC if (version := _version(name))}
+    told = {name: version for name in _NUMERIC if (version := _version(name))}
     return {**told, "other packages": hashlib.sha256("\n".join(rest).encode()).hexdigest()}
 
 
@@ -484,10 +484,10 @@ def _defining_file(factory: Callable[..., Any]) -> Path | None:
 def _packages() -> list[str]:
     """What may change results, and whatever else our own distribution requires."""
     try:
-        required = metadata.requires(DISTRIBUTION) or []
+        required = metadata.requires(_DISTRIBUTION) or []
     except metadata.PackageNotFoundError:  # run from its sources
         required = []
-    found = {name.lower(): name for name in PACKAGES}
+    found = {name.lower(): name for name in _PACKAGES}
     for item in required:
         name = re.split(r"[^A-Za-z0-9._-]", item, maxsplit=1)[0]
         if "extra ==" not in item:

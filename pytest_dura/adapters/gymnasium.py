@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     import gymnasium
 
 
-def to_action(space: gymnasium.Space[Any], action: Any) -> Any:
+def _to_action(space: gymnasium.Space[Any], action: Any) -> Any:
     """The action as an element of the space.
 
     Raises:
@@ -41,7 +41,7 @@ def to_action(space: gymnasium.Space[Any], action: Any) -> Any:
     return action
 
 
-def default_action(space: gymnasium.Space[Any]) -> Any:
+def _default_action(space: gymnasium.Space[Any]) -> Any:
     """The first choice of a discrete space, the zero of a box (or what is nearest to it).
 
     ``None``, which is no action, for any other space.
@@ -55,7 +55,7 @@ def default_action(space: gymnasium.Space[Any]) -> Any:
     return None
 
 
-def action_text(action: Any) -> str:
+def _action_text(action: Any) -> str:
     """The action's numbers, the same text in every process."""
     if isinstance(action, np.ndarray):
         return "[" + ", ".join(f"{value:.6g}" for value in action.ravel().tolist()) + "]"
@@ -83,14 +83,14 @@ def _vector(space: Any, action: Any) -> Any:
     if np.isnan(vector).any():
         raise ActionError(f"the action holds NaN; expected {expected}")
     if (vector < space.low).any() or (vector > space.high).any():
-        raise ActionError(f"{action_text(vector)} is out of bounds; expected {expected}")
+        raise ActionError(f"{_action_text(vector)} is out of bounds; expected {expected}")
     vector.flags.writeable = False
     return vector
 
 
 def _bounds(values: Any) -> str:
     first = values.ravel()[0] if values.size else 0
-    return f"{first:g}" if (values == first).all() else action_text(values)
+    return f"{first:g}" if (values == first).all() else _action_text(values)
 
 
 Signals = Callable[[Any, Mapping[str, Any], float], Mapping[str, float]]
@@ -99,7 +99,7 @@ Goal = Callable[[Any, Mapping[str, Any], float], bool]
 Critical = Callable[[Any, Mapping[str, Any], float], "str | None"]
 Scenes = Callable[[Sequence[Tick], Sequence[Percept]], "Scene | None"]
 
-TERMINATED = "the environment has terminated"
+_TERMINATED = "the environment has terminated"
 
 
 class GymnasiumSimulator(Simulator):
@@ -233,7 +233,7 @@ class GymnasiumSimulator(Simulator):
         Raises:
             ActionError: For anything else, with what is expected.
         """
-        return to_action(self.env.action_space, action)
+        return _to_action(self.env.action_space, action)
 
     def fallback_action(self) -> Any:
         """The configured fallback.
@@ -242,9 +242,9 @@ class GymnasiumSimulator(Simulator):
             ConfigurationError: If it is none of the environment's actions.
         """
         space = self.env.action_space
-        wanted = default_action(space) if self._fallback is None else self._fallback
+        wanted = _default_action(space) if self._fallback is None else self._fallback
         try:
-            return to_action(space, wanted)
+            return _to_action(space, wanted)
         except ActionError as error:
             raise ConfigurationError(
                 f"{self._env_name} cannot fall back to that: {error}",
@@ -256,7 +256,7 @@ class GymnasiumSimulator(Simulator):
 
     def describe_action(self, action: Any) -> str:
         """The action's numbers."""
-        return action_text(action)
+        return _action_text(action)
 
     def render(self) -> NDArray[np.uint8]:
         """What the environment renders, if its render mode is ``rgb_array``."""
@@ -287,7 +287,7 @@ class GymnasiumSimulator(Simulator):
         goal = self._goal is not None and bool(self._goal(observation, info, reward))
         critical = None if self._critical is None else self._critical(observation, info, reward)
         if critical is None and terminated and not goal:
-            critical = TERMINATED
+            critical = _TERMINATED
         return Tick(
             index=self._index,
             time=self._index * self.time_step,

@@ -42,12 +42,12 @@ from pytest_dura.library.loading import load_library
 TREES = 64
 ROWS_PER_TREE = 256
 """As the paper on isolation forests suggests; more rows hide anomalies behind each other."""
-WINDOWS = {"isolation_forest": 1.0, "one_class_svm": 0.0}
+_WINDOWS = {"isolation_forest": 1.0, "one_class_svm": 0.0}
 """s over which scores are averaged, by kind. A forest scores whatever is beyond all that it has
 seen like its strangest normal row, however far beyond: what lasts tells the two apart."""
 BORDER = 0.001
 """Nu of the one-class SVM: the share of rows that may lie beyond the border it learns."""
-SVM_ROWS = 20_000
+_SVM_ROWS = 20_000
 """Rows, drawn from all, that it learns from: its cost grows with their square."""
 TAIL, NORMAL_TAIL = 0.999, 3.2905
 """Of so many rows no feature is farther off than this many scales, as of a normal distribution."""
@@ -141,7 +141,7 @@ def train(detector: str, training: Training) -> AnomalyModel:
     parameters = fit((dithered - np.array(centre)) / np.array(scale), training.seed)
     plain = (monitor.kind, source.names, tuple(centre), tuple(scale), parameters)
     unset = AnomalyModel(*plain, threshold=1.0, window=1, time_step=time_step)
-    window = max(1, round(WINDOWS[monitor.kind] / time_step))
+    window = max(1, round(_WINDOWS[monitor.kind] / time_step))
     scores = np.concatenate([_averaged(unset.scores(item), window) for item in others])
     hours = sum(map(len, others)) * time_step / 3600.0
     threshold = _threshold(scores, hours, training.false_alarms)
@@ -306,8 +306,8 @@ def _preorder(tree: Any) -> list[list[Any]]:
 
 def _fit_one_class_svm(rows: Floats, seed: int) -> Mapping[str, Any]:
     random = stream(seed, "one_class_svm")
-    if len(rows) > SVM_ROWS:
-        rows = rows[np.sort(random.choice(len(rows), SVM_ROWS, replace=False))]
+    if len(rows) > _SVM_ROWS:
+        rows = rows[np.sort(random.choice(len(rows), _SVM_ROWS, replace=False))]
     gamma = 1.0 / (rows.shape[1] * float(rows.var()))  # what scikit-learn calls "scale"
     machine = _module("sklearn.svm").OneClassSVM(nu=BORDER, gamma=gamma).fit(rows)
     weights = machine.dual_coef_[0]

@@ -16,7 +16,7 @@ from pytest_dura.requirements.verdicts.episodes import JudgedEpisode
 
 TWINS_SUBJECT = "fault-free twins"
 """What runs when it is found out what came of faults, as progress calls it."""
-MAX_RECENT_CHAINS = 64
+_MAX_RECENT_CHAINS = 64
 """Episodes whose chains are kept: they are asked for while one is looked at."""
 
 
@@ -63,7 +63,7 @@ class FaultTracer:
         key = self.runner.key(episode)
         if key not in self._chains:
             self._chains[key] = self._linked(case, episode, ahead)
-        while len(self._chains) > MAX_RECENT_CHAINS:
+        while len(self._chains) > _MAX_RECENT_CHAINS:
             self._chains.popitem(last=False)
         return self._chains[key]
 

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from pytest_dura.execution.task import EpisodeTask
 
 
-def monitor_qualities(
+def _monitor_qualities(
     episodes: Callable[[], Iterable[Episode]], requirements: Sequence[Requirement]
 ) -> list[MonitorQuality]:
     """The quality of every monitor against each safety requirement, and of alerts against faults.
@@ -78,7 +78,7 @@ def monitor_qualities(
     return found
 
 
-RECOVERY = "recovery_planner"
+_RECOVERY = "recovery_planner"
 
 
 class PairedCampaign:
@@ -94,7 +94,7 @@ class PairedCampaign:
 
     def __init__(self, campaign: CampaignRuns, without: str) -> None:
         self.campaign, self.without = campaign, without
-        self.case = twin_case(campaign.case, without)
+        self.case = _twin_case(campaign.case, without)
         # Told before anything runs, where the role is not there to be switched off.
         self.case.roles(campaign.runner.roles)
 
@@ -164,13 +164,13 @@ class PairedCampaign:
         Raises:
             ConfigurationError: If it is not the recovery that the twins lack.
         """
-        if self.without != RECOVERY:
+        if self.without != _RECOVERY:
             raise ConfigurationError(
                 "monitors are judged where nobody acts on their word",
                 key="without",
                 found=self.without,
-                expected=RECOVERY,
-                remedy=f'compare with campaign.paired(without="{RECOVERY}")',
+                expected=_RECOVERY,
+                remedy=f'compare with campaign.paired(without="{_RECOVERY}")',
             )
         return self._monitors([episode.spec.run for episode, _ in self])
 
@@ -178,10 +178,10 @@ class PairedCampaign:
         def twins() -> Iterator[JudgedEpisode]:
             return (self.campaign.runner.again(self.case, run) for run in runs)
 
-        return monitor_qualities(twins, self._requirements())
+        return _monitor_qualities(twins, self._requirements())
 
     def _tell_of_monitors(self, runs: Sequence[int]) -> None:
-        if self.without == RECOVERY:
+        if self.without == _RECOVERY:
             self.campaign.runner.on_monitors(self.case, self._monitors(runs))
 
     def _requirements(self) -> list[Requirement]:
@@ -191,7 +191,7 @@ class PairedCampaign:
     def _doubt(self, compared: _PairResults) -> str | None:
         """Why the pairs cannot be trusted: runs of equal seeds differ though nothing acted."""
         counts = compared.counts
-        if self.without != RECOVERY or counts is None or not counts.unexplained:
+        if self.without != _RECOVERY or counts is None or not counts.unexplained:
             return None
         return (
             f"infrastructure: nondeterministic: {counts.unexplained} of {counts.pairs} pairs "
@@ -313,7 +313,7 @@ def _measured_value(measure: str | Callable[[Episode], float], episode: Episode)
     return measured(measure, episode) if whole else None
 
 
-def twin_case(case: Case, without: str) -> Case:
+def _twin_case(case: Case, without: str) -> Case:
     """The case of the twins.
 
     Raises:

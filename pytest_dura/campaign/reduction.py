@@ -21,7 +21,7 @@ Run = Callable[[EpisodeSpec], Episode]
 FaultSet = tuple[str, ...]
 
 BUDGET = 100
-REPEATS = 5
+_REPEATS = 5
 """Runs of one set of faults where the component is not deterministic; most of them decide."""
 
 
@@ -143,7 +143,7 @@ class _Trials:
         spec = with_faults(self._spec, faults)
         digests: set[str] = set()
         hits = 0
-        for number in range(1, REPEATS + 1):
+        for number in range(1, _REPEATS + 1):
             if self.runs >= self._budget:
                 raise BudgetUsedUp
             self.runs += 1
@@ -160,7 +160,7 @@ class _Trials:
                 self.violating.setdefault(faults, (episode, violated))
             same = episode.digest in digests
             digests.add(episode.digest)
-            if same or 2 * hits > REPEATS or 2 * (number - hits) > REPEATS:
+            if same or 2 * hits > _REPEATS or 2 * (number - hits) > _REPEATS:
                 break
         confirmed = 2 * hits > number
         if not confirmed:

@@ -26,10 +26,10 @@ from pytest_dura.requirements.verdicts.episodes import (
 )
 from pytest_dura.requirements.verdicts.judging import CampaignJudge
 
-NUMERIC_FIELDS = ("at_most", "confidence", "p0")
+_NUMERIC_FIELDS = ("at_most", "confidence", "p0")
 
 
-def requirement_of_call(
+def _requirement_of_call(
     own: Requirement, known: Mapping[str, Requirement], given: Mapping[str, Any]
 ) -> Requirement:
     """The requirement with what a call gives in addition.
@@ -75,7 +75,7 @@ def _for_message(value: Any) -> Any:
 
 
 def _numeric_value(key: str, value: Any) -> Any:
-    return finite_number(key, value) if key in NUMERIC_FIELDS else value
+    return finite_number(key, value) if key in _NUMERIC_FIELDS else value
 
 
 def finite_number(key: str, value: Any) -> float:
@@ -95,7 +95,7 @@ def finite_number(key: str, value: Any) -> float:
     return found
 
 
-MAX_EXTRA_SHARE = 0.2
+_MAX_EXTRA_SHARE = 0.2
 """Further runs that may follow invalid ones, as a share of a fixed number of planned runs."""
 
 
@@ -162,7 +162,7 @@ class CampaignRuns:
             cases: This campaign's, and those whose runs are looked at along with it.
             judge: Judges them, if something does.
         """
-        budget = 0 if self.until_decided else math.ceil(MAX_EXTRA_SHARE * self.planned)
+        budget = 0 if self.until_decided else math.ceil(_MAX_EXTRA_SHARE * self.planned)
         run, end = 0, self.planned
         with self._under_way(cases, judge) as (running, ahead):
             while run < end and not (judge is not None and judge.decided):
@@ -268,7 +268,7 @@ class CampaignRuns:
             ConfigurationError: For what is not as the requirement's file says.
         """
         told = {key: value for key, value in given.items() if value is not None}
-        return requirement_of_call(own, self.runner.library().requirements, told)
+        return _requirement_of_call(own, self.runner.library().requirements, told)
 
     def decided(self, verdict: CampaignVerdict, requirement: Requirement) -> CampaignVerdict:
         """Tell of a verdict, and return it if it is "supported".

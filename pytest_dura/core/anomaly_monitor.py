@@ -119,7 +119,7 @@ LARGEST = 8_000_000
 """Bytes of a file that is read; a forest of 64 trees takes some 100,000."""
 LONGEST = 1000
 """Scores that are averaged at most."""
-MOST_STANDARD = 1e6
+_MOST_STANDARD = 1e6
 """Scaled values are cut off here, so that squares of absurd ones stay finite."""
 _DIGITS = 7
 """Significant digits that are kept of a fitted number."""
@@ -186,8 +186,8 @@ class AnomalyModel:
     def standardised(self, rows: Floats) -> Floats:
         """Rows in scales from the mean; what is no number is as far as can be."""
         off = (rows - self._centre) / self._scale
-        off = np.nan_to_num(off, nan=MOST_STANDARD, posinf=MOST_STANDARD, neginf=-MOST_STANDARD)
-        clipped: Floats = off.clip(-MOST_STANDARD, MOST_STANDARD)
+        off = np.nan_to_num(off, nan=_MOST_STANDARD, posinf=_MOST_STANDARD, neginf=-_MOST_STANDARD)
+        clipped: Floats = off.clip(-_MOST_STANDARD, _MOST_STANDARD)
         return clipped
 
     def scores(self, rows: Floats) -> Floats:

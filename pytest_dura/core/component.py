@@ -42,7 +42,7 @@ from pytest_dura.core.state import NOTHING, GeneratorView, Proposal, StateManage
 DEEPEST = 32
 """Containers within each other in a value that is copied to exact types."""
 
-EXACT = frozenset({type(None), bool, int, float, complex, str, bytes})
+_EXACT = frozenset({type(None), bool, int, float, complex, str, bytes})
 """Types of values that hold nothing else, and cannot be changed."""
 _dtype_of: Any = vars(np.ndarray)["dtype"].__get__
 
@@ -67,7 +67,7 @@ def exact_copy(value: Any) -> tuple[Any, bool]:
     Raises:
         ValueError: For containers that are nested too deeply, or in themselves.
     """
-    if type(value) in EXACT:
+    if type(value) in _EXACT:
         return value, True
     if _base_of(type(value)) is None:
         return value, False
@@ -86,7 +86,7 @@ class _Copier:
 
     def copy(self, value: Any, above: int) -> Any:
         kind = type(value)
-        if kind in EXACT:
+        if kind in _EXACT:
             return value
         if above > DEEPEST:
             raise ValueError(f"it holds more than {DEEPEST} containers within each other")
@@ -102,7 +102,7 @@ class _Copier:
             return np.array(value, copy=True, subok=False)
         if base is not None and base is not np.ndarray:
             value = _EXACTLY[base](value)
-        self.is_plain &= type(value) in EXACT
+        self.is_plain &= type(value) in _EXACT
         return value
 
 
@@ -169,7 +169,7 @@ class Messages:
 ABANDON_AFTER = 3
 """A component that overran its wall-clock budget this often is not called again in the episode."""
 
-IN_RESET = -1
+_IN_RESET = -1
 """The number of ``reset`` among a component's calls; proposals are counted from 0."""
 
 
@@ -187,7 +187,7 @@ class Answer(NamedTuple):
     is_plain: bool = True
 
 
-def read_proposal(answer: Any) -> Answer:
+def _read_proposal(answer: Any) -> Answer:
     """A proposal of exact types, whatever the simulator; or what is wrong with it.
 
     Reading it may call the component's code, whose exceptions are raised.
@@ -209,7 +209,7 @@ def read_proposal(answer: Any) -> Answer:
             account = _account(account)
         if latency is not None:
             latency = _latency(latency)
-        if type(action) not in EXACT:
+        if type(action) not in _EXACT:
             action, is_plain = _action(action)
     except _UnusableError as wrong:
         return Answer(None, str(wrong))
@@ -256,7 +256,7 @@ _PARTS = [vars(Proposal)[field.name].__get__ for field in fields(Proposal)]
 
 def check_proposal(proposal: Any) -> str | None:
     """What is wrong with a proposal, whatever the simulator; ``None`` if nothing is."""
-    return read_proposal(proposal).problem
+    return _read_proposal(proposal).problem
 
 
 def _seconds(value: Any) -> float | None:
@@ -306,7 +306,7 @@ class Component:
         """Begin an episode; returns what went wrong, if anything. It is not called after that."""
         answer = self._whole(self._read(self._ask_for_limit, None))
         if answer.problem is None:
-            answer = self._judged(IN_RESET, self._reset, context)
+            answer = self._judged(_IN_RESET, self._reset, context)
         if answer.problem is None:
             return None
         self._not_called = "not called: its reset failed"
@@ -349,7 +349,7 @@ class Component:
         return _DONE
 
     def _propose(self, view: GeneratorView) -> Answer:
-        return read_proposal(self.generator.propose(view))
+        return _read_proposal(self.generator.propose(view))
 
     def _judged(self, number: int, call: Callable[[Any], Answer], argument: Any) -> Answer:
         """What a call comes to, which goes on within the component's budget until it is read."""

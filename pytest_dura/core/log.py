@@ -25,7 +25,7 @@ from pytest_dura.core.roles import (
 from pytest_dura.core.simulator import Recording, Scene, Simulator, scene_problems
 from pytest_dura.core.state import NOTHING, Alert, Event, Proposal, StateManager, Tick
 
-DETECTION_GRACE = 1.0
+_DETECTION_GRACE = 1.0
 """An alert or a recovery this many seconds after a fault's end still answers it."""
 
 
@@ -381,7 +381,7 @@ def _scene(simulator: Simulator, state: StateManager) -> tuple[Scene | None, str
 
 def _in_time(fault: FaultRecord, time: float) -> bool:
     """Whether what happens now may answer it: it is not long gone."""
-    return fault.deactivated_at is None or time <= fault.deactivated_at + DETECTION_GRACE + 1e-9
+    return fault.deactivated_at is None or time <= fault.deactivated_at + _DETECTION_GRACE + 1e-9
 
 
 def _add_signals(

@@ -32,9 +32,9 @@ NULL = "null"
 """Key of an account: what a null component, which ignores its input, would have told instead."""
 SECONDS = "seconds"
 """Key of an account: how long the component took for its decision, in s of wall-clock time."""
-AGE = "age"
+_AGE = "age"
 """Key of an account: simulated seconds since the percept behind the decision in force."""
-FALLBACK = "fallback"
+_FALLBACK = "fallback"
 """Key of an account: ``True`` where the action is no decision of the component's own."""
 INPUT = (DECIDED, "at", "perceived")
 """Keys of an account that tell of the input, which a null component has as well."""
@@ -143,7 +143,9 @@ def account_columns(
         (tick, account) for tick, account in zip(ticks, accounts, strict=False) if _decides(account)
     ]
     spent = [declared_seconds(item) for _, item in made]
-    ages = [_declared_age(item, tick.time) for tick, item in made if item.get(FALLBACK) is not True]
+    ages = [
+        _declared_age(item, tick.time) for tick, item in made if item.get(_FALLBACK) is not True
+    ]
     return AccountColumns(signals, tallies, _known(spent), _known(ages))
 
 
@@ -175,7 +177,7 @@ def _declared_age(account: Mapping[str, Any], time: float) -> float | None:
         account: Of the tick at which the decision came into force.
         time: Of that tick, in s.
     """
-    age = _duration(account.get(AGE))
+    age = _duration(account.get(_AGE))
     if age is None:
         return None
     # 0.4 s after 1 s is 1.4 s, whatever the float rounds to.

@@ -77,7 +77,7 @@ class EarlyEndJudge(Protocol):
         """
 
 
-def all_decided(
+def _all_decided(
     judge: EarlyEndJudge, simulator: Simulator, ticks: list[Tick], faults: Mapping[str, FaultRecord]
 ) -> bool:
     """Whether nothing that follows can change what the episode says of any requirement.
@@ -297,7 +297,7 @@ class Orchestrator:
         if end.iterations is not None and tick.index >= end.iterations:
             return "iterations"
         over = judge is not None and end.decided
-        over = over and self._guard("judge", all_decided, judge, *so_far, self.log.metrics.faults)
+        over = over and self._guard("judge", _all_decided, judge, *so_far, self.log.metrics.faults)
         return "decided" if over else None
 
     def _decide_on_tick(self, tick: Tick) -> Any:

@@ -129,7 +129,7 @@ def _check_number(name: str, value: Any) -> bool:
 
 def _check_numbers(name: str, values: Any) -> bool:
     """Whether it maps ``str`` to ``float``; raises for what is no mapping to numbers."""
-    if not is_mapping(values):
+    if not _is_mapping(values):
         raise TypeError(f"its {name} is {_with_article(type(values).__name__)}, not a mapping")
     exact = values is NOTHING or type(values) is dict
     for key, value in values.items():
@@ -143,7 +143,7 @@ def _exact_numbers(values: Mapping[str, Any]) -> dict[str, float]:
     return {str.__str__(key): float(value) for key, value in values.items()}
 
 
-def is_mapping(value: Any) -> bool:
+def _is_mapping(value: Any) -> bool:
     """Whether it is a Mapping; of a dict, without the cost of asking an abstract class."""
     return type(value) is dict or isinstance(value, Mapping)
 
@@ -201,7 +201,7 @@ def corrupted_percept(injector: FaultInjector, tick: Tick) -> Percept:
         TypeError: For an answer that is none.
     """
     channels, tampered = injector.corrupt(tick.channels, tick.time)
-    if not is_mapping(channels):
+    if not _is_mapping(channels):
         raise TypeError(f"corrupt returned channels of type {type(channels).__name__}")
     exact = True
     for faults in tampered.values():
@@ -260,7 +260,7 @@ def checked_tick(tick: Any, index: int, time_step: float) -> Tick:
     exact = type(tick.goal) is bool
     for event in tick.events:
         exact &= check_texts("event", event)
-    if not is_mapping(tick.channels):
+    if not _is_mapping(tick.channels):
         raise TypeError(f"its channels are a {type(tick.channels).__name__}, not a mapping")
     if tick.critical is not None and type(tick.critical) is not str:
         check_texts("critical", (tick.critical,))

@@ -264,7 +264,7 @@ STANDARD_ROLES: dict[str, type[Role]] = {
 }
 
 
-UNSCHEDULED = ("generator", "recovery_planner")
+_UNSCHEDULED = ("generator", "recovery_planner")
 """Roles with a place of their own in the tick: before and after the assessment."""
 
 _ONE_OF_A_KIND = (Generator, FaultInjector, RecoveryPlanner)
@@ -279,7 +279,7 @@ def schedule(roles: Mapping[str, Role]) -> list[str]:
     Raises:
         ConfigurationError: For a name that nobody has, and for a cycle.
     """
-    names = [name for name in roles if name not in UNSCHEDULED]
+    names = [name for name in roles if name not in _UNSCHEDULED]
     graph: dict[str, list[str]] = {}
     for name in sorted(names, key=_standard_first):
         after = roles[name].after

@@ -13,7 +13,7 @@ import numpy as np
 
 from pytest_dura.core.errors import ConfigurationError
 
-SEED_BITS = 53
+_SEED_BITS = 53
 """Seeds stay exact in JSON readers that store numbers as doubles."""
 
 
@@ -90,4 +90,4 @@ def derive_seed(base_seed: int, *names: object) -> int:
     """
     text = "\x1f".join([str(base_seed), *map(str, names)])
     digest = hashlib.sha256(text.encode()).digest()
-    return int.from_bytes(digest[:8], "big") >> (64 - SEED_BITS)
+    return int.from_bytes(digest[:8], "big") >> (64 - _SEED_BITS)

@@ -69,7 +69,7 @@ class EpisodeRuns:
         for action in self.actions:
             if ticks[-1].index == at:
                 simulator.render()
-            if is_over(ticks[-1]):
+            if _is_over(ticks[-1]):
                 break
             ticks.append(simulator.step(simulator.check_action(action)))
             copies.append(leaves(ticks[-1]))
@@ -82,9 +82,9 @@ class EpisodeRuns:
         shadow = two.reset(self.scenario, self.seeds[1])
         copies = [leaves(ticks[0])]
         for action in self.actions:
-            if is_over(ticks[-1]):
+            if _is_over(ticks[-1]):
                 break
-            if not is_over(shadow):
+            if not _is_over(shadow):
                 shadow = two.step(two.check_action(action))
             ticks.append(item.step(item.check_action(action)))
             copies.append(leaves(ticks[-1]))
@@ -103,13 +103,13 @@ class EpisodeRuns:
             self.findings.breach(f"{who} has another signal {path}", PURE)
 
 
-def is_over(tick: Tick) -> bool:
+def _is_over(tick: Tick) -> bool:
     """Whether an episode is not stepped further."""
     return tick.critical is not None or tick.goal
 
 
 @contextmanager
-def other_global_randomness() -> Iterator[None]:
+def _other_global_randomness() -> Iterator[None]:
     """Other global random states for a while: what draws from them gives itself away."""
     python, numpy = random.getstate(), np.random.get_state()  # noqa: NPY002 - the subject's sin
     random.seed(987654321)
@@ -121,7 +121,7 @@ def other_global_randomness() -> Iterator[None]:
         np.random.set_state(numpy)  # noqa: NPY002
 
 
-def check_lazy(runs: EpisodeRuns) -> None:
+def _check_lazy(runs: EpisodeRuns) -> None:
     """A lazy value read later must be what it would have been, or refuse to be read."""
     at_once, later = runs.fresh(), runs.fresh()
     prompt = at_once.reset(runs.scenario, runs.seeds[0]).channels
@@ -131,7 +131,7 @@ def check_lazy(runs: EpisodeRuns) -> None:
         raise NotImplementedError
     now = {name: leaves(prompt[name].get()) for name in names}
     for action in runs.actions[:3]:
-        if is_over(later.step(later.check_action(action))):
+        if _is_over(later.step(later.check_action(action))):
             break
     for name in names:
         try:
@@ -172,7 +172,7 @@ def check_time_step(runs: EpisodeRuns) -> None:
         )
 
 
-def check_snapshot(runs: EpisodeRuns, reference: CheckedEpisode) -> None:
+def _check_snapshot(runs: EpisodeRuns, reference: CheckedEpisode) -> None:
     """A snapshot leads twice to the same rest of the episode."""
     simulator = runs.fresh()
     simulator.reset(runs.scenario, runs.seeds[0])
@@ -196,7 +196,7 @@ def check_snapshot(runs: EpisodeRuns, reference: CheckedEpisode) -> None:
         simulator.restore(snapshot)
 
 
-def check_render(runs: EpisodeRuns, reference: CheckedEpisode) -> None:
+def _check_render(runs: EpisodeRuns, reference: CheckedEpisode) -> None:
     """It gives a picture, and moves nothing on."""
     simulator = runs.fresh()
     simulator.reset(runs.scenario, runs.seeds[0])
@@ -218,7 +218,7 @@ def check_render(runs: EpisodeRuns, reference: CheckedEpisode) -> None:
     runs.compare(reference, runs.episode(runs.fresh(), runs.seeds[0], at=0), "with rendering")
 
 
-def check_scene(runs: EpisodeRuns, reference: CheckedEpisode) -> None:
+def _check_scene(runs: EpisodeRuns, reference: CheckedEpisode) -> None:
     """What it shows of an episode, and of one that ended at once; and what that leaves behind."""
     item, other = runs.fresh(), runs.fresh()
     shown = []
@@ -310,15 +310,15 @@ class _SimulatorKit:
         with check("fallback action"):
             self._check_fallback()
         with check("lazy channels"):
-            check_lazy(self.runs)
+            _check_lazy(self.runs)
         with check("time step"):
             check_time_step(self.runs)
         with check("snapshot and restore"):
-            check_snapshot(self.runs, reference)
+            _check_snapshot(self.runs, reference)
         with check("render"):
-            check_render(self.runs, reference)
+            _check_render(self.runs, reference)
         with check("scene"):
-            check_scene(self.runs, reference)
+            _check_scene(self.runs, reference)
         with check("close leaves other instances alone"):
             self._check_close(reference)
         if (path := first_difference(before, leaves(self.runs.scenario))) is not None:
@@ -426,7 +426,7 @@ class _SimulatorKit:
     def _check_determinism(self, reference: CheckedEpisode) -> None:
         seed, other = self.runs.seeds
         early, late = self.runs.fresh(), self.runs.fresh()
-        with other_global_randomness():
+        with _other_global_randomness():
             self.runs.compare(reference, self.runs.episode(late, seed), "another instance")
         self.runs.episode(early, other)
         self.runs.compare(

@@ -48,7 +48,7 @@ NOTHING: Mapping[str, Any] = _Nothing()
 class Lazy:
     """A channel value that is made when somebody first reads it (a camera frame).
 
-    Its arrays are sealed, see :func:`sealed_parts`.
+    Its arrays are sealed, see :func:`_sealed_parts`.
     """
 
     __slots__ = ("_make", "_value")
@@ -60,7 +60,7 @@ class Lazy:
     def get(self) -> Any:
         """The value, made at the first call and kept."""
         if self._make is not None:
-            self._value, self._make = sealed_parts(self._make()), None
+            self._value, self._make = _sealed_parts(self._make()), None
         return self._value
 
 
@@ -79,7 +79,7 @@ def sealed(array: NDArray[Any]) -> NDArray[Any]:
     return ndarray
 
 
-def sealed_parts(value: Any) -> Any:
+def _sealed_parts(value: Any) -> Any:
     """A value in which no array can be written to; itself where there is nothing to seal.
 
     Looks into tuples, lists, dictionaries and dataclasses. An object of another class has to seal
@@ -108,17 +108,17 @@ def _sealer_of(kind: type[Any]) -> Callable[[Any], Any] | None:
 
 def _sealed_sequence(value: Any) -> Any:
     for item in value:
-        if type(item) is not float and sealed_parts(item) is not item:
+        if type(item) is not float and _sealed_parts(item) is not item:
             break
     else:  # the usual case: numbers and texts
         return value
-    parts = list(map(sealed_parts, value))
+    parts = list(map(_sealed_parts, value))
     kind = type(value)
     return kind._make(parts) if hasattr(kind, "_make") else kind(parts)
 
 
 def _sealed_mapping(value: Any) -> Any:
-    parts = {key: sealed_parts(item) for key, item in value.items()}
+    parts = {key: _sealed_parts(item) for key, item in value.items()}
     if all(map(operator.is_, parts.values(), value.values())):
         return value
     return type(value)(parts)
@@ -128,7 +128,7 @@ def _sealed_fields(value: Any) -> Any:
     found = value
     for name in type(value).__dataclass_fields__:
         part = getattr(value, name, None)
-        own = sealed_parts(part)
+        own = _sealed_parts(part)
         if own is not part:
             found = copy(value) if found is value else found
             object.__setattr__(found, name, own)
@@ -451,7 +451,7 @@ class StateManager:
             if same.get(name) is value:
                 own[name] = value
             else:
-                own[name] = sealed_parts(value)
+                own[name] = _sealed_parts(value)
                 if isinstance(value, tuple) and own[name] is value:
                     same[name] = value  # such as a map, which is the same at every tick
         self._channels = MappingProxyType(own)

@@ -22,7 +22,7 @@ from typing import Any, TypeVar
 
 from pytest_dura.core.errors import ConfigurationError
 
-ENTRY_POINTS = "pytest_dura"
+_ENTRY_POINTS = "pytest_dura"
 """Group of entry points by which an installed package offers its functions as checks."""
 _OURS = "pytest_dura"
 _MARK = "__dura_factory__"
@@ -164,7 +164,7 @@ def check_function(path: str, target: object) -> None:
             f"{path!r} is no function of this project",
             found=target,
             expected="a function that your project defines, or one of an installed package with an "
-            f"entry point in the group {ENTRY_POINTS!r}",
+            f"entry point in the group {_ENTRY_POINTS!r}",
             remedy="define a function in your project that calls it, and name that",
         )
 
@@ -187,7 +187,7 @@ def _is_own(module: str) -> bool:
 
 
 def _offered() -> Iterable[Any]:
-    return entry_points(group=ENTRY_POINTS)
+    return entry_points(group=_ENTRY_POINTS)
 
 
 def _spec(top: str) -> ModuleSpec | None:

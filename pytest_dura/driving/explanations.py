@@ -35,9 +35,9 @@ FAILURE_CLASSES = (
     "unknown_action",
 )  # fmt: skip
 """Ways in which no decision came of an answer."""
-UNREACHED = ("unavailable", "timeout")
+_UNREACHED = ("unavailable", "timeout")
 """Those of them that need not be the doing of who answers."""
-AGAIN = re.compile(r"again(_\d+)?")
+_AGAIN = re.compile(r"again(_\d+)?")
 """Variants that ask the very same once more."""
 _GREATEST = 1e6
 """m/s2, either way."""
@@ -86,17 +86,17 @@ class DeclaredDecision:
             return None
         if variant in self.beside:
             return self.beside[variant] is not self.maneuver
-        return None if self.failed.get(variant, UNREACHED[0]) in UNREACHED else True
+        return None if self.failed.get(variant, _UNREACHED[0]) in _UNREACHED else True
 
     @property
     def unstable(self) -> bool | None:
         """Whether it decided otherwise when it was asked the very same."""
-        again = [name for name in (*self.beside, *self.failed) if AGAIN.fullmatch(name)]
+        again = [name for name in (*self.beside, *self.failed) if _AGAIN.fullmatch(name)]
         known = [item for item in map(self.differs, again) if item is not None]
         return any(known) if known else None
 
 
-def declared_decisions(accounts: Sequence[Mapping[str, Any]]) -> list[DeclaredDecision]:
+def _declared_decisions(accounts: Sequence[Mapping[str, Any]]) -> list[DeclaredDecision]:
     """The decisions that were made anew, in their order."""
     return [
         _decision(account, tick)
@@ -105,7 +105,7 @@ def declared_decisions(accounts: Sequence[Mapping[str, Any]]) -> list[DeclaredDe
     ]
 
 
-def declared_accelerations(accounts: Sequence[Mapping[str, Any]]) -> list[float | None]:
+def _declared_accelerations(accounts: Sequence[Mapping[str, Any]]) -> list[float | None]:
     """The accelerations in m/s2 that proposals ask for beside their maneuver, where they do."""
     return [_number(account.get("acceleration")) for account in accounts]
 
@@ -182,14 +182,14 @@ def _ids(told: Any) -> frozenset[str] | None:
 
 Floats = NDArray[np.float64]
 
-THREAT = 4.0
+_THREAT = 4.0
 """s; with less time to collision a driver is no longer in control of the situation, with more he
 is (van der Horst 1991; Farber 1991; after Minderhoud and Bovy 2001)."""
-SPEED_BAND = 0.5
+_SPEED_BAND = 0.5
 """m/s; speeds that differ by no more are the same."""
-MOTION_BAND = 0.5
+_MOTION_BAND = 0.5
 """m/s2; a car that changes its speed by less keeps it: so much it loses when it coasts."""
-NO_BODY = re.compile(r"[RS][0-9]+")
+_NO_BODY = re.compile(r"[RS][0-9]+")
 """Ids of radar returns and of signs, which no body has: what a return is of cannot be told, and
 what stands on a sign may be untrue, but there it is."""
 _SAME_TIME = 1e-9
@@ -261,13 +261,13 @@ def account_measures(
         dt: Seconds per tick.
     """
     columns = {name: np.full(len(accounts), np.nan) for name in NAMES}
-    decisions = declared_decisions(accounts)
+    decisions = _declared_decisions(accounts)
     silent = np.array([not account for account in accounts], dtype=bool)
     ends = [*(later.tick for later in decisions[1:]), len(accounts)]
     for item, end in zip(decisions, ends, strict=False):  # without a decision, nothing ends either
         shown = _shown(item, ticks, percepts)
         if item.intent is not None and item.maneuver is not None:
-            asked = declared_accelerations(accounts[item.tick : end])
+            asked = _declared_accelerations(accounts[item.tick : end])
             moved = _acceleration(ticks[item.tick : end + 1], item.maneuver, asked, dt)
             shown["intent_against_motion"] = _against(item.intent, moved)
         for before in item.replaced:
@@ -287,7 +287,7 @@ def account_measures(
 def ages(ticks: Sequence[Tick], accounts: Sequence[Mapping[str, Any]]) -> Floats:
     """The age of each decision in s; see :data:`SIGNALS`. Shape ``(len(accounts),)``."""
     based_on = np.zeros(len(accounts), dtype=int)
-    for declared_decision in declared_decisions(accounts):
+    for declared_decision in _declared_decisions(accounts):
         if declared_decision.answered and declared_decision.at is not None:
             based_on[declared_decision.tick :] = declared_decision.at
     time = np.array([tick.time for tick in ticks])
@@ -321,7 +321,7 @@ def _citations(
     found: dict[str, bool | None] = {}
     if decision.cited and decision.perceived is not None:
         found["cites_unperceived"] = not decision.cited <= decision.perceived
-    named = {name for name in decision.cited or () if not NO_BODY.fullmatch(name)}
+    named = {name for name in decision.cited or () if not _NO_BODY.fullmatch(name)}
     if named and decision.at is not None:
         found["cites_untrue"] = not named <= set(ticks[decision.at].truth["bodies"].ids)
     if decision.cited is not None and percept is not None:
@@ -331,7 +331,7 @@ def _citations(
 
 
 def threats(percept: Percept) -> frozenset[str]:
-    """The perceived object that is next to collide within :data:`THREAT`; several at a tie.
+    """The perceived object that is next to collide within :data:`_THREAT`; several at a tie.
 
     None where the percept is too absurd to tell.
     """
@@ -344,7 +344,7 @@ def threats(percept: Percept) -> frozenset[str]:
     others, moving = bodies.data[:, [X, Y, HEADING, LENGTH, WIDTH]], bodies.data[:, VX : VY + 1]
     times = geometry.box_time_to_collision(box, velocity, others, moving, TTC_CAP)
     least = times.min()
-    if least >= THREAT:
+    if least >= _THREAT:
         return frozenset()
     return frozenset(bodies.ids[row] for row in np.flatnonzero(times <= least + _SAME_TIME))
 
@@ -353,7 +353,7 @@ def _against(intent: int, moved: float | None) -> bool | None:
     """Whether the car moved otherwise than intended, with this mean acceleration in m/s2."""
     if moved is None:
         return None
-    changed = abs(moved) > MOTION_BAND
+    changed = abs(moved) > _MOTION_BAND
     return changed and bool(np.sign(moved) != intent) if changed or intent == 0 else None
 
 
@@ -362,15 +362,15 @@ def contradicts(intent: int, maneuver: Maneuver, speed: float) -> bool:
 
     A maneuver aims at a range of speeds (:func:`~pytest_dura.driving.maneuvers.speeds_of`). The
     intent contradicts it if no speed of the range lies in that direction, by more than
-    :data:`SPEED_BAND`. Who aims at a standstill may want to slow down when he stands, and who aims
+    :data:`_SPEED_BAND`. Who aims at a standstill may want to slow down when he stands, and who aims
     at the top speed to speed up when he has it: only the world forbids it.
     """
     low, high = speeds_of(maneuver)
     if intent < 0:
-        return low > 0.0 and speed - SPEED_BAND <= low
+        return low > 0.0 and speed - _SPEED_BAND <= low
     if intent > 0:
-        return high < TOP_SPEED and high <= speed + SPEED_BAND
-    return low > speed + SPEED_BAND or high < speed - SPEED_BAND
+        return high < TOP_SPEED and high <= speed + _SPEED_BAND
+    return low > speed + _SPEED_BAND or high < speed - _SPEED_BAND
 
 
 def _acceleration(
@@ -422,4 +422,4 @@ _COMPARED = {
 def _speeds_up(maneuver: Maneuver, percept: Percept | None) -> bool | None:
     if maneuver is Maneuver.ACCELERATE:
         return True
-    return None if percept is None else speeds_of(maneuver)[0] > own_speed(percept) + SPEED_BAND
+    return None if percept is None else speeds_of(maneuver)[0] > own_speed(percept) + _SPEED_BAND

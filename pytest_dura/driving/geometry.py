@@ -30,7 +30,7 @@ Floats = NDArray[np.float64]
 _SIGNS = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]], dtype=float) / 2.0
 
 
-def box_axes(heading: Floats) -> Floats:
+def _box_axes(heading: Floats) -> Floats:
     """Unit vectors along and across, shape ``(n, 2, 2)``: ``[:, 0]`` points ahead."""
     empty: Floats = np.empty((len(heading), 2, 2))
     empty[:, 0, 0] = empty[:, 1, 1] = np.cos(heading)
@@ -71,7 +71,7 @@ def _separations(
 
 def boxes_overlap(a: Floats, b: Floats) -> NDArray[np.bool_]:
     """Whether the boxes of each pair touch or overlap; shape ``(n,)``."""
-    offset, reach, _ = _separations(a, box_axes(a[:, 2]), b, box_axes(b[:, 2]))
+    offset, reach, _ = _separations(a, _box_axes(a[:, 2]), b, _box_axes(b[:, 2]))
     touching: NDArray[np.bool_] = np.all(np.abs(offset) <= reach, axis=1)
     return touching
 
@@ -81,7 +81,7 @@ def box_gap(a: Floats, b: Floats) -> Floats:
 
     Of two disjoint convex polygons, a corner of one realises the distance.
     """
-    axes_a, axes_b = box_axes(a[:, 2]), box_axes(b[:, 2])
+    axes_a, axes_b = _box_axes(a[:, 2]), _box_axes(b[:, 2])
     nearest = np.minimum(
         _point_to_box(_corners(a, axes_a), b, axes_b).min(axis=1),
         _point_to_box(_corners(b, axes_b), a, axes_a).min(axis=1),
@@ -98,7 +98,7 @@ def box_time_to_collision(
     Swept separating-axis test: contact begins when the last axis closes, if none reopens before.
     Velocities have shape ``(n, 2)``.
     """
-    offset, reach, normals = _separations(a, box_axes(a[:, 2]), b, box_axes(b[:, 2]))
+    offset, reach, normals = _separations(a, _box_axes(a[:, 2]), b, _box_axes(b[:, 2]))
     closing = np.einsum("nkd,nd->nk", normals, velocity_b - velocity_a)
     moving = np.abs(closing) > 1e-9
     rate = np.where(moving, closing, 1.0)

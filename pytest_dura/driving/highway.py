@@ -70,7 +70,7 @@ class Contact:
         )
 
 
-def attribute_contact(ego: Any, before: EgoState, road: Any, exit_at: float) -> Contact:
+def _attribute_contact(ego: Any, before: EgoState, road: Any, exit_at: float) -> Contact:
     """The contact that has just crashed the ego; ``before`` is its state one step earlier."""
     box = np.array([[*ego.position, ego.heading, ego.LENGTH, ego.WIDTH]])
     bodies = (*road.vehicles, *road.objects, *road.obstacles)
@@ -112,7 +112,7 @@ _ROAD = 2 * LANE_OFFSET
 Row = tuple[float, float, float, float]
 
 
-def junction_scene(ticks: Sequence[Tick], percepts: Sequence[Percept], route: Route) -> Scene:
+def _junction_scene(ticks: Sequence[Tick], percepts: Sequence[Percept], route: Route) -> Scene:
     """The junction with all its bodies, one pose per tick.
 
     Percepts are shown as the roles take them, see ``plausible``.
@@ -186,7 +186,7 @@ def _turned(points: Sequence[tuple[float, float]], quarters: int) -> NDArray[np.
     return turned
 
 
-GOAL_DISTANCE = 25.0
+_GOAL_DISTANCE = 25.0
 """Metres behind the junction at which the task is done, as in highway-env's ``has_arrived``."""
 WRECK_TIME = 3.0
 """Seconds after which background cars that crashed into each other are cleared away."""
@@ -369,7 +369,7 @@ class HighwaySimulator(Simulator):
 
     def scene(self, ticks: Sequence[Tick], percepts: Sequence[Percept]) -> Scene:
         """The junction from above."""
-        return junction_scene(ticks, percepts, self._route)
+        return _junction_scene(ticks, percepts, self._route)
 
     def check_action(self, action: Any) -> Command:
         """A command; see :meth:`Command.of`."""
@@ -449,7 +449,7 @@ class HighwaySimulator(Simulator):
         events: list[tuple[str, str, str]] = []
         ego = self._ego
         if ego.crashed and self._contact is None:
-            self._contact = attribute_contact(ego, before, self._road, self._route.exit)
+            self._contact = _attribute_contact(ego, before, self._road, self._route.exit)
             events.append(("collision", self._contact.partner, self._contact.describe()))
         fresh = [
             body
@@ -533,7 +533,7 @@ class HighwaySimulator(Simulator):
             channels=channels(
                 state, bodies, self._map, self._signs, self._camera(self._index, state)
             ),
-            goal=state.s > self._route.exit + GOAL_DISTANCE,
+            goal=state.s > self._route.exit + _GOAL_DISTANCE,
             critical=contact.describe() if contact else None,
             events=events,
         )

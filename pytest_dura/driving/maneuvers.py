@@ -118,7 +118,7 @@ def stop_at(distance: float, speed: float) -> float:
     return max(min(_GAIN * (cruise - speed), 2.0), -COMFORT_BRAKING)
 
 
-def track_speed(target: float, speed: float, limit: float) -> float:
+def _track_speed(target: float, speed: float, limit: float) -> float:
     """Acceleration towards a target speed, at most ``limit``, braking comfortably."""
     return max(min(_GAIN * (target - speed), limit), -COMFORT_BRAKING)
 
@@ -149,9 +149,9 @@ def acceleration_for(command: Command, speed: float, to_stop_line: float) -> flo
         return -MAX_BRAKING
     if maneuver in _TARGETS:
         target, limit = _TARGETS[maneuver]
-        return track_speed(target, speed, limit)
+        return _track_speed(target, speed, limit)
     if to_stop_line < 0.0 or braking_distance(speed, MAX_BRAKING) > to_stop_line:
         return -COMFORT_BRAKING
     if maneuver is Maneuver.WAIT:
         return stop_at(to_stop_line - 0.5, speed)
-    return min(stop_at(to_stop_line - 0.5, speed), track_speed(_CREEPING, speed, 1.5))
+    return min(stop_at(to_stop_line - 0.5, speed), _track_speed(_CREEPING, speed, 1.5))

@@ -27,7 +27,7 @@ Turn = Literal["left", "straight", "right"]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
-EARLIEST = -9.0
+_EARLIEST = -9.0
 """Seconds; nobody is on the road for longer when an episode begins."""
 
 
@@ -95,7 +95,7 @@ class ExplicitVehicle(_Model):
     distance: Annotated[float, Field(ge=3, le=99)] | None = Field(
         None, description="From its centre to its stop line at the start, in m."
     )
-    enters: Annotated[float, Field(ge=EARLIEST, allow_inf_nan=False)] | None = Field(
+    enters: Annotated[float, Field(ge=_EARLIEST, allow_inf_nan=False)] | None = Field(
         None,
         description="Instead of the distance: when it enters the road at the outer end of its arm, "
         "once there is room, in s. Before 0, it has driven on at its speed until the start.",
@@ -279,7 +279,7 @@ def drawn_arrivals(traffic: Traffic | None, seed: int, duration: float) -> list[
     for arm in traffic.arms:
         rng = stream(seed, f"traffic:{arm}")
         # Cars that entered up to nine seconds ago are on the arm when the episode begins.
-        time = EARLIEST + rng.exponential(traffic.headway)
+        time = _EARLIEST + rng.exponential(traffic.headway)
         while time < duration:
             turn = TURNS[int(rng.choice(3, p=weights / weights.sum()))]
             speed = float(rng.normal(traffic.speed, traffic.speed_deviation))

@@ -181,7 +181,7 @@ def radar_returns(ego: EgoState, bodies: BodyList) -> NDArray[np.float64]:
     return sealed(np.array(rows) if rows else np.empty((0, 3)))
 
 
-def in_reach(ego: EgoState, bodies: BodyList) -> BodyList:
+def _in_reach(ego: EgoState, bodies: BodyList) -> BodyList:
     """The bodies within the sensors' reach."""
     own_x, own_y, numbers = ego.x, ego.y, bodies.numbers
     rows = [
@@ -203,7 +203,7 @@ def channels(
     camera: Callable[[str], Any],
 ) -> dict[str, Any]:
     """All channels of one tick. Radar measures the same objects as lidar, independently of it."""
-    bodies = in_reach(ego, bodies)
+    bodies = _in_reach(ego, bodies)
     return {
         "lidar": bodies,
         "radar": radar_returns(ego, bodies),

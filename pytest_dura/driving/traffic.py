@@ -228,9 +228,9 @@ def _wrapped(angle: float) -> float:
     return (angle + math.pi) % _TURN - math.pi
 
 
-STOP_MARGIN = 1.0
+_STOP_MARGIN = 1.0
 """Drivers stop this many metres before the stop line."""
-READY_BRAKING = 4.0
+_READY_BRAKING = 4.0
 """m/s2 that a driver is ready to use for a stop line."""
 _COMFORT_SPEED = 8.0
 _MARGIN = 1.5
@@ -436,10 +436,10 @@ class JunctionRoad(Road):
         limit = math.inf
         before_line = me.s + CAR_LENGTH / 2 <= ARM_LENGTH
         near = before_line and me.s > ARM_LENGTH - _LOOK_AHEAD
-        stop_distance = ARM_LENGTH - STOP_MARGIN - CAR_LENGTH / 2 - me.s
+        stop_distance = ARM_LENGTH - _STOP_MARGIN - CAR_LENGTH / 2 - me.s
         # Who can still stop before the line itself has not committed, though past the margin.
         room = max(ARM_LENGTH - CAR_LENGTH / 2 - me.s, 0.0)
-        committed = me.speed**2 / (2 * READY_BRAKING) > room
+        committed = me.speed**2 / (2 * _READY_BRAKING) > room
         must_stop = near and not committed and me.plan.origin in self.halted
         for other in self.vehicles:
             if other is me:

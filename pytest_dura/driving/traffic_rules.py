@@ -40,12 +40,12 @@ Floats = NDArray[np.float64]
 
 LEADER_CAP = 50.0
 """m; farther leaders do not matter at these speeds, and an empty lane counts as this far."""
-RESPONSE = 0.5
+_RESPONSE = 0.5
 """s from a leader's braking to the ego's: a tick to sense, a tick to act, a fifth of a second to
 build the brake up, and a tenth in reserve."""
-SURE_BRAKING = 6.43
+_SURE_BRAKING = 6.43
 """m/s2 that the ego is sure to brake with: what UN Regulation 13-H asks of every passenger car."""
-LEADER_BRAKING = MAX_BRAKING
+_LEADER_BRAKING = MAX_BRAKING
 """m/s2 that a leader may brake with: all that a dry road gives."""
 CUT_IN_GRACE = 4.0
 """s to restore the distance to a car that cut in: response, and a stop from the speed limit of
@@ -107,9 +107,9 @@ def safe_distance(speed: Floats, leader_speed: Floats) -> Floats:
 
     The ego accelerates as hard as it can for the response time and then brakes as surely as it can.
     """
-    reached = speed + RESPONSE * MAX_ACCELERATION
-    ego = speed * RESPONSE + MAX_ACCELERATION * RESPONSE**2 / 2 + reached**2 / (2 * SURE_BRAKING)
-    leader = np.maximum(leader_speed, 0.0) ** 2 / (2 * LEADER_BRAKING)
+    reached = speed + _RESPONSE * MAX_ACCELERATION
+    ego = speed * _RESPONSE + MAX_ACCELERATION * _RESPONSE**2 / 2 + reached**2 / (2 * _SURE_BRAKING)
+    leader = np.maximum(leader_speed, 0.0) ** 2 / (2 * _LEADER_BRAKING)
     return np.maximum(ego - leader, 0.0)
 
 
@@ -139,12 +139,12 @@ CAP = 10.0
 """s; later arrivals do not matter, and nobody with priority counts as this late."""
 BRAKING_CAP = 10.0
 """m/s2; more braking than any car has is asked of who cannot stop any more."""
-REACTION = 0.4
+_REACTION = 0.4
 """s after the ego's entry at which the other begins to brake."""
-HEADWAY = 1.0
+_HEADWAY = 1.0
 """s that the other is to keep behind the ego; conflicts of less count as serious (Allen, Shin and
 Cooper, "Analysis of Traffic Conflicts and Collisions", 1978)."""
-DECISION = SPEED_LIMIT * RESPONSE + SPEED_LIMIT**2 / (2 * COMFORT_BRAKING)
+_DECISION = SPEED_LIMIT * _RESPONSE + SPEED_LIMIT**2 / (2 * COMFORT_BRAKING)
 """m before its stop line at which an ego that means to stop there begins to brake."""
 _HALF = CAR_LENGTH / 2
 _WAITING = 0.5
@@ -158,7 +158,7 @@ class RightOfWay(NamedTuple):
     """Right of way at each tick, shape ``(ticks,)`` each.
 
     ``arrival`` is the seconds until the next car with priority would reach the conflict at constant
-    speed, while the ego has to decide (from ``DECISION`` metres before its stop line on) or is in
+    speed, while the ego has to decide (from ``_DECISION`` metres before its stop line on) or is in
     its way. ``braking`` (m/s2) and ``gap_time`` (s) are the worst of all cars with priority that
     reach the conflict after the ego, from the tick at which the ego crosses the line until it has
     left the conflict.
@@ -208,7 +208,7 @@ def right_of_way(
         distance = other_begins - _HALF - other.project_all(data[rows, :2])[0]
         speeds = np.hypot(data[rows, VX], data[rows, VY])
         coming = np.flatnonzero((distance > 0.0) & (speeds > _WAITING))
-        concerned = (s + _HALF > ARM_LENGTH - DECISION) & (s - _HALF <= ends)
+        concerned = (s + _HALF > ARM_LENGTH - _DECISION) & (s - _HALF <= ends)
         time, at = distance[coming] / speeds[coming], owner[rows[coming]]
         np.minimum.at(way.arrival, at, np.where(concerned[at], np.minimum(time, CAP), CAP))
         cars = _Cars(owner[rows], [names[row] for row in rows.tolist()], distance, speeds)
@@ -280,7 +280,7 @@ def demanded_braking(distance: float, speed: float, left: float) -> float:
         speed: Its speed in m/s.
         left: Seconds until the ego has left the conflict; infinite if it never does.
     """
-    room, time = distance - speed * REACTION, left + HEADWAY - REACTION
+    room, time = distance - speed * _REACTION, left + _HEADWAY - _REACTION
     if speed * time <= room:
         return 0.0
     if room <= 0.0:

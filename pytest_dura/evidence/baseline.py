@@ -22,7 +22,7 @@ from pytest_dura.requirements.statistics.comparison import (
 )
 from pytest_dura.requirements.verdicts.judging import MAX_INVALID_SHARE
 
-CONDITION_KEYS = ("simulator", "scenario", "faults", "termination", "time_step", "time_budget")
+_CONDITION_KEYS = ("simulator", "scenario", "faults", "termination", "time_step", "time_budget")
 """Of an episode's spec. Roles and policy are left out: they may be what is compared."""
 
 
@@ -47,7 +47,7 @@ class Conditions:
             KeyError: See above.
             TypeError: See above.
         """
-        kept = {key: spec[key] for key in CONDITION_KEYS}
+        kept = {key: spec[key] for key in _CONDITION_KEYS}
         # The role that puts the faults into effect belongs to the faults.
         kept["fault_injector"] = spec["roles"].get("fault_injector")
         seed = spec["seed"]
@@ -56,7 +56,7 @@ class Conditions:
         return cls(seed, dict(_leaves("", kept)))
 
 
-def changed_conditions(
+def _changed_conditions(
     mine: Mapping[int, Conditions], others: Mapping[int, Conditions]
 ) -> list[str]:
     """Dotted paths of what is not the same for two campaigns on one case.
@@ -106,7 +106,7 @@ def _varying(runs: Collection[Conditions]) -> set[str]:
 
 
 Data = Mapping[str, Any]
-MAX_COUNT = 10**9
+_MAX_COUNT = 10**9
 """Runs that no session has; the tests on counts work in floating point."""
 
 
@@ -228,7 +228,7 @@ def _run(episode: Any) -> int:
 
 
 def _count(value: Any) -> int:
-    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < MAX_COUNT:
+    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < _MAX_COUNT:
         raise TypeError(f"{value!r} is no count")
     return value
 
@@ -239,9 +239,9 @@ def _text(value: Any) -> str:
     return value
 
 
-SEQUENTIAL = ("sprt", "e-process")
+_SEQUENTIAL = ("sprt", "e-process")
 """Methods under which the number of episodes depends on what they show."""
-N_DEPENDED = "n depended on the outcome"
+_N_DEPENDED = "n depended on the outcome"
 
 BaselineStatus = Literal[
     "better", "worse", "no evidence of a change", "new", "gone", "no comparison"
@@ -383,12 +383,12 @@ def _incomparable_question(own: Claim, other: Claim) -> str:
     # Nothing is known of the check of a test that never ran.
     if own.run and other.run and own.check != other.check:
         return f"the check changed from {other.check!r} to {own.check!r}"
-    changed = changed_conditions(own.conditions, other.conditions)
+    changed = _changed_conditions(own.conditions, other.conditions)
     if changed:
         more = f" and {len(changed) - 3} more" if len(changed) > 3 else ""
         return f"the scenario changed: {', '.join(changed[:3])}{more}"
-    sequential = [item.method for item in (own, other) if item.method in SEQUENTIAL]
-    return f"{N_DEPENDED} ({sequential[0]})" if sequential else ""
+    sequential = [item.method for item in (own, other) if item.method in _SEQUENTIAL]
+    return f"{_N_DEPENDED} ({sequential[0]})" if sequential else ""
 
 
 def _incomparable_outcome(own: Claim, other: Claim) -> str:
@@ -400,7 +400,7 @@ def _incomparable_outcome(own: Claim, other: Claim) -> str:
     """
     for whose, item in (("", own), ("of the baseline ", other)):
         if item.saved:
-            return f"{N_DEPENDED} ({item.saved} of {item.planned} runs {whose}saved)"
+            return f"{_N_DEPENDED} ({item.saved} of {item.planned} runs {whose}saved)"
         if item.run < item.planned:
             return f"only {item.run} of {item.planned} planned runs {whose}were run"
         if not item.episodes:
@@ -421,7 +421,7 @@ def _matched_claims(
     Those that agree in the most are matched first, and only where there is no second candidate.
     """
     left, right = list(claims), list(baseline)
-    for key in MATCHED_BY:
+    for key in _MATCHED_BY:
         for own in list(left):
             mine = [item for item in left if key(item) == key(own)]
             others = [item for item in right if key(item) == key(own)]
@@ -433,7 +433,7 @@ def _matched_claims(
     yield from ((None, other) for other in right)
 
 
-MATCHED_BY: tuple[Callable[[Claim], tuple[str, ...]], ...] = (
+_MATCHED_BY: tuple[Callable[[Claim], tuple[str, ...]], ...] = (
     lambda verdict: (
         verdict.requirement,
         verdict.case,
@@ -447,7 +447,7 @@ MATCHED_BY: tuple[Callable[[Claim], tuple[str, ...]], ...] = (
 )
 
 
-BASELINE_OPTION = "--dura-baseline"
+_BASELINE_OPTION = "--dura-baseline"
 
 
 @dataclass(frozen=True)
@@ -482,7 +482,7 @@ class Baseline:
         file = relative_to / given
         if file.is_dir():
             file /= RECORD_FILE
-        record, digest = load_record(file, BASELINE_OPTION)
+        record, digest = load_record(file, _BASELINE_OPTION)
         try:
             baseline = cls(
                 path=given,
@@ -497,7 +497,7 @@ class Baseline:
             raise ConfigurationError(
                 "the baseline is damaged",
                 file=str(file),
-                key=BASELINE_OPTION,
+                key=_BASELINE_OPTION,
                 found=f"{type(error).__name__}: {error}",
                 expected="a record as pytest-dura wrote it",
                 remedy="restore the file, or run the baseline's session again",

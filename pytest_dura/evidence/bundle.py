@@ -85,13 +85,13 @@ RENDERED_FILES = (
 """The other files of a bundle; the manifest comes first where they are removed."""
 STREAMED_BYTES = 8 << 20
 """Bytes of a record above which its episodes are read one at a time."""
-TRACES_FOLDER = TRACE_FOLDER
+_TRACES_FOLDER = TRACE_FOLDER
 """The folder of the traces."""
 RESUME_FOLDER = ".episodes"
 """The folder of the episodes that a session which is interrupted leaves to the next one."""
 _TOOL = re.compile(rb'"tool"\s*:\s*\{\s*"name"\s*:\s*"pytest-dura"')
 _HEAD_BYTES = 1 << 16
-TEMPORARY_PREFIXES = tuple(map(temporary_prefix, (RECORD_FILE, *RENDERED_FILES)))
+_TEMPORARY_PREFIXES = tuple(map(temporary_prefix, (RECORD_FILE, *RENDERED_FILES)))
 
 
 def check_directory(directory: Path) -> None:
@@ -119,7 +119,7 @@ def check_directory(directory: Path) -> None:
     ours = {RECORD_FILE, *RENDERED_FILES, *listed_files(directory)}
     for name in names:
         folder, _, last = name.rpartition("/")
-        if name not in ours and not (folder == TRACES_FOLDER and is_trace_name(last)):
+        if name not in ours and not (folder == _TRACES_FOLDER and is_trace_name(last)):
             problem = "this directory holds a file that is no part of the evidence in it"
             raise _foreign_error(problem, directory, name)
 
@@ -128,9 +128,9 @@ def _is_temporary(name: str) -> bool:
     """Whether a file is of a session that runs or was killed: a lock, a spool, episodes, traces."""
     first, _, rest = name.partition("/")
     if rest:
-        passing = first == RESUME_FOLDER or (first == TRACES_FOLDER and rest.startswith("."))
-        return passing or (first == TRACES_FOLDER and is_trace_name(rest))
-    return first == LOCK_FILE or first.startswith((*TEMPORARY_PREFIXES, SPOOL_PREFIX))
+        passing = first == RESUME_FOLDER or (first == _TRACES_FOLDER and rest.startswith("."))
+        return passing or (first == _TRACES_FOLDER and is_trace_name(rest))
+    return first == LOCK_FILE or first.startswith((*_TEMPORARY_PREFIXES, SPOOL_PREFIX))
 
 
 def _is_our_record(record: Path) -> bool:
@@ -200,13 +200,13 @@ def clear_bundle(directory: Path, *, traces: bool = True) -> None:
         for name in RENDERED_FILES:
             (directory / name).unlink(missing_ok=True)
         for begun in _entries(directory):
-            if begun.name.startswith(TEMPORARY_PREFIXES) or begun.name.startswith(SPOOL_PREFIX):
+            if begun.name.startswith(_TEMPORARY_PREFIXES) or begun.name.startswith(SPOOL_PREFIX):
                 begun.unlink()
     if traces:
-        clear_traces(directory)
+        _clear_traces(directory)
 
 
-def clear_traces(directory: Path, kept: Collection[str] = ()) -> None:
+def _clear_traces(directory: Path, kept: Collection[str] = ()) -> None:
     """Remove the traces of a bundle, some apart, as :func:`clear_bundle` does.
 
     Args:
@@ -216,12 +216,12 @@ def clear_traces(directory: Path, kept: Collection[str] = ()) -> None:
     Raises:
         ConfigurationError: If one of them cannot be removed.
     """
-    traces = directory / TRACES_FOLDER
+    traces = directory / _TRACES_FOLDER
     with _removal_errors(directory):
         if traces.is_symlink():
             traces.unlink()
         for trace in _entries(traces):
-            if is_trace_name(trace.name) and f"{TRACES_FOLDER}/{trace.name}" not in kept:
+            if is_trace_name(trace.name) and f"{_TRACES_FOLDER}/{trace.name}" not in kept:
                 trace.unlink()
         if traces.is_dir() and not any(traces.iterdir()):
             traces.rmdir()
@@ -427,7 +427,7 @@ def _write_all(record: SessionRecord) -> SessionRecord:
         for episode in record.episodes()
         if episode["trace"] is not None
     }
-    clear_traces(record.directory, traces)
+    _clear_traces(record.directory, traces)
     broken = {
         file: "it is not there as it was written"
         for file, trace in traces.items()

@@ -19,7 +19,7 @@ from pytest_dura.evidence.sessions import origin_counts
 
 Data = Mapping[str, Any]
 
-BINS = 10
+_BINS = 10
 """Equal parts of a range."""
 
 
@@ -74,7 +74,7 @@ class _Spread:
     def __init__(self, given: Data) -> None:
         self.low, self.high = float(given["min"]), float(given["max"])
         self.least, self.greatest = math.inf, -math.inf
-        self.bins = [0] * BINS
+        self.bins = [0] * _BINS
 
     def takes(self, value: Any) -> bool:
         """Whether it is a number, or the numbers of an input over time."""
@@ -89,14 +89,14 @@ class _Spread:
 
     def _add(self, value: float) -> None:
         share = (value - self.low) / (self.high - self.low) if self.high > self.low else 0.0
-        self.bins[min(max(int(share * BINS), 0), BINS - 1)] += 1
+        self.bins[min(max(int(share * _BINS), 0), _BINS - 1)] += 1
         self.least, self.greatest = min(self.least, value), max(self.greatest, value)
 
     def to_json(self) -> dict[str, Any]:
         drawn = sum(self.bins)
         hit = sum(count > 0 for count in self.bins)
         # A range without width has but one part.
-        parts = BINS if self.high > self.low else 1
+        parts = _BINS if self.high > self.low else 1
         return {
             "low": self.low,
             "high": self.high,
@@ -452,7 +452,7 @@ def _entry(
     }  # fmt: skip
 
 
-MAX_LISTED_RUNS = 100
+_MAX_LISTED_RUNS = 100
 """Numbers of runs that are listed of a case at most."""
 
 
@@ -484,7 +484,7 @@ def missing_runs(case: Data, verdicts: Iterable[Data], heard: Collection[int]) -
     if case["planned"] > planned:
         needed = case["planned"]  # more than any verdict asked for, and so for something else
     left = [run for run in range(needed) if run not in heard]
-    return {"missing_runs": left[:MAX_LISTED_RUNS], "missing_runs_total": len(left)}
+    return {"missing_runs": left[:_MAX_LISTED_RUNS], "missing_runs_total": len(left)}
 
 
 def timings(

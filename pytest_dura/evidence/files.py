@@ -311,7 +311,7 @@ InputKind = Literal[
     "scenario", "requirements", "faults", "test", "conftest", "component", "check", "role",
     "configuration", "baseline", "argument", "cassette",
 ]  # fmt: skip
-INPUT_KINDS: tuple[str, ...] = get_args(InputKind)
+_INPUT_KINDS: tuple[str, ...] = get_args(InputKind)
 
 
 class InputFiles:

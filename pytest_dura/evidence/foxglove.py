@@ -54,7 +54,7 @@ def _time_schema(title: str, least: Schema) -> Schema:
 _TIME_SCHEMA = _time_schema("time", {"minimum": 0})
 _DURATION_SCHEMA = _time_schema("duration", {})
 
-SIGNALS_SCHEMA: Schema = _object_schema(
+_SIGNALS_SCHEMA: Schema = _object_schema(
     "pytest_dura.Signals",
     tick=_INTEGER_SCHEMA,
     time=_NUMBER_SCHEMA,
@@ -64,7 +64,7 @@ SIGNALS_SCHEMA: Schema = _object_schema(
         "description": "As the sensors report them after faults.",
     },
 )
-DECISION_SCHEMA: Schema = _object_schema(
+_DECISION_SCHEMA: Schema = _object_schema(
     "pytest_dura.Decision",
     tick=_INTEGER_SCHEMA,
     time=_NUMBER_SCHEMA,
@@ -85,7 +85,7 @@ DECISION_SCHEMA: Schema = _object_schema(
         "type": "object",
     },
 )
-LOG_SCHEMA: Schema = _object_schema(
+_LOG_SCHEMA: Schema = _object_schema(
     "foxglove.Log",
     timestamp=_TIME_SCHEMA,
     level={
@@ -105,7 +105,7 @@ LOG_SCHEMA: Schema = _object_schema(
 
 
 @cache
-def scene_update_schema() -> Schema:
+def _scene_update_schema() -> Schema:
     """``foxglove.SceneUpdate``: cubes, lines and texts; the other primitives are empty lists."""
     xyz = _object_schema("foxglove.Vector3", x=_NUMBER_SCHEMA, y=_NUMBER_SCHEMA, z=_NUMBER_SCHEMA)
     turn = _object_schema(
@@ -179,8 +179,8 @@ CHANNELS = ("/signals", "/decision", "/events", "/scene/road", "/scene/truth", "
 
 def schema_of(channel: str) -> Schema:
     """The schema of a channel's messages."""
-    own = {"/signals": SIGNALS_SCHEMA, "/decision": DECISION_SCHEMA, "/events": LOG_SCHEMA}
-    return own.get(channel) or scene_update_schema()
+    own = {"/signals": _SIGNALS_SCHEMA, "/decision": _DECISION_SCHEMA, "/events": _LOG_SCHEMA}
+    return own.get(channel) or _scene_update_schema()
 
 
 @cache
@@ -207,7 +207,7 @@ def nanoseconds(time: float) -> int:
     return round(time * 1e9) if 0.0 <= time < 1e9 else 0
 
 
-def foxglove_time(time: int) -> str:
+def _foxglove_time(time: int) -> str:
     """Nanoseconds as Foxglove's time."""
     return f'{{"sec":{time // 10**9},"nsec":{time % 10**9}}}'
 
@@ -324,7 +324,7 @@ def event_messages(trace: Trace, texts: TextCache) -> Iterator[Message]:
         kind, subject, detail = (str(event.get(key, "")) for key in ("kind", "subject", "detail"))
         message = f"{kind} {subject}" + (f": {detail}" if detail else "")
         text = (
-            f'"timestamp":{foxglove_time(time)},"level":{_LEVELS.get(kind, _INFO)},'
+            f'"timestamp":{_foxglove_time(time)},"level":{_LEVELS.get(kind, _INFO)},'
             f'"message":{texts(message)},"name":{texts(kind)},"file":"","line":0'
         )
         yield time, f"{{{text}}}"
@@ -335,7 +335,7 @@ def _time_of(event: Mapping[str, Any]) -> float:
     return float(time) if isinstance(time, (int, float)) else 0.0
 
 
-OBJECT_HEIGHT = 1.5
+_OBJECT_HEIGHT = 1.5
 """Metres; the scene is flat."""
 
 
@@ -344,7 +344,7 @@ def _color(red: float, green: float, blue: float, alpha: float) -> str:
 
 
 EGO_COLOR = _color(0.16, 0.47, 0.89, 1.0)
-OTHER_COLOR = _color(0.45, 0.45, 0.48, 1.0)
+_OTHER_COLOR = _color(0.45, 0.45, 0.48, 1.0)
 PERCEIVED_COLOR = _color(0.98, 0.75, 0.18, 0.35)
 GHOST_COLOR = _color(0.91, 0.16, 0.24, 0.6)
 """Of what is perceived and not there."""
@@ -399,7 +399,7 @@ def truth_messages(trace: Trace, texts: TextCache) -> Iterator[Message]:
     for number, name in enumerate(scene.truth.ids):
         poses = scene.truth.poses[: canvas.ticks, number]
         canvas.show(
-            poses, _present(poses), EGO_COLOR if name == scene.ego else OTHER_COLOR, texts(name)
+            poses, _present(poses), EGO_COLOR if name == scene.ego else _OTHER_COLOR, texts(name)
         )
     yield from canvas.updates(trace, texts("truth"))
 
@@ -447,8 +447,8 @@ class _Canvas:
         columns = np.column_stack(
             [own[:, 0], -own[:, 1], np.sin(half), np.cos(half), own[:, 4], own[:, 5]]
         )
-        cube = _CUBE_MARKER % (OBJECT_HEIGHT / 2.0, OBJECT_HEIGHT, color)
-        text = _TEXT_MARKER % (OBJECT_HEIGHT + 0.5, color, label.replace("%", "%%"))
+        cube = _CUBE_MARKER % (_OBJECT_HEIGHT / 2.0, _OBJECT_HEIGHT, color)
+        text = _TEXT_MARKER % (_OBJECT_HEIGHT + 0.5, color, label.replace("%", "%%"))
         for tick, row in zip(ticks.tolist(), columns.tolist(), strict=True):
             self._cubes[tick].append(cube % tuple(row))
             if label:
@@ -465,7 +465,7 @@ class _Canvas:
 def _update(time: int, name: str, cubes: str = "", lines: str = "", labels: str = "") -> str:
     """An update with one entity, which stays until the next one of its name."""
     return (
-        f'{{"deletions":[],"entities":[{{"timestamp":{foxglove_time(time)},"frame_id":"map","id":{name},'
+        f'{{"deletions":[],"entities":[{{"timestamp":{_foxglove_time(time)},"frame_id":"map","id":{name},'
         '"lifetime":{"sec":0,"nsec":0},"frame_locked":false,"metadata":[],"arrows":[],'
         f'"cubes":[{cubes}],"spheres":[],"cylinders":[],"lines":[{lines}],"triangles":[],'
         f'"texts":[{labels}],"models":[]}}]}}'

@@ -14,7 +14,7 @@ from typing import Any, Literal
 Data = Mapping[str, Any]
 REPEAT_KEYS = ("episode", "digest", "repeated_digest", "result", "detail")
 """The keys of a case's repetition."""
-REPEAT_RESULTS = ("different", "failed", "equal", "skipped")
+_REPEAT_RESULTS = ("different", "failed", "equal", "skipped")
 """What a repetition comes to. Of several the first in this order counts."""
 
 
@@ -22,7 +22,7 @@ def worse_repeat(item: Data | None, other: Data | None) -> Data | None:
     """Of two repetitions of a case, by two processes or shards, the one that says more."""
     if item is None or other is None:
         return item or other
-    return min(item, other, key=lambda repeat: REPEAT_RESULTS.index(repeat["result"]))
+    return min(item, other, key=lambda repeat: _REPEAT_RESULTS.index(repeat["result"]))
 
 
 def not_repeatable_lines(cases: Iterable[Data]) -> Iterator[str]:
@@ -82,7 +82,7 @@ OBJECTIONABLE_OUTCOMES = {
     "undecided": "undecided by a search",
 }
 """What the gate says of an outcome that it does not accept; the worst first."""
-SORT_KEYS = ("case", "component", "item", "seed")
+_SORT_KEYS = ("case", "component", "item", "seed")
 
 
 @dataclass
@@ -121,14 +121,14 @@ class SearchRecords:
             waivers: By node id, what excuses an item.
         """
         ordered = sorted(
-            self._told.items(), key=lambda told: (*(told[1][name] for name in SORT_KEYS), told[0])
+            self._told.items(), key=lambda told: (*(told[1][name] for name in _SORT_KEYS), told[0])
         )
         return [
             {**item, "waiver": waivers.get(item["item"], item["waiver"])} for _, item in ordered
         ]
 
 
-def search_objections(searches: Sequence[Data], *, warn_undecided: bool) -> list[str]:
+def _search_objections(searches: Sequence[Data], *, warn_undecided: bool) -> list[str]:
     """A sentence for every outcome of a search that the gate does not accept; the worst first."""
     words = [
         objectionable_outcome
@@ -259,4 +259,4 @@ def verdict_objections(
         f"{verdict['requirement']} on {verdict['case']} is {verdict['verdict']}"
         for verdict in found
     ]
-    return [*told, *search_objections(searches, warn_undecided=warn_undecided)]
+    return [*told, *_search_objections(searches, warn_undecided=warn_undecided)]

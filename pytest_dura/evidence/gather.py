@@ -127,7 +127,7 @@ def question_key(item: str, verdict: JsonObject) -> tuple[str, ...]:
     return item, *(verdict[name] for name in names), json.dumps(asked, sort_keys=True)
 
 
-def final_outcomes(objects: Sequence[JsonObject]) -> list[JsonObject]:
+def _final_outcomes(objects: Sequence[JsonObject]) -> list[JsonObject]:
     """Of several attempts of an item a violation counts before anything else, then the last."""
     final: dict[str, JsonObject] = {}
     for item in objects:
@@ -137,14 +137,14 @@ def final_outcomes(objects: Sequence[JsonObject]) -> list[JsonObject]:
     return list(final.values())
 
 
-MAX_OBSERVED = 50
+_MAX_OBSERVED = 50
 """Names of what a test looked at."""
-MAX_FAILED = 10
+_MAX_FAILED = 10
 """Episodes with the assertion that failed there."""
 WORST_FIRST = ("violated", "missing", "open", "invalid", "satisfied")
 
 
-def worst_of_each_episode(final: list[JsonObject]) -> list[EpisodeVerdict]:
+def _worst_of_each_episode(final: list[JsonObject]) -> list[EpisodeVerdict]:
     """One verdict for each episode, at which other parameters of a test may look again."""
     names = EpisodeVerdict.__dataclass_fields__
     worst: dict[str, JsonObject] = {}
@@ -154,7 +154,7 @@ def worst_of_each_episode(final: list[JsonObject]) -> list[EpisodeVerdict]:
     return [EpisodeVerdict.from_json({name: item[name] for name in names}) for item in found]
 
 
-def judge_test(
+def _judge_test(
     requirement: Requirement,
     case: str,
     component: str,
@@ -180,7 +180,7 @@ def judge_test(
         p0=None,
     )
     planned = max(item["planned"] for item in objects)
-    final = worst_of_each_episode(final_outcomes(objects))
+    final = _worst_of_each_episode(_final_outcomes(objects))
     # Each run is a test of its own here: none is saved where they are all equal.
     whole = len(final) >= planned > 1
     return judge_campaign(
@@ -193,11 +193,11 @@ def judge_test(
     ).to_json()
 
 
-def assertion_summary(final: Sequence[JsonObject]) -> JsonObject:
+def _assertion_summary(final: Sequence[JsonObject]) -> JsonObject:
     """What the assertions of a test rest on, over all episodes that it looked at.
 
     Args:
-        final: Of :func:`final_outcomes`.
+        final: Of :func:`_final_outcomes`.
     """
     told = [(item["episode"], item["assertion"]) for item in final]
     false = Counter(check for _, item in told for check in item["false"])
@@ -205,11 +205,11 @@ def assertion_summary(final: Sequence[JsonObject]) -> JsonObject:
     return {
         "alone": all(item["alone"] for _, item in told),
         "by_check": sum(item["by_check"] for _, item in told),
-        "observed": sorted({name for _, item in told for name in item["observed"]})[:MAX_OBSERVED],
+        "observed": sorted({name for _, item in told for name in item["observed"]})[:_MAX_OBSERVED],
         "false": [
-            {"check": name, "episodes": false[name]} for name in sorted(false)[:MAX_OBSERVED]
+            {"check": name, "episodes": false[name]} for name in sorted(false)[:_MAX_OBSERVED]
         ],
-        "failed": [{"episode": name, "message": why} for name, why in failed[:MAX_FAILED]],
+        "failed": [{"episode": name, "message": why} for name, why in failed[:_MAX_FAILED]],
     }
 
 
@@ -219,7 +219,7 @@ def _run_number(episode: str) -> tuple[str, int]:
 
 
 SCHEMA_VERSION = "2"
-NO_QUESTION = {"check": "", "paired": None}
+_NO_QUESTION = {"check": "", "paired": None}
 """Of a verdict that no campaign was asked for."""
 UNKNOWN_COMPONENT = "unknown"
 """The name of a component that a conftest defines, until the first episode tells it."""
@@ -442,18 +442,18 @@ class RecordBuilder:
     def _of_outcomes(self, key: tuple[str, ...], objects: list[JsonObject]) -> JsonObject:
         """The verdict of a test that looks at one episode at a time."""
         test, requirement, case, component = key
-        final = final_outcomes(objects)
+        final = _final_outcomes(objects)
         known = self._situations.get((case, component))
         situation = None if known is None else known.situation
-        verdict = judge_test(self._requirement(requirement), case, component, objects, situation)
+        verdict = _judge_test(self._requirement(requirement), case, component, objects, situation)
         waiver = self._waiver_of(final, verdict)
         own: JsonObject = {
             "item": test,
             "waiver": waiver,
             "attempts": [],
-            "assertion": assertion_summary(final),
+            "assertion": _assertion_summary(final),
         }
-        return {**verdict, **NO_QUESTION, **own}
+        return {**verdict, **_NO_QUESTION, **own}
 
     def _waiver_of(self, final: list[JsonObject], verdict: JsonObject) -> JsonObject | None:
         """What excuses the verdict: nothing, if there is more than what waived items told."""
@@ -498,7 +498,7 @@ class RecordBuilder:
         waived = self._first_waived.get(item)
         waiver = None if waived is None else self._waivers[waived]
         own: JsonObject = {"item": item, "waiver": waiver, "attempts": [], "assertion": None}
-        return {**verdict, **NO_QUESTION, **own}
+        return {**verdict, **_NO_QUESTION, **own}
 
     def _requirement(self, name: str) -> Requirement:
         return Requirement.from_json(self._requirements.get(name, {"id": name}))

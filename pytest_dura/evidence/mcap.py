@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 MAX_UNPACKED_BYTES = 512 * 2**20
 """Bytes that the unpacked columns may come to; a real episode has about 200 kB."""
-TEXT_TABLE = "texts"
+_TEXT_TABLE = "texts"
 """The member that is JSON: names, texts and what tells the columns apart."""
 
 Column = NDArray[Any]
@@ -92,7 +92,7 @@ def pack_columns(trace: Trace) -> bytes:
     if trace.recording.scene is not None:
         texts["scene"] = _pack_scene(arrays, trace.recording.scene)
     text = _compact(texts).encode()
-    arrays[TEXT_TABLE] = np.frombuffer(text, np.uint8)
+    arrays[_TEXT_TABLE] = np.frombuffer(text, np.uint8)
     if sum(array.nbytes for array in arrays.values()) > MAX_UNPACKED_BYTES:
         raise ValueError(f"the trace is larger than {MAX_UNPACKED_BYTES} bytes")
     return _zipped(arrays)
@@ -193,7 +193,7 @@ def _array(data: bytes) -> Column:
 
 
 def _trace(arrays: Mapping[str, Column]) -> Trace:
-    texts = json.loads(arrays[TEXT_TABLE].tobytes())
+    texts = json.loads(arrays[_TEXT_TABLE].tobytes())
     time, signals = arrays["time"], arrays["signals"]
     names = _names(texts["signals"])
     _require(time.dtype == np.float64 and time.ndim == 1, "time")
@@ -280,7 +280,7 @@ def _require(holds: bool, what: str) -> None:
         raise ValueError(f"the columns are damaged: {what} is not what it should be")
 
 
-TRACE_VERSION = "1"
+_TRACE_VERSION = "1"
 """Of the channels and columns; in the metadata record ``trace`` of each file."""
 COLUMNS_ATTACHMENT = "columns.npz"
 _MESSAGES = (
@@ -336,7 +336,7 @@ def trace_bytes(trace: Trace, verdicts: Sequence[Mapping[str, Any]] = ()) -> byt
     for time, channel_id, data in found:
         writer.add_message(channel_id, time, data.encode("ascii"), time)
     about = {texts.shown(key): texts.any(value) for key, value in trace.about.items()}
-    writer.add_metadata("trace", {"schema_version": TRACE_VERSION})
+    writer.add_metadata("trace", {"schema_version": _TRACE_VERSION})
     writer.add_metadata("about", about)
     if verdicts:
         told = {str(n): texts.any(dict(verdict)) for n, verdict in enumerate(verdicts)}
@@ -354,7 +354,7 @@ def read_trace(file: Path) -> Trace:
     """
     try:
         version, columns = _read(_content(file))
-        if version == TRACE_VERSION:
+        if version == _TRACE_VERSION:
             return unpack_columns(columns)
     except OSError as error:
         raise _unreadable(f"the trace cannot be read: {error.strerror or error}", file) from None
@@ -365,7 +365,7 @@ def read_trace(file: Path) -> Trace:
         file=str(file),
         key="schema_version",
         found=version,
-        expected=TRACE_VERSION,
+        expected=_TRACE_VERSION,
         remedy="use the version that the evidence names under `tool`",
     )
 

@@ -39,7 +39,7 @@ _TRACE_REASONS = ("all", "sample", "missing", "violation")
 """Of several reasons to keep a trace the last one is told."""
 
 
-def merged_header(parts: Sequence[ShardBundle], output: Path) -> dict[str, Any]:
+def _merged_header(parts: Sequence[ShardBundle], output: Path) -> dict[str, Any]:
     """What a session's record begins with; see the schema for what is whose.
 
     Args:
@@ -98,7 +98,7 @@ def merged_command(command: str, output: Path) -> str:
     return shlex.join([*kept, f"--dura-evidence={output}"])
 
 
-def join_records(record: RecordBuilder, parts: Sequence[ShardBundle]) -> None:
+def _join_records(record: RecordBuilder, parts: Sequence[ShardBundle]) -> None:
     """Take the parts into a record, a few episodes at a time.
 
     An episode that two parts hold is that of a test which chooses its episodes itself. It is the
@@ -174,7 +174,7 @@ def _without(data: Data, keys: set[str]) -> dict[str, Any]:
     return {key: value for key, value in data.items() if key not in keys}
 
 
-def merged_inputs(parts: Iterable[ShardBundle]) -> list[dict[str, Any]]:
+def _merged_inputs(parts: Iterable[ShardBundle]) -> list[dict[str, Any]]:
     """Every input file of any part; changed, if it changed while one of them ran."""
     found: dict[tuple[str, str], dict[str, Any]] = {}
     for part in parts:
@@ -184,20 +184,20 @@ def merged_inputs(parts: Iterable[ShardBundle]) -> list[dict[str, Any]]:
     return [found[key] for key in sorted(found)]
 
 
-def merged_cassettes(parts: Iterable[ShardBundle]) -> dict[tuple[Any, ...], Any]:
-    """The cassette of each language model; see :func:`model_key`."""
+def _merged_cassettes(parts: Iterable[ShardBundle]) -> dict[tuple[Any, ...], Any]:
+    """The cassette of each language model; see :func:`_model_key`."""
     return {
-        model_key(model): model["cassette"] for part in parts for model in part.record["models"]
+        _model_key(model): model["cassette"] for part in parts for model in part.record["models"]
     }
 
 
-def model_key(model: Data) -> tuple[Any, ...]:
+def _model_key(model: Data) -> tuple[Any, ...]:
     """What tells a model of a record from the others."""
     names = ("component", "model", "fingerprint", "prompts", "base_url", "mode")
     return tuple(model[name] for name in names)
 
 
-def merged_gate(
+def _merged_gate(
     parts: Sequence[ShardBundle],
     verdicts: Sequence[Data],
     searches: Sequence[Data],
@@ -279,7 +279,7 @@ def _output_error(problem: str, output: Path, found: str | None = None) -> Confi
     )
 
 
-def copy_traces(record: SessionRecord, parts: Sequence[ShardBundle]) -> None:
+def _copy_traces(record: SessionRecord, parts: Sequence[ShardBundle]) -> None:
     """Copy the traces of a merged record out of its parts, each held against its digest.
 
     Raises:
@@ -380,11 +380,11 @@ class MergeComparison:
         ]
 
 
-NO_COMPARISON = MergeComparison()
+_NO_COMPARISON = MergeComparison()
 
 
 def merge_bundles(
-    directories: Sequence[Path], output: Path, held: MergeComparison = NO_COMPARISON
+    directories: Sequence[Path], output: Path, held: MergeComparison = _NO_COMPARISON
 ) -> MergeResult:
     """Merge the bundles of all shards of a session.
 
@@ -406,7 +406,7 @@ def merge_bundles(
     lock = DirectoryLock(output)
     try:
         check_output(output, directories)
-        record = RecordBuilder(merged_header(parts, output), output)
+        record = RecordBuilder(_merged_header(parts, output), output)
         try:
             written = _write_merged(record, parts, held)
         finally:
@@ -422,14 +422,14 @@ def _write_merged(
     warn_undecided = parts[0].record["gate"]["warn_undecided"]
     running = Gate.running(warn_undecided=warn_undecided)
     begin_bundle(_conclude_merged(held.compared(record.record("running")), parts, running, held))
-    join_records(record, parts)
+    _join_records(record, parts)
     whole = record.record("complete")
-    tapes = merged_cassettes(parts)
-    models = [{**model, "cassette": tapes[model_key(model)]} for model in whole["models"]]
+    tapes = _merged_cassettes(parts)
+    models = [{**model, "cassette": tapes[_model_key(model)]} for model in whole["models"]]
     whole = held.compared(replace(whole, head={**whole.head, "models": models}))
-    copy_traces(whole, parts)
+    _copy_traces(whole, parts)
     against = [*record.problems, *held.objections(whole)]
-    gate = merged_gate(parts, whole["verdicts"], whole["searches"], against)
+    gate = _merged_gate(parts, whole["verdicts"], whole["searches"], against)
     return write_bundle(_conclude_merged(whole, parts, gate, held))
 
 
@@ -442,7 +442,7 @@ def _conclude_merged(
         record,
         finished=None if record["status"] == "running" else ended,
         gate=gate.to_json(),
-        inputs=[*merged_inputs(parts), *held.inputs()],
+        inputs=[*_merged_inputs(parts), *held.inputs()],
         wall_seconds=sum(item["wall_seconds"] for item in spent),
         evidence_seconds=sum(item["evidence_seconds"] for item in spent),
         # The shards took out the secrets of the machines on which they ran.

@@ -14,7 +14,7 @@ from pytest_dura.requirements.statistics.rate_tests import upper_bound
 
 CONFIDENCE = 0.95
 """Of the bound on the rate of episodes in which a failure mode shows."""
-FAILURE_MODE_COUNTS = ("hits", "of", "null_hits", "null_of")
+_FAILURE_MODE_COUNTS = ("hits", "of", "null_hits", "null_of")
 
 Data = Mapping[str, Any]
 
@@ -36,7 +36,7 @@ class FailureModes:
         for name, tally in metrics["tallies"].items():
             self._kinds.setdefault(name, tally["kind"])
             counts = self._counts.setdefault(name, Counter())
-            counts.update({key: tally[key] for key in FAILURE_MODE_COUNTS})
+            counts.update({key: tally[key] for key in _FAILURE_MODE_COUNTS})
             counts["episodes"] += tally["hits"] > 0
             counts["of_episodes"] += tally["of"] > 0
         self._seconds.extend(metrics["answer_seconds"])
@@ -119,11 +119,11 @@ RATES: Mapping[str, tuple[str, str]] = {
 }
 """Each rate's counts: how many did, of how many that could."""
 
-CHAIN_STEPS = (
+_CHAIN_STEPS = (
     "run", "activated", "manifested", "followed", "propagated",
     "detected", "recovery", "recovered", "judged", "violated", "violated_without",
 )  # fmt: skip
-LATENCIES = ("detection_latency", "recovery_latency", "time_to_recover")
+_LATENCIES = ("detection_latency", "recovery_latency", "time_to_recover")
 
 
 def with_chains(episode: Data, chains: Mapping[str, Data]) -> dict[str, Any]:
@@ -153,7 +153,7 @@ class FaultMetrics:
             self._targets.setdefault(name, fault["target"])
             self._counts.setdefault(name, Counter()).update(_passed_steps(fault))
             if fault["manifested_at"] is not None:
-                for latency in LATENCIES:
+                for latency in _LATENCIES:
                     if fault[latency] is not None:
                         self._times.setdefault((name, latency), array("d")).append(fault[latency])
 
@@ -179,13 +179,14 @@ class FaultMetrics:
         return {
             "id": name,
             "target": self._targets[name],
-            **{step: counts[step] for step in CHAIN_STEPS},
+            **{step: counts[step] for step in _CHAIN_STEPS},
             "rates": {
                 rate: counts[part] / counts[whole] if counts[whole] else None
                 for rate, (part, whole) in RATES.items()
             },
             **{
-                latency: _latency_summary(self._times.get((name, latency))) for latency in LATENCIES
+                latency: _latency_summary(self._times.get((name, latency)))
+                for latency in _LATENCIES
             },
         }
 
@@ -244,7 +245,7 @@ def _passed_steps(fault: Data) -> list[str]:
         "violated": fault["outcome"] == "violated",
         "violated_without": fault["outcome"] == "violated also without it",
     }
-    return [step for step in CHAIN_STEPS if passed[step]]
+    return [step for step in _CHAIN_STEPS if passed[step]]
 
 
 def _latency_summary(times: array[float] | None) -> dict[str, float] | None:
@@ -252,9 +253,9 @@ def _latency_summary(times: array[float] | None) -> dict[str, float] | None:
     return {"median": statistics.median(times), "max": max(times)} if times else None
 
 
-COUNTED_OUTCOMES = ("flagged", "collided", "gridlock")
-DERIVED_OUTCOMES = ("comfort_failed", "rescued")
-SUMMED_METRICS = ("decisions", "recovered", "takeovers", "switches", "censored")
+_COUNTED_OUTCOMES = ("flagged", "collided", "gridlock")
+_DERIVED_OUTCOMES = ("comfort_failed", "rescued")
+_SUMMED_METRICS = ("decisions", "recovered", "takeovers", "switches", "censored")
 
 
 class CaseMetrics:
@@ -286,7 +287,7 @@ class CaseMetrics:
             episode: Of :func:`episode_record`.
         """
         outcome = episode["outcome"]
-        known = {**{key: outcome[key] for key in COUNTED_OUTCOMES}, **_derived(episode)}
+        known = {**{key: outcome[key] for key in _COUNTED_OUTCOMES}, **_derived(episode)}
         raised = [key for key, value in known.items() if value]
         self._words[episode["validity"]] += 1
         self._early += episode["termination"] == "decided"
@@ -311,7 +312,7 @@ class CaseMetrics:
 
     def _add_switching(self, told: Data) -> None:
         self._switching["episodes"] += 1
-        self._switching.update({key: told[key] for key in SUMMED_METRICS})
+        self._switching.update({key: told[key] for key in _SUMMED_METRICS})
         self._times_to_safe.extend(time for time in told["time_to_safe"] if time is not None)
 
     def to_json(self, planned: int) -> dict[str, Any]:
@@ -336,10 +337,10 @@ class CaseMetrics:
             "run": self._words.total(),
             **{name: self._words[name] for name in ("valid", "invalid", "missing")},
             "ended_early": self._early,
-            **{key: self._share(key, planned) for key in COUNTED_OUTCOMES},
+            **{key: self._share(key, planned) for key in _COUNTED_OUTCOMES},
             "clearance_time": clearance if self._clears else None,
             **{key: self._sums[key] for key in ("recoveries", "alerts")},
-            **{key: self._share(key, planned) for key in DERIVED_OUTCOMES},
+            **{key: self._share(key, planned) for key in _DERIVED_OUTCOMES},
             "reactions": dict(sorted(self._reactions.items())),
             "switching": self._shared_control(),
             "user": {

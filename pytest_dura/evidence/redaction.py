@@ -21,7 +21,7 @@ from re import Pattern
 from typing import Any
 from urllib.parse import quote, quote_plus, unquote, urlsplit
 
-SHORTEST_SECRET = 8
+_SHORTEST_SECRET = 8
 """Characters; a shorter value would be found everywhere, and is no secret worth the name."""
 
 _VARIABLE = re.compile(
@@ -32,7 +32,7 @@ _VARIABLE = re.compile(
     r"|(?:^|_)(?:DB|DATABASE|SQLALCHEMY\w*|MONGO\w*|REDIS\w*|POSTGRES\w*)_UR[IL](?=_|\d*$)"
 )
 _NO_SECRET = re.compile(r"_(?:FILE|PATH|DIR|SOCK|SOCKET|HOME)$|^(?:OLD)?PWD$")
-SECRET_PARAMETER = re.compile(
+_SECRET_PARAMETER = re.compile(
     r"(?:^|.*[^a-z])(?:(?:api|access|private|secret|auth|account|encryption)[-_ ]?keys?"
     r"|token|secrets?|passw(?:or)?ds?|passphrase|credentials?|authorization)$",
     re.IGNORECASE,
@@ -45,7 +45,7 @@ _COMMON_VALUES = {
 }  # fmt: skip
 
 
-def secrets_of(environ: Mapping[str, str], globs: Sequence[str] = ()) -> Iterator[tuple[str, str]]:
+def _secrets_of(environ: Mapping[str, str], globs: Sequence[str] = ()) -> Iterator[tuple[str, str]]:
     """``(name, value)`` of the variables that hold secrets, and of passwords in their URLs.
 
     Args:
@@ -66,7 +66,7 @@ def secrets_of(environ: Mapping[str, str], globs: Sequence[str] = ()) -> Iterato
 
 def is_common(value: str) -> bool:
     """Whether a value is too short or too ordinary to be told from any other text."""
-    return len(value) < SHORTEST_SECRET or len(set(value)) < 3 or value.lower() in _COMMON_VALUES
+    return len(value) < _SHORTEST_SECRET or len(set(value)) < 3 or value.lower() in _COMMON_VALUES
 
 
 def _password(url: str) -> str | None:
@@ -84,7 +84,7 @@ _OPTION = (
     r"|passw(?:or)?d|passphrase|credentials?|authorization)"
 )
 _NAME = r"(?:api[-_]?key|access[-_]?key|private[-_]?key|token|secret|passw(?:or)?d|passphrase)"
-SECRET_OPTION = re.compile(_OPTION, re.IGNORECASE)
+_SECRET_OPTION = re.compile(_OPTION, re.IGNORECASE)
 """An option of a command that takes a secret, whole."""
 
 
@@ -114,7 +114,7 @@ def _shape(name: str, hints: str, pattern: str) -> SecretShape:
 _KEY = r"(?<![A-Za-z0-9])"
 """No letter or digit comes before: ``task-`` begins no key, though it ends like one."""
 
-SECRET_SHAPES = (
+_SECRET_SHAPES = (
     _shape(
         "private key",
         "-----begin",
@@ -166,7 +166,7 @@ SECRET_SHAPES = (
 )
 
 
-def secret_forms(value: str) -> set[str]:
+def _secret_forms(value: str) -> set[str]:
     """The value itself, escaped for JSON, Python, shells, HTML and URLs, and in hexadecimal."""
     quoted = shlex.quote(value)
     found = {value, value.strip(), quoted if quoted == value else quoted[1:-1]}
@@ -185,7 +185,7 @@ def secret_forms(value: str) -> set[str]:
     return found
 
 
-def base64_cores(value: str) -> set[str]:
+def _base64_cores(value: str) -> set[str]:
     """What the base64 of any text with this value in it contains, in both alphabets.
 
     Three bytes make four characters, so that it depends on where the value begins; characters
@@ -201,13 +201,13 @@ def base64_cores(value: str) -> set[str]:
     return found
 
 
-def enclosing_base64(text: str, begin: int, end: int) -> tuple[int, int]:
+def _enclosing_base64(text: str, begin: int, end: int) -> tuple[int, int]:
     """The whole of the base64 that a core is part of."""
     left = len(text[:begin].rstrip(_BASE64))
     return left, len(text) - len(text[end:].lstrip(_BASE64 + "="))
 
 
-def truncated_pieces(value: str, text: str, shortest: int) -> Iterator[tuple[int, int]]:
+def _truncated_pieces(value: str, text: str, shortest: int) -> Iterator[tuple[int, int]]:
     """Where a text holds the beginning or the end of a value, cut off with dots.
 
     Args:
@@ -257,16 +257,16 @@ def _small_hex(text: str) -> str:
     return "%".join([head, *(item[:2].lower() + item[2:] for item in rest)])
 
 
-PIECE = 12
+_PIECE = 12
 """Characters of a secret that give it away, where the rest of it was cut off."""
-PARAMETER_NAME = "parameter"
+_PARAMETER_NAME = "parameter"
 """What stands for the value of a parameter whose name speaks of a secret."""
 
 _SHORT = 200
 _MARK = re.compile(r"(\[redacted: [\w. -]{1,200}\])")
 _HINT = "[redacted: "
 _NAMES_IN_DATA = ("key", "token", "secret", "passw", "passphrase", "credential", "authorization")
-_SHAPE_NAMES = {PARAMETER_NAME, *(shape.name for shape in SECRET_SHAPES)}
+_SHAPE_NAMES = {_PARAMETER_NAME, *(shape.name for shape in _SECRET_SHAPES)}
 
 
 class Redactor:
@@ -304,7 +304,7 @@ class Redactor:
         # Asked before whatever is written, when hardly anything has changed.
         fresh = {name: item for name, item in environ.items() if self._seen.get(name) != item}
         self._seen.update(fresh)
-        for name, value in secrets_of(fresh, self._globs):
+        for name, value in _secrets_of(fresh, self._globs):
             self.add(name, value)
 
     def add(self, name: str, value: str) -> None:
@@ -321,11 +321,11 @@ class Redactor:
         name = re.sub(r"[^\w. -]", "_", name)[:200]
         self._values.setdefault(value, name)
         for known, found in (
-            (self._forms, secret_forms(value)),
-            (self._cores, base64_cores(stripped)),
+            (self._forms, _secret_forms(value)),
+            (self._cores, _base64_cores(stripped)),
         ):
             for form in found:
-                if len(form) >= SHORTEST_SECRET:
+                if len(form) >= _SHORTEST_SECRET:
                     known.setdefault(form, name)
 
     def redact(self, value: Any) -> Any:
@@ -343,14 +343,16 @@ class Redactor:
         ends = {
             value: name
             for value, name in self._values.items()
-            if len(value) > PIECE and (value[:PIECE] in joined or value[-PIECE:] in joined)
+            if len(value) > _PIECE and (value[:_PIECE] in joined or value[-_PIECE:] in joined)
         }
         return _Active(
             names=_SHAPE_NAMES | set(self._values.values()),
             forms={form: name for form, name in self._forms.items() if form in joined},
             cores={core: name for core, name in self._cores.items() if core in joined},
             pieces=ends,
-            shapes=[shape for shape in SECRET_SHAPES if any(hint in lower for hint in shape.hints)],
+            shapes=[
+                shape for shape in _SECRET_SHAPES if any(hint in lower for hint in shape.hints)
+            ],
             named=any(hint in lower for hint in _NAMES_IN_DATA),
         )
 
@@ -422,7 +424,7 @@ class _Active:
             items = [self.data(item) for item in value]
             for i, item in enumerate(value[:-1]):
                 following = value[i + 1]
-                if isinstance(item, str) and SECRET_OPTION.fullmatch(item) and _is_open(following):
+                if isinstance(item, str) and _SECRET_OPTION.fullmatch(item) and _is_open(following):
                     items[i + 1] = _mark("option")
             return items if isinstance(value, list) else tuple(items)
         return value
@@ -432,8 +434,8 @@ class _Active:
         if not isinstance(key, str) or not _is_open(redacted):
             return redacted
         if key not in self.named_keys:
-            self.named_keys[key] = SECRET_PARAMETER.match(key) is not None
-        return _mark(PARAMETER_NAME) if self.named_keys[key] else redacted
+            self.named_keys[key] = _SECRET_PARAMETER.match(key) is not None
+        return _mark(_PARAMETER_NAME) if self.named_keys[key] else redacted
 
 
 def count_redactions(value: Any) -> Counter[str]:
@@ -468,7 +470,7 @@ def _replacing(known: Mapping[str, str], *, encoded: bool = False) -> Callable[[
             begin, end = match.span()
             if encoded:
                 begin, end = (
-                    done + at for at in enclosing_base64(text[done:], begin - done, end - done)
+                    done + at for at in _enclosing_base64(text[done:], begin - done, end - done)
                 )
             parts += [text[done:begin], _mark(known[match[0]])]
             done = end
@@ -480,7 +482,7 @@ def _replacing(known: Mapping[str, str], *, encoded: bool = False) -> Callable[[
 
 def _cut_pieces(value: str, name: str, text: str) -> str:
     done, parts = 0, []
-    for begin, end in sorted(truncated_pieces(value, text, PIECE)):
+    for begin, end in sorted(_truncated_pieces(value, text, _PIECE)):
         if begin >= done:
             parts += [text[done:begin], _mark(name)]
             done = end

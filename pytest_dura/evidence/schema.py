@@ -29,7 +29,7 @@ _GRAMMARS = "rfc3987_syntax"
 for the formats ``iri`` and ``iri-reference``, which no schema of ours has."""
 
 
-def load_jsonschema() -> ModuleType:
+def _load_jsonschema() -> ModuleType:
     """The module ``jsonschema``.
 
     Whoever else checks formats with it in this process finds all of them: the parser is built when
@@ -128,7 +128,7 @@ def _vocabulary() -> frozenset[str]:
 @cache
 def _validator(definition: str) -> Any:
     """That of the whole record, or of one definition."""
-    known = load_jsonschema()
+    known = _load_jsonschema()
     # Python reads NaN from a file, and JSON has no such number. To it 2.0 is an integer, and to
     # whoever counts up to it in Python it is none.
     types = known.Draft202012Validator.TYPE_CHECKER.redefine_many(
@@ -225,7 +225,7 @@ def _pointer(path: Iterable[str | int]) -> str:
 PAGE = "evidence.md"
 TABLES_BEGIN = "<!-- Written by `python -m pytest_dura.evidence.schema`; do not edit. -->"
 TABLES_END = "<!-- Here the written part ends. -->"
-HIDDEN_DEFINITIONS = ("attempt",)
+_HIDDEN_DEFINITIONS = ("attempt",)
 """Definitions whose keys stand in the page already, under another name."""
 
 Data = Mapping[str, Any]
@@ -249,7 +249,7 @@ def schema_tables() -> str:
     whole = record_schema()
     lines = ["### The record", "", *_property_table(whole)]
     for name, item in whole["$defs"].items():
-        if name not in HIDDEN_DEFINITIONS:
+        if name not in _HIDDEN_DEFINITIONS:
             lines += ["", f"### {name}", "", item["description"]]
             lines += ["", *_property_table(item)] if list(_property_rows(item, "")) else []
     return "\n".join([*lines, ""])
@@ -276,7 +276,7 @@ def _value_text(item: Data) -> str:
     """What a key may hold, in words."""
     if "$ref" in item:
         name = item["$ref"].rpartition("/")[2]
-        return f"[{name}](#{name})" if name not in HIDDEN_DEFINITIONS else "as a verdict"
+        return f"[{name}](#{name})" if name not in _HIDDEN_DEFINITIONS else "as a verdict"
     if "anyOf" in item:
         return " or ".join(_value_text(each) for each in item["anyOf"])
     if "const" in item:
@@ -300,10 +300,10 @@ _TYPE_NAMES = {
 }  # fmt: skip
 
 
-def write_schema_page(path: Path) -> None:
+def _write_schema_page(path: Path) -> None:
     """Bring the tables of a page up to date."""
     path.write_text(updated_page(path.read_text("utf-8")), "utf-8")
 
 
 if __name__ == "__main__":
-    write_schema_page(Path(__file__).resolve().parents[2] / "docs" / PAGE)
+    _write_schema_page(Path(__file__).resolve().parents[2] / "docs" / PAGE)

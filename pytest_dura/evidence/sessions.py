@@ -18,7 +18,7 @@ OWN_ORIGIN: Data = {"session": None, "changed": None}
 """The origin of an episode that was simulated by the session itself, for the first time."""
 NO_REUSE: Data = {"mode": "none", "session": None, "searched": None}
 """Of a session that nobody told of others."""
-REUSE_MODES = ("none", "resume", "reuse")
+_REUSE_MODES = ("none", "resume", "reuse")
 
 
 class ReuseRecord:
@@ -41,12 +41,12 @@ class ReuseRecord:
             header: What the session says of itself.
         """
         searched = (
-            None if header["mode"] == "none" else search_origin_counts(self._searched.values())
+            None if header["mode"] == "none" else _search_origin_counts(self._searched.values())
         )
         return {"searched": searched, **header, "problems": sorted(self._notes)}
 
 
-def search_origin_counts(runs: Iterable[Data]) -> dict[str, Any]:
+def _search_origin_counts(runs: Iterable[Data]) -> dict[str, Any]:
     """What the origins of the simulations of searches come to.
 
     Args:
@@ -94,7 +94,7 @@ def merged_reuse(parts: Iterable[Data]) -> dict[str, Any]:
     told = list(parts)
     searched = [item["searched"] for item in told if item["searched"] is not None]
     return {
-        "mode": max((item["mode"] for item in told), key=REUSE_MODES.index),
+        "mode": max((item["mode"] for item in told), key=_REUSE_MODES.index),
         "session": None,
         "searched": _summed_origins(searched) if searched else None,
     }
@@ -168,7 +168,7 @@ class ShardUnit:
         name: The first of its cases, or its node id.
         items: How many items it has.
         episodes: How many episodes are planned for it.
-        digest: Of the node ids of its items; see :func:`items_digest`.
+        digest: Of the node ids of its items; see :func:`_items_digest`.
     """
 
     kind: UnitKind
@@ -194,10 +194,10 @@ class ShardUnit:
     @classmethod
     def of(cls, kind: UnitKind, name: str, node_ids: Sequence[str], episodes: int) -> ShardUnit:
         """The unit of these items."""
-        return cls(kind, name, len(node_ids), episodes, items_digest(node_ids))
+        return cls(kind, name, len(node_ids), episodes, _items_digest(node_ids))
 
 
-def items_digest(node_ids: Iterable[str]) -> str:
+def _items_digest(node_ids: Iterable[str]) -> str:
     """SHA-256 of the sorted node ids, as a list of JSON."""
     return hashlib.sha256(json.dumps(sorted(node_ids)).encode()).hexdigest()
 

@@ -22,7 +22,7 @@ from pytest_dura.evidence.text import one_line
 
 TRACE_FOLDER = "episodes"
 """In the bundle: where the traces are."""
-MAX_SLUG = 80
+_MAX_SLUG = 80
 """Characters of an id that a name keeps."""
 _NAME = re.compile(r"(?!.*\.\.)[A-Za-z0-9_][A-Za-z0-9._-]{0,79}-[0-9a-f]{8}\.mcap")
 _PATH = re.compile(rf"{TRACE_FOLDER}/({_NAME.pattern})")
@@ -43,9 +43,9 @@ def episode_name(about: Mapping[str, Any]) -> str:
 
 def slug(text: str) -> str:
     """The text as the part of a file's name; two texts may have the same one."""
-    sub = re.sub(r"[^A-Za-z0-9._-]+", "-", text[: 4 * MAX_SLUG])
-    sub = re.sub(r"\.{2,}", ".", sub).lstrip(".-")[:MAX_SLUG].rstrip(".-")
-    return f"_{sub}"[:MAX_SLUG] if _DEVICE.match(sub) else sub or "episode"
+    sub = re.sub(r"[^A-Za-z0-9._-]+", "-", text[: 4 * _MAX_SLUG])
+    sub = re.sub(r"\.{2,}", ".", sub).lstrip(".-")[:_MAX_SLUG].rstrip(".-")
+    return f"_{sub}"[:_MAX_SLUG] if _DEVICE.match(sub) else sub or "episode"
 
 
 def trace_path(about: Mapping[str, Any]) -> str:

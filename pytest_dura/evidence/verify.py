@@ -48,14 +48,14 @@ from pytest_dura.requirements.monitoring.quality import MonitorQuality
 from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict, JudgedEpisode, judge_episode
 
 
-def format_problems(record: SessionRecord, counts: Counts) -> Iterator[str]:
+def _format_problems(record: SessionRecord, counts: Counts) -> Iterator[str]:
     """Everything in which the formats differ from the record."""
     for item in all_formats():
         for problem in _problems_of_format(item, record, counts):
             yield f"{item.FILE}: {problem}"
 
 
-def other_version(record: SessionRecord) -> str | None:
+def _other_version(record: SessionRecord) -> str | None:
     """The version that wrote the record, where it is not this one, which renders other texts."""
     # The package's own name is loaded in any case; importing it here would reach for all of it.
     version = str(record["tool"]["version"])
@@ -75,7 +75,7 @@ def _format_differences(item: Format, record: SessionRecord, counts: Counts) -> 
     for name in held:
         if told[name] != held[name]:
             yield f"states {name} = {told[name]}, and the record holds {held[name]}"
-    if other_version(record) is None and text != _as_read_back(item.render(record)):
+    if _other_version(record) is None and text != _as_read_back(item.render(record)):
         yield "not as it is rendered from the record"
     broken = getattr(item, "broken_references", None)
     if broken is not None:
@@ -443,8 +443,8 @@ def verify_bundle(directory: Path, junit: Path | None = None) -> Verification:
         verification.problems.append(_damaged(error))
         return verification
     verification.problems += _extra_files(record)
-    verification.not_rendered = other_version(record)
-    verification.problems += format_problems(record, verification.counts)
+    verification.not_rendered = _other_version(record)
+    verification.problems += _format_problems(record, verification.counts)
     verification.problems += trace_problems(record, verification.rejudged)
     try:
         verification.problems += derived_problems(record, verification.rejudged)

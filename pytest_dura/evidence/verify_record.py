@@ -150,9 +150,9 @@ def _tally_problems(metrics: Data, decisions: int) -> Iterator[str]:
             yield f"the {word} of {len(metrics[key])} answers, in {decisions} decisions"
 
 
-EPISODE_MARK = "@"
+_EPISODE_MARK = "@"
 """Stands in the id of a case that a search chose, and in no name of a scenario."""
-SILENT_SHARE = 0.2
+_SILENT_SHARE = 0.2
 """Of simulations that say nothing; with more of them a search is undecided."""
 
 
@@ -179,14 +179,14 @@ def _search_in_rate_problems(record: SessionRecord) -> Iterator[str]:
     A planned episode is one of the runs of its case, and named after it.
     """
     for case in record["cases"]:
-        if EPISODE_MARK in case["id"] and (case["planned"] or case["metrics"]["run"]):
+        if _EPISODE_MARK in case["id"] and (case["planned"] or case["metrics"]["run"]):
             yield f"case {case['id']}: a search chose it, and there are metrics of it"
     for verdict in record["verdicts"]:
         name = f"verdict {verdict['requirement']} on {verdict['case']}"
-        if EPISODE_MARK in verdict["case"]:
+        if _EPISODE_MARK in verdict["case"]:
             yield f"{name}: a search chose the case, and no rate can be made of it"
         for counterexample in verdict["counterexamples"]:
-            if EPISODE_MARK in counterexample["episode"]:
+            if _EPISODE_MARK in counterexample["episode"]:
                 yield f"{name}: a search chose its counterexample {counterexample['episode']}"
 
 
@@ -263,7 +263,7 @@ def _outcome_status_problems(item: Data, outcome: Data) -> Iterator[str]:
         if not item["baselines"]:
             yield f"{word}, and no baseline stands beside it"
     else:
-        silent = item["unknown"] > SILENT_SHARE * item["simulations"]
+        silent = item["unknown"] > _SILENT_SHARE * item["simulations"]
         if silent and word == NOTHING_FOUND:
             text = f"{item['unknown']} of {item['simulations']}"
             yield f"{word}, though {text} simulations said nothing of a requirement"
@@ -300,7 +300,7 @@ def _first_violations(searchers: Sequence[Data], requirement: str) -> dict[str, 
 
 
 def _counterexample_problems(case: Data, found: Data) -> Iterator[str]:
-    if not found["case"].startswith(f"{case['scenario']}{EPISODE_MARK}"):
+    if not found["case"].startswith(f"{case['scenario']}{_EPISODE_MARK}"):
         yield f"its counterexample {found['case']} is of another scenario than {case['scenario']}"
     told = found["scenario"].get("name"), found["scenario"].get("seed")
     if told != (case["scenario"], found["seed"]):

@@ -30,18 +30,18 @@ from pytest_dura.requirements.verdicts.judging import CampaignJudge
 Data = Mapping[str, Any]
 
 
-def has_margin(verdict: EpisodeVerdict) -> bool:
+def _has_margin(verdict: EpisodeVerdict) -> bool:
     """Whether an episode's margin is one of its campaign's: it is valid, and not open."""
     return verdict.valid and verdict.verdict != "open"
 
 
-def margin_distribution(margins: Iterable[float | None]) -> dict[str, Any] | None:
+def _margin_distribution(margins: Iterable[float | None]) -> dict[str, Any] | None:
     """The record's distribution of those that there are."""
     found = Margins.of([margin for margin in margins if margin is not None])
     return None if found is None else asdict(found)
 
 
-def margin_problems(verdict: Data, on_traces: Iterable[EpisodeVerdict]) -> Iterator[str]:
+def _margin_problems(verdict: Data, on_traces: Iterable[EpisodeVerdict]) -> Iterator[str]:
     """Everything in which the margins of a verdict contradict each other.
 
     Args:
@@ -83,7 +83,7 @@ def _distribution_problems(
     traced = [
         on_trace.margin
         for on_trace in on_traces
-        if has_margin(on_trace) and on_trace.margin is not None
+        if _has_margin(on_trace) and on_trace.margin is not None
     ]
     for margin in (*listed, *traced):
         if not margins["min"] <= margin <= margins["max"]:
@@ -92,7 +92,7 @@ def _distribution_problems(
     measured = verdict["paired"] is not None and verdict["paired"]["measure"]
     by_tests = not verdict["check"] and not measured
     whole = verdict["violations"] == verdict["episodes"] == len(listed) or by_tests
-    if whole and margins != plain_data(margin_distribution(listed)):
+    if whole and margins != plain_data(_margin_distribution(listed)):
         yield "the distribution of its margins is not that of its counterexamples"
 
 
@@ -160,7 +160,7 @@ def _change_problems(verdict: Data) -> Iterator[str]:
 
 TraceVerdicts = Mapping[tuple[int, str], EpisodeVerdict]
 """What traces say, by the number of the verdict and the id of the episode."""
-EXTRA_SHARE = 0.2
+_EXTRA_SHARE = 0.2
 """Further runs that may follow invalid ones, as a share of the planned ones."""
 _UNLISTED: Data = {"planned": math.inf, "variation": {}, "faults": []}
 """In place of a case that the record does not have."""
@@ -286,7 +286,7 @@ class _VerdictCheck:
     """Of its case, without any run yet."""
 
     def problems(self) -> Iterator[str]:
-        yield from margin_problems(self.verdict, self.on_traces.values())
+        yield from _margin_problems(self.verdict, self.on_traces.values())
         item, unheard = self.verdict, self._unheard()
         if item["spoilt"] is not None:
             spoilt = item["spoilt"]["episode"]
@@ -387,8 +387,8 @@ class _VerdictCheck:
             gives = f"{known[0].verdict}: {known[0].reason}" if known else "another number of runs"
             yield f"{self.verdict['verdict']}: {self.verdict['reason']}; its runs give {gives}"
         if sure and all(run.episode in self.on_traces for run in runs):
-            margins = [run.margin for run in told if has_margin(run)]
-            if self.verdict["margins"] != plain_data(margin_distribution(margins)):
+            margins = [run.margin for run in told if _has_margin(run)]
+            if self.verdict["margins"] != plain_data(_margin_distribution(margins)):
                 yield "the distribution of its margins is not that of its traces"
             if self.verdict["vacuous"] != sum(run.vacuous for run in told):
                 yield f"{self.verdict['vacuous']} vacuous, and its traces say otherwise"
@@ -493,7 +493,7 @@ class _VerdictCheck:
     def _plan(self) -> int:
         """How many runs a plan of a fixed number comes to, those after invalid ones included."""
         planned = end = self.verdict["planned"]
-        budget, number = math.ceil(EXTRA_SHARE * planned), 0
+        budget, number = math.ceil(_EXTRA_SHARE * planned), 0
         while number < end and number in self.own.runs:
             if self.own.runs[number].validity == "invalid" and end < planned + budget:
                 end += 1

@@ -56,7 +56,7 @@ class Address:
         parts = {
             name: part for name, part in self.parts.items() if not name.startswith(VARIABLE_PREFIX)
         }
-        return Address(address_name(parts), parts)
+        return Address(_address_name(parts), parts)
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ class Addresses:
         answers = model_answers(task)
         if answers is not None:
             parts["answers of language models"] = answers
-        return Address(address_name(parts), parts)
+        return Address(_address_name(parts), parts)
 
     def _of_part(self, part: RoleSpec) -> _Code | None:
         key = part.target if isinstance(part, LocalRole) else part.path
@@ -133,7 +133,7 @@ class Addresses:
         return self._codes[file, module]
 
 
-def address_name(parts: Mapping[str, str]) -> str:
+def _address_name(parts: Mapping[str, str]) -> str:
     """The name of the address that has these parts."""
     return hashlib.sha256(canonical(parts)).hexdigest()
 

@@ -288,7 +288,7 @@ def _entry(line: bytes, address: Address | None = None) -> CacheEntry:
     return entry
 
 
-MIN_AGE = 3600.0
+_MIN_AGE = 3600.0
 """s; what is younger may be of a session that still runs, which would simulate it again."""
 _AGES = {"h": 3600.0, "d": 86400.0, "w": 7 * 86400.0}
 _SIZES = {"M": 10**6, "G": 10**9, "T": 10**12}
@@ -346,7 +346,7 @@ def prune(
     removed = removed_bytes = 0
     for used, size, file in found:
         old = older_than is not None and now - used > older_than
-        much = at_most is not None and left > at_most and now - used > MIN_AGE
+        much = at_most is not None and left > at_most and now - used > _MIN_AGE
         if (old or much) and _remove(file):
             removed, removed_bytes, left = removed + 1, removed_bytes + size, left - size
     _remove_leftovers(directory, now)
@@ -360,7 +360,7 @@ def read_age(text: str) -> float:
         ConfigurationError: For anything else, and for less than an hour.
     """
     number = _number(text, _AGES)
-    if number is None or number < MIN_AGE:
+    if number is None or number < _MIN_AGE:
         raise ConfigurationError(
             "--older-than takes a time",
             key="--older-than",
@@ -424,7 +424,7 @@ def _remove_leftovers(directory: Path, now: float) -> None:
     for kind in (NEW, CLAIM):
         for file in _files(directory, kind):
             or_none = _stat_or_none(file)
-            if or_none is None or now - or_none.st_mtime <= MIN_AGE:
+            if or_none is None or now - or_none.st_mtime <= _MIN_AGE:
                 continue
             if kind == NEW:
                 _remove(file)

@@ -52,7 +52,7 @@ _POOLS: dict[str, ProcessPool] = {}
 _LOCK = threading.Lock()
 
 
-def reply_with_machine(client: Mapping[str, Any]) -> bytes:
+def _reply_with_machine(client: Mapping[str, Any]) -> bytes:
     """The reply to the question what every episode that is simulated here depends on.
 
     Args:
@@ -61,7 +61,7 @@ def reply_with_machine(client: Mapping[str, Any]) -> bytes:
     return reply_of(lambda: _pool(client).submit(machine_json).result())
 
 
-def reply_with_episode(
+def _reply_with_episode(
     client: Mapping[str, Any], task: str, conditions: Mapping[str, Any] | None, seconds: float
 ) -> bytes:
     """The reply to a call of :func:`pytest_dura.execution.simulation.simulate`.
@@ -78,7 +78,7 @@ def reply_with_episode(
     return reply_of(lambda: _pool(client).submit(simulate, task, told, seconds=seconds).result())
 
 
-def end_session(token: str) -> None:
+def _end_session(token: str) -> None:
     """End the processes of a session; a second call does nothing."""
     with _LOCK:
         pool = _POOLS.pop(token, None)
@@ -113,7 +113,7 @@ _SECONDS_TO_FETCH = 30.0
 _RETRY_SECONDS, _SHORT_POLL_SECONDS = 0.2, 0.05
 
 
-def open_client(address: str) -> tuple[Any, Callable[[], None]]:
+def _open_client(address: str) -> tuple[Any, Callable[[], None]]:
     """A client of the scheduler at this address, and what lets Dask log again when it is done.
 
     Raises:
@@ -125,14 +125,14 @@ def open_client(address: str) -> tuple[Any, Callable[[], None]]:
     loud = silence_logs()
     client: Any = distributed.Client
     try:
-        with ignore_dask_warnings():
+        with _ignore_dask_warnings():
             made = client(
                 address, timeout=SECONDS_TO_CONNECT, set_as_default=False, name="pytest-dura"
             )
     except BaseException as error:  # also on ctrl-C; it is raised again
         loud()
         if isinstance(error, (OSError, ValueError, TypeError)):
-            raise no_scheduler_error(address, error) from None
+            raise _no_scheduler_error(address, error) from None
         raise
     return made, loud
 
@@ -158,13 +158,13 @@ def connect(address: str) -> None:
             socket.create_connection((host.strip("[]"), int(port)), left).close()
         except OSError as error:
             if left <= _RETRY_SECONDS:
-                raise no_scheduler_error(address, error) from None
+                raise _no_scheduler_error(address, error) from None
             time.sleep(_RETRY_SECONDS)  # it may be starting
         else:
             return
 
 
-def compare_workers(client: Any, address: str, told: Mapping[str, Any]) -> int:
+def _compare_workers(client: Any, address: str, told: Mapping[str, Any]) -> int:
     """Compare the scheduler and every worker with this process; how many threads workers have.
 
     Args:
@@ -185,11 +185,11 @@ def compare_workers(client: Any, address: str, told: Mapping[str, Any]) -> int:
         try:
             client.wait_for_workers(1, timeout=SECONDS_TO_FIRST_WORKER)
         except (TimeoutError, asyncio.TimeoutError):  # two classes on Python 3.10
-            raise no_workers_error(address, SECONDS_TO_FIRST_WORKER) from None
+            raise _no_workers_error(address, SECONDS_TO_FIRST_WORKER) from None
         threads: dict[str, int] = client.nthreads()
         asked = {
             thread: client.submit(
-                reply_with_machine,
+                _reply_with_machine,
                 told,
                 workers=[thread],
                 key=f"dura-look-{uuid.uuid4().hex}",
@@ -248,7 +248,7 @@ def _dask_versions(told: Mapping[str, Any]) -> dict[str, str]:
     return {"Python": ".".join(str(packages["python"]).split(".")[:2]), **found}
 
 
-def no_scheduler_error(address: str, error: Exception) -> ConfigurationError:
+def _no_scheduler_error(address: str, error: Exception) -> ConfigurationError:
     """Nobody answers, or it is no scheduler."""
     return ConfigurationError(
         "there is no Dask scheduler at this address, or it does not answer",
@@ -259,7 +259,7 @@ def no_scheduler_error(address: str, error: Exception) -> ConfigurationError:
     )
 
 
-def no_workers_error(address: str, seconds: float) -> ConfigurationError:
+def _no_workers_error(address: str, seconds: float) -> ConfigurationError:
     """There has been no worker for so long."""
     return ConfigurationError(
         f"the Dask scheduler has had no worker for {seconds:g} s",
@@ -270,7 +270,7 @@ def no_workers_error(address: str, seconds: float) -> ConfigurationError:
     )
 
 
-def scheduler_lost_error(address: str) -> ConfigurationError:
+def _scheduler_lost_error(address: str) -> ConfigurationError:
     """The scheduler is gone."""
     return ConfigurationError(
         "the connection to the Dask scheduler is lost",
@@ -281,7 +281,7 @@ def scheduler_lost_error(address: str) -> ConfigurationError:
 
 
 @contextmanager
-def ignore_dask_warnings() -> Iterator[None]:
+def _ignore_dask_warnings() -> Iterator[None]:
     """Dask warns of versions that differ, which are compared anyway, and of loops at its end."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -325,9 +325,9 @@ class DaskExecutor(Executor):
         self._lost: ConfigurationError | None = None
         self.is_lost = False
         """Whether nothing can be simulated there, for all that is known now."""
-        self._client, self._loud = open_client(address)
+        self._client, self._loud = _open_client(address)
         try:
-            self.width = compare_workers(self._client, address, self._told)
+            self.width = _compare_workers(self._client, address, self._told)
         except BaseException:  # also on ctrl-C; it is raised again
             self._close()
             raise
@@ -352,7 +352,7 @@ class DaskExecutor(Executor):
             future.set_exception(self._lost)
             return future
         task = self._client.submit(
-            reply_with_episode,
+            _reply_with_episode,
             self._told,
             *args,
             **kwargs,
@@ -393,13 +393,13 @@ class DaskExecutor(Executor):
 
         def leave() -> None:
             with suppress(Exception):
-                self._client.run(end_session, self._told["token"], on_error="ignore")
+                self._client.run(_end_session, self._told["token"], on_error="ignore")
 
         last = threading.Thread(target=leave, daemon=True)
         if self._client.status == "running":
             last.start()
             last.join(_SECONDS_TO_END)
-        with ignore_dask_warnings(), suppress(Exception):
+        with _ignore_dask_warnings(), suppress(Exception):
             self._client.close(timeout=_SECONDS_TO_END)
         self._loud()
 
@@ -429,12 +429,12 @@ class DaskExecutor(Executor):
         if kind == "KilledWorker":
             return ProcessLostError(f"it ended {getattr(error, 'allowed_failures', 0) + 1} workers")
         if kind in ("NoWorkerError", "NoValidWorkerError"):
-            return no_workers_error(
+            return _no_workers_error(
                 self.address, getattr(error, "timeout", SECONDS_WITHOUT_WORKERS)
             )
         if kind in ("CancelledError", "FutureCancelledError", "CommClosedError"):
             self.is_lost = True  # the watch finds out later
-            return scheduler_lost_error(self.address)
+            return _scheduler_lost_error(self.address)
         if isinstance(error, (ConfigurationError, ProcessLostError, CallFailedError)):
             return error
         return CallFailedError(f"a Dask worker failed: {describe_error(error)}")
@@ -460,14 +460,14 @@ class DaskExecutor(Executor):
                 self.width = max(1, sum(sync.values()))
             except Exception:  # whatever Dask raises then: the scheduler does not answer
                 if not self._closed.is_set():
-                    self._lost, self.is_lost = scheduler_lost_error(self.address), True
+                    self._lost, self.is_lost = _scheduler_lost_error(self.address), True
                     self._give_up(self._lost)
                 return
             without = 0.0 if sync else without + _POLL_SECONDS
             self.is_lost = without >= SECONDS_WITHOUT_WORKERS
             if self.is_lost:
                 # Whoever asks from now on until there is one does not wait as long once more.
-                self._give_up(no_workers_error(self.address, without))
+                self._give_up(_no_workers_error(self.address, without))
 
     def _give_up(self, error: ConfigurationError) -> None:
         with self._lock:

@@ -246,7 +246,7 @@ class WorkerProcess:
 T = TypeVar("T")
 P = ParamSpec("P")
 
-MAX_LOST = 2
+_MAX_LOST = 2
 """Processes that a call may end before it is given up."""
 MAX_STARTS = 3
 """How often a process is started for a call before the call fails: one may be killed, or find no
@@ -411,7 +411,7 @@ class ProcessPool(Executor):
             return CallFailedError(_SESSION_ENDED)
         if ended.seconds is not None:
             return ProcessLostError(f"its process was ended, since {ended}")
-        if lost >= MAX_LOST:
+        if lost >= _MAX_LOST:
             return ProcessLostError(f"it ended {lost} processes that simulated it: {ended}")
         return None
 

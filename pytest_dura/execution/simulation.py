@@ -14,7 +14,7 @@ from pytest_dura.execution.address import VARIABLE_PREFIX, Address, Addresses, d
 from pytest_dura.execution.codec import pack
 from pytest_dura.execution.task import EpisodeTask
 
-THIS_SESSION = "another process of this session"
+_THIS_SESSION = "another process of this session"
 _LLM = "pytest_dura.llm.session"
 _SHORT = 60
 
@@ -31,7 +31,7 @@ class Conditions:
 
     name: str
     parts: Mapping[str, str]
-    where: str = THIS_SESSION
+    where: str = _THIS_SESSION
 
     @classmethod
     def of(cls, address: Address) -> Conditions:
@@ -66,7 +66,7 @@ def simulate(
     if conditions is not None:
         told = Conditions(**conditions)
         here, wanted = _addresses().of(found), Address(told.name, told.parts)
-        if told.where != THIS_SESSION:
+        if told.where != _THIS_SESSION:
             here, wanted = here and here.of_any_machine, wanted.of_any_machine
         if here is None or here.name != wanted.name:
             refuse_differences(told.where, wanted.parts, {} if here is None else here.parts)
@@ -119,7 +119,7 @@ def refuse_differences(where: str, expected: Mapping[str, str], found: Mapping[s
 def _difference_remedy(part: str, where: str) -> str:
     if part.startswith(VARIABLE_PREFIX):
         return "set it before the session begins: processes that simulate are started once"
-    if where == THIS_SESSION:
+    if where == _THIS_SESSION:
         return "files changed while the session ran: start it again"
     if part.startswith("code "):
         return "install or mount the same files there, and start the worker again"

@@ -26,10 +26,10 @@ from pytest_dura.requirements.verdicts.episodes import JudgedEpisode
 
 EpisodeKey = tuple[str, int, tuple[int, ...]]
 
-MAX_EPISODES_IN_MEMORY = 256
+_MAX_EPISODES_IN_MEMORY = 256
 """Episodes in memory at most: all of a campaign, where many requirements look at it one after the
 other. More of them are on disk."""
-MAX_MEMORY_BYTES = 64_000_000
+_MAX_MEMORY_BYTES = 64_000_000
 """Bytes that they may take, which is what as many of 15 s do."""
 _NUMBER = 32
 """Bytes that a number in a list takes."""
@@ -69,7 +69,9 @@ class EpisodeMemory:
         recent: How many are in memory at most.
     """
 
-    def __init__(self, room: int = MAX_MEMORY_BYTES, recent: int = MAX_EPISODES_IN_MEMORY) -> None:
+    def __init__(
+        self, room: int = _MAX_MEMORY_BYTES, recent: int = _MAX_EPISODES_IN_MEMORY
+    ) -> None:
         self._room, self._most = room, recent
         self._sizes: dict[EpisodeKey, int] = {}
         self._taken = 0
@@ -222,7 +224,7 @@ IN_FLIGHT = 2
 MAX_WAIT = IN_FLIGHT * MAX_SECONDS
 """Seconds that an episode of another process is waited for, beside its component's time budgets;
 then it is simulated here. The other process may have begun another one before it."""
-SECONDS_TO_SETTLE = 60.0
+_SECONDS_TO_SETTLE = 60.0
 """Seconds that the shelf is waited for to take in an episode; then nobody else has it."""
 _FIRST_WAIT, _LONGEST_WAIT = 0.001, 0.05
 
@@ -472,7 +474,7 @@ class EpisodeStore:
             raise
         finally:
             self._flights.pop(flight.address.name, None)
-        flight.settled.wait(SECONDS_TO_SETTLE)
+        flight.settled.wait(_SECONDS_TO_SETTLE)
         if flight.broken is not None:
             self.is_broken = True
             raise flight.broken

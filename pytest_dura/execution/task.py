@@ -43,7 +43,7 @@ def _reasons(task: EpisodeTask) -> Iterator[str]:
         elif not _is_plain(part.params):
             yield f"the parameters of its {name} are no plain data"
     for name, metric in task.metrics.items():
-        if not is_importable(metric):
+        if not _is_importable(metric):
             yield f"no import path leads to the metric {name}"
 
 
@@ -64,7 +64,7 @@ def is_named(function: Callable[..., Any]) -> bool:
     return is_plain and "<" not in name and getattr(function, "__closure__", None) is None
 
 
-def is_importable(function: Callable[..., Any]) -> bool:
+def _is_importable(function: Callable[..., Any]) -> bool:
     """Whether an import path leads to it, in any process."""
     if not is_named(function) or function.__module__ in _PRIVATE:
         return False

@@ -45,10 +45,10 @@ def reply_of(function: Callable[..., bytes], *args: Any, **kwargs: Any) -> bytes
     try:
         return _RESULT + function(*args, **kwargs)
     except BaseException as error:  # whatever user code raises is told to who asked
-        return reply_of_error(error)
+        return _reply_of_error(error)
 
 
-def reply_of_error(error: BaseException) -> bytes:
+def _reply_of_error(error: BaseException) -> bytes:
     """What stands for an error."""
     if isinstance(error, ConfigurationError):
         told = {name: getattr(error, name) for name in _FIELDS}
@@ -84,7 +84,7 @@ def result_of(reply: bytes) -> bytes:
 _FIELDS = ("problem", "file", "line", "key", "found", "expected", "remedy")
 
 
-MAX_CALLS = 1000
+_MAX_CALLS = 1000
 """Calls after which a process gives way to a fresh one, so that what a role leaves behind goes."""
 MAX_MEMORY_GROWTH = 512 * 2**20
 """Bytes by which its memory may grow before it gives way, against a role that leaks."""
@@ -129,11 +129,11 @@ def main() -> None:
     for number in range(3):
         os.dup2(null, number)
     first: int | None = None
-    for count in range(1, MAX_CALLS + 1):
+    for count in range(1, _MAX_CALLS + 1):
         reply = _carried_out(json.loads(requests.get()))
         memory = _memory()
         first = memory if first is None else first
-        stays = count < MAX_CALLS and memory - first <= MAX_MEMORY_GROWTH
+        stays = count < _MAX_CALLS and memory - first <= MAX_MEMORY_GROWTH
         try:
             write_frame(replies, STAYS if stays else RETIRES, reply)
         except OSError:  # nobody is interested any more

@@ -22,7 +22,7 @@ _TAGGED = 2
 """Parts of the place of a duration as a whole: its key, and the tag of what it was taken for."""
 
 
-def fault_error(
+def _fault_error(
     kind: type[Fault], data: Mapping[str, Any], error: ValidationError
 ) -> ConfigurationError:
     """The first thing that is wrong with a fault; ``key`` is the path within it."""
@@ -248,7 +248,7 @@ def load_fault(data: Mapping[str, Any], targets: Mapping[str, str] = NOTHING) ->
     try:
         return kind.model_validate(filled)
     except ValidationError as error:
-        raise fault_error(kind, filled, error) from None
+        raise _fault_error(kind, filled, error) from None
 
 
 def parse_fault(data: Mapping[str, Any], targets: Mapping[str, str] = NOTHING) -> dict[str, Any]:

@@ -178,7 +178,7 @@ def check_target(fault: Fault, channels: Mapping[str, Channel]) -> Channel:
     elif target.field and target.field not in channel.fields and channel.kind != "array":
         why = f"{target.channel!r} has no part {target.field!r} that holds a number"
     else:
-        why = f"it acts on {KIND_MEANINGS[fault.acts_on]}"
+        why = f"it acts on {_KIND_MEANINGS[fault.acts_on]}"
     raise ConfigurationError(
         f"the fault {fault.id!r} cannot act on {str(target)!r}: {why}",
         key="target",
@@ -188,7 +188,7 @@ def check_target(fault: Fault, channels: Mapping[str, Channel]) -> Channel:
     )
 
 
-KIND_MEANINGS: Mapping[Kind, str] = {
+_KIND_MEANINGS: Mapping[Kind, str] = {
     "number": "a number",
     "any": "any value",
     "command": "a number of the command",

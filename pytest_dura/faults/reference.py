@@ -26,7 +26,7 @@ from pytest_dura.faults.parameters import PARAMETERS, Span, declared_span, param
 from pytest_dura.faults.targets import Target
 
 PAGE = "faults.md"
-DOMAIN = "pytest_dura.driving.sensors:FAULT_TARGETS"
+_DOMAIN = "pytest_dura.driving.sensors:FAULT_TARGETS"
 """Where the committed page has its default targets from."""
 
 _ACTS_ON: Mapping[Kind, str] = {
@@ -76,7 +76,7 @@ def write_page(path: Path, targets: Mapping[str, str] = NOTHING) -> None:
     path.write_text(reference_page(targets), "utf-8")
 
 
-def domain_targets(path: str = DOMAIN) -> Mapping[str, str]:
+def domain_targets(path: str = _DOMAIN) -> Mapping[str, str]:
     """A domain's default targets, by the import path of the mapping."""
     module, _, name = path.partition(":")
     found: Mapping[str, str] = getattr(importlib.import_module(module), name)

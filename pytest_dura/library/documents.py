@@ -18,10 +18,10 @@ from pytest_dura.core.error_messages import combine_errors, did_you_mean
 from pytest_dura.core.errors import ConfigurationError
 
 MAX_BYTES = 1024 * 1024
-MAX_NODES = 50_000
+_MAX_NODES = 50_000
 """Nodes of one file, each alias counted as all that it stands for."""
 MAX_DEPTH = 32
-MAX_INTEGER = 2**63
+_MAX_INTEGER = 2**63
 
 _TAG = "tag:yaml.org,2002:"
 
@@ -209,13 +209,13 @@ class _Loader(yaml.SafeLoader):
                 expected="data without circles",
                 remedy="write the values out",
             )
-        if self._sizes[id(node)] > MAX_NODES:
+        if self._sizes[id(node)] > _MAX_NODES:
             raise ConfigurationError(
                 "the file is too large once its aliases are followed",
                 file=self._file,
                 line=line,
                 found=f"{self._sizes[id(node)]} values",
-                expected=f"at most {MAX_NODES} values",
+                expected=f"at most {_MAX_NODES} values",
                 remedy="write out the values that are meant, without nested aliases",
             )
         return node
@@ -335,7 +335,7 @@ class _Reader:
 
 
 def _too_large(value: object) -> bool:
-    return isinstance(value, int) and not -MAX_INTEGER <= value < MAX_INTEGER
+    return isinstance(value, int) and not -_MAX_INTEGER <= value < _MAX_INTEGER
 
 
 def _integer(text: str) -> int:

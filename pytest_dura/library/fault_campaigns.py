@@ -59,7 +59,7 @@ def expand_grid(scenario: Scenario, data: Mapping[str, Any]) -> Iterator[dict[st
     yield from _combinations(given, FaultReader(scenario))
 
 
-def expand_sample(scenario: Scenario, data: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+def _expand_sample(scenario: Scenario, data: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
     """The faults of a :class:`FaultSample` in plain data; each value has a stream of its own.
 
     Raises:
@@ -195,7 +195,7 @@ class ScenarioFaults:
 
 
 NO_FAULTS = "none"
-CATALOGUE = "catalogue"
+_CATALOGUE = "catalogue"
 GLOB = "*?["
 """Characters that make a name a glob."""
 
@@ -266,7 +266,7 @@ def expand_campaign(scenario: Scenario, own: Faults, campaign: object) -> list[F
             ]
         if "sample" in campaign:
             return [
-                _single_fault(scenario, own, fault) for fault in expand_sample(scenario, campaign)
+                _single_fault(scenario, own, fault) for fault in _expand_sample(scenario, campaign)
             ]
         campaign = [campaign]
     if not isinstance(campaign, Sequence) or not _are_faults(campaign):
@@ -337,7 +337,7 @@ def _usable(scenario: Scenario, name: str) -> bool:
 
 def _matching(scenario: Scenario, text: str) -> list[str] | None:
     """The types that ``catalogue`` or a glob stands for; ``None`` for anything else."""
-    if text != CATALOGUE and not set(text) & set(GLOB):
+    if text != _CATALOGUE and not set(text) & set(GLOB):
         return None
     usable = catalogue_for(scenario)
     if not usable:
@@ -348,7 +348,7 @@ def _matching(scenario: Scenario, text: str) -> list[str] | None:
             expected="faults with a `target`, since the domain of its simulator is not known",
             remedy="name each fault as data: {type: ..., target: ..., activation: {at: ...}}",
         )
-    found = usable if text == CATALOGUE else [item for item in usable if fnmatchcase(item, text)]
+    found = usable if text == _CATALOGUE else [item for item in usable if fnmatchcase(item, text)]
     if not found:
         raise ConfigurationError(
             f"no fault of the catalogue matches {text!r}",
@@ -390,7 +390,7 @@ def _fault_of_name(scenario: Scenario, own: Faults, name: str) -> dict[str, Any]
     if name in FAULT_TYPES:
         return parse_fault(scenario, {"type": name, **fault_class(name).example()})
     known = {*FAULT_TYPES, *(fault["id"] for fault in own)}
-    if name in (NO_FAULTS, CATALOGUE) or set(name) & set(GLOB):
+    if name in (NO_FAULTS, _CATALOGUE) or set(name) & set(GLOB):
         raise ConfigurationError(
             f"{name!r} is a campaign by itself, and no fault among others",
             key="faults",
@@ -402,6 +402,6 @@ def _fault_of_name(scenario: Scenario, own: Faults, name: str) -> dict[str, Any]
         f"unknown fault {name!r}",
         key="faults",
         found=name,
-        expected=f"{NO_FAULTS}, {CATALOGUE}, or one of " + ", ".join(sorted(known)),
-        remedy=did_you_mean(name, {*known, NO_FAULTS, CATALOGUE}),
+        expected=f"{NO_FAULTS}, {_CATALOGUE}, or one of " + ", ".join(sorted(known)),
+        remedy=did_you_mean(name, {*known, NO_FAULTS, _CATALOGUE}),
     )

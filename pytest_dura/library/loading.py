@@ -29,7 +29,7 @@ from pytest_dura.library.requirements import (
 from pytest_dura.library.scenario import Scenario
 from pytest_dura.requirements.model import Requirement
 
-SUFFIXES = (".yaml", ".yml")
+_SUFFIXES = (".yaml", ".yml")
 SCHEMA_FILE = "scenario.schema.json"
 
 T = TypeVar("T")
@@ -163,7 +163,7 @@ def _files(path: Path) -> list[Path]:
         found += [
             Path(folder, name)
             for name in sorted(names)
-            if name.endswith(SUFFIXES) and not name.startswith(".")
+            if name.endswith(_SUFFIXES) and not name.startswith(".")
         ]
     if not found:
         raise ConfigurationError(

@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from pytest_dura.faults.model import Channel, Fault
 
 
-RESERVED = ("none", "catalogue")
+_RESERVED = ("none", "catalogue")
 """Names of fault campaigns, which no fault may have."""
-MAX_ID = 200
+_MAX_ID = 200
 """Characters of an id, which stands in the names of tests and in commands."""
 _MISREAD = re.compile(r"[+~#*?\[]|::")
 
@@ -111,15 +111,15 @@ def parse_fault(scenario: Scenario, data: Mapping[str, Any]) -> dict[str, Any]:
 
 def _check_id(name: str) -> None:
     """Refuse an id that would read as something else in the id of a case, or on a command line."""
-    plain = name.isprintable() and name == name.strip() and len(name) <= MAX_ID
+    plain = name.isprintable() and name == name.strip() and len(name) <= _MAX_ID
     misread = _MISREAD.search(name) or name.endswith(".py")
-    if name in RESERVED or misread or not plain:
+    if name in _RESERVED or misread or not plain:
         raise ConfigurationError(
-            f"a fault cannot have the id {name[:MAX_ID]!r}",
+            f"a fault cannot have the id {name[:_MAX_ID]!r}",
             key="id",
             found=repr(name),
-            expected=f"a name other than {' and '.join(RESERVED)}, without any of + ~ # * ? [ ::,"
-            f" of at most {MAX_ID} printable characters, not ending in .py",
+            expected=f"a name other than {' and '.join(_RESERVED)}, without any of + ~ # * ? [ ::,"
+            f" of at most {_MAX_ID} printable characters, not ending in .py",
             remedy="give it another `id`",
         )
 

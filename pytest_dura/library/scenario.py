@@ -32,7 +32,7 @@ from pytest_dura.faults.model import Channel
 from pytest_dura.library.documents import Document, translate, validate
 
 NAME = r"^[A-Za-z0-9][A-Za-z0-9_.-]*(/[A-Za-z0-9][A-Za-z0-9_.-]*)*$"
-IDENTIFIER = r"^[A-Za-z0-9][A-Za-z0-9_-]*$"
+_IDENTIFIER = r"^[A-Za-z0-9][A-Za-z0-9_-]*$"
 
 
 def not_empty(values: tuple[Any, ...]) -> tuple[Any, ...]:
@@ -133,7 +133,7 @@ class FaultEntry(Entry):
 
     type: str = Field(min_length=1)
     """A type of the fault catalogue."""
-    id: str | None = Field(default=None, pattern=IDENTIFIER)
+    id: str | None = Field(default=None, pattern=_IDENTIFIER)
     """Name within the scenario, unique; default: the type."""
     target: str | None = None
     """Sensor channel, field of a channel, or `command`. Default: per fault type."""

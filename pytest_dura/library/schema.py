@@ -14,7 +14,7 @@ from pytest_dura.faults.catalogue import FAULT_TYPES, fault_class
 from pytest_dura.library.loading import SCHEMA_FILE
 from pytest_dura.library.scenario import FaultEntry, Scenario, world_model
 
-DIALECT = "https://json-schema.org/draft/2020-12/schema"
+_DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
 
 def scenario_schema() -> dict[str, Any]:
@@ -41,7 +41,7 @@ def scenario_schema() -> dict[str, Any]:
     ]
     for model in faults.values():
         definitions.pop(_name(references[model, "validation"]))
-    return {"$schema": DIALECT, **scenario, "$defs": definitions}
+    return {"$schema": _DIALECT, **scenario, "$defs": definitions}
 
 
 def write_schema(path: Path) -> None:

@@ -179,7 +179,7 @@ def _entries(listing: str) -> list[dict[str, Any]]:
 
 CODE = "K7XM4R"
 """Six letters and digits of which none looks like another."""
-QUESTION = (
+_QUESTION = (
     "A code of six letters and digits is written in the picture. Answer with the code alone. If"
     " there is no picture or you cannot see it, answer with the word NONE."
 )
@@ -210,7 +210,7 @@ def holds_code(text: str) -> bool:
     return CODE in "".join(char for char in text.upper() if char.isalnum())
 
 
-ATTEMPTS = 3
+_ATTEMPTS = 3
 _DEAD = ("unavailable", "timeout", "malformed")
 _FOR_GOOD = (401, 403, 404)
 
@@ -250,7 +250,7 @@ class ProbeCalls:
         """The first answer, and the request that got it: without a seed if it was refused so.
 
         Raises:
-            ConfigurationError: If there is no answer after :data:`ATTEMPTS` tries, or the server
+            ConfigurationError: If there is no answer after :data:`_ATTEMPTS` tries, or the server
                 refuses for good.
         """
         while True:
@@ -258,8 +258,8 @@ class ProbeCalls:
             answer = self.ask(request)
             if answer.failure not in _DEAD:
                 return answer, request
-            status = status_of(answer)
-            if status in _FOR_GOOD or self.attempts == ATTEMPTS:
+            status = _status_of(answer)
+            if status in _FOR_GOOD or self.attempts == _ATTEMPTS:
                 raise self._given_up(answer, status)
             if status in (400, 422):
                 request = replace(request, seed=None)
@@ -298,7 +298,7 @@ class ProbeCalls:
         return f"start the server, or check {URL}"
 
 
-def status_of(answer: Answer) -> int | None:
+def _status_of(answer: Answer) -> int | None:
     """The HTTP status with which a server refused, where it was that."""
     match = re.match(r"HTTP (\d{3}): ", answer.detail) if answer.failure else None
     return int(match[1]) if match else None
@@ -408,10 +408,10 @@ def _structured(
 
 def _vision(asking: ProbeCalls, plain: Request) -> tuple[bool, str]:
     """Whether a code in a picture comes back, and does not without the picture."""
-    seen = asking.ask(replace(plain, messages=(Message("user", QUESTION, (canary(),)),)))
+    seen = asking.ask(replace(plain, messages=(Message("user", _QUESTION, (canary(),)),)))
     if not holds_code(seen.text):
         return False, f"the code in the picture did not come back: {_answer_text(seen)}"
-    blind = asking.ask(replace(plain, messages=(Message("user", QUESTION),)))
+    blind = asking.ask(replace(plain, messages=(Message("user", _QUESTION),)))
     if holds_code(blind.text):
         return False, f"the code {CODE} came back without the picture, too"
     return True, f"the code {CODE} in the picture came back, and not without the picture"

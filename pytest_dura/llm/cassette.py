@@ -32,7 +32,7 @@ _REQUEST = Request("", ()).to_json()
 _FAILURES = get_args(WireFailure)
 
 
-def answer_of(data: Mapping[str, Any]) -> Answer:
+def _answer_of(data: Mapping[str, Any]) -> Answer:
     """The answer that plain data holds.
 
     Raises:
@@ -51,7 +51,7 @@ def answer_of(data: Mapping[str, Any]) -> Answer:
     return Answer.from_json(data)
 
 
-def check_request(data: Mapping[str, Any]) -> None:
+def _check_request(data: Mapping[str, Any]) -> None:
     """See that plain data is a request whose texts are digests or texts.
 
     Raises:
@@ -70,7 +70,7 @@ def check_request(data: Mapping[str, Any]) -> None:
         )
 
 
-def check_description(data: Mapping[str, Any]) -> None:
+def _check_description(data: Mapping[str, Any]) -> None:
     """See that plain data describes a model.
 
     Raises:
@@ -87,7 +87,7 @@ def _need(met: bool, otherwise: str) -> None:
         raise ValueError(otherwise)
 
 
-APPLICATION = 0x44555241
+_APPLICATION = 0x44555241
 """``DURA`` in ASCII: what tells a cassette from other SQLite files."""
 VERSION = 1
 PATIENCE = 60.0
@@ -183,9 +183,9 @@ class CassetteFile:
                 if not execute("SELECT COUNT(*) FROM sqlite_master").fetchone()[0]:
                     for statement in _TABLES.split(";"):
                         execute(statement)
-                    execute(f"PRAGMA application_id = {APPLICATION}")
+                    execute(f"PRAGMA application_id = {_APPLICATION}")
                     execute(f"PRAGMA user_version = {VERSION}")
-        if self._open.execute("PRAGMA application_id").fetchone()[0] != APPLICATION:
+        if self._open.execute("PRAGMA application_id").fetchone()[0] != _APPLICATION:
             raise self._error(
                 "this file is no cassette",
                 expected="a file that --dura-llm=record wrote",
@@ -433,7 +433,7 @@ class Cassette(CassetteFile):
                 yield Exchange(
                     str(key),
                     str(self.value(fingerprint)),
-                    self._with_texts(self._checked(self.object(request), check_request)),
+                    self._with_texts(self._checked(self.object(request), _check_request)),
                     self._answer(answer),
                     str(created),
                 )
@@ -454,10 +454,10 @@ class Cassette(CassetteFile):
             {**message, "text": self.text(message["text"])} for message in request["messages"]
         ]
         found = {**request, "messages": messages, "schema": self.text(request["schema"])}
-        return self._checked(found, check_request)
+        return self._checked(found, _check_request)
 
     def _description(self, text: Any) -> Data:
-        return self._checked(self.object(text), check_description)
+        return self._checked(self.object(text), _check_description)
 
     def _checked(self, data: Data, check: Callable[[Data], Any]) -> Data:
         """The same data, seen to be what it should be."""
@@ -468,7 +468,7 @@ class Cassette(CassetteFile):
         return data
 
     def _answer(self, text: Any) -> Answer:
-        return answer_of(self._checked(self.object(text), answer_of))
+        return _answer_of(self._checked(self.object(text), _answer_of))
 
 
 def text_digest(value: Any) -> str:

@@ -10,7 +10,7 @@ from typing import Any
 from pytest_dura.core.errors import ComponentEnvironmentError, shorten
 from pytest_dura.llm.cassette import Cassette, Exchange
 
-LOOKED_AT = 5000
+_LOOKED_AT = 5000
 """Exchanges of a model that are compared with a request; a miss must not take minutes."""
 LONGEST = 900
 _SHOWN = 90
@@ -49,7 +49,7 @@ def explain_miss(cassette: Cassette, asked: Data, fingerprint: str) -> str:
         if best is None or score > best_score:
             best, best_score = exchange, score
         compared += 1
-        if compared == LOOKED_AT:
+        if compared == _LOOKED_AT:
             break
     text = f"the cassette {cassette.file.name} has no answer to a request to {asked['model']!r}"
     if best is None:

@@ -38,7 +38,7 @@ def import_extra(name: str) -> Any:
         ) from None
 
 
-LONGEST_DETAIL = 300
+_LONGEST_DETAIL = 300
 _LONGEST_WORD = 100
 _FILTERED = ("content_filter", "content_policy_violation", "ResponsibleAIPolicyViolation")
 """Codes with which a server says that a content filter declined."""
@@ -49,19 +49,19 @@ def refusal_of(status: int, body: bytes) -> Answer:
     strip, code = _error(body)
     strip = strip.strip() or _phrase(status)
     shown = f" ({code})" if code and code not in strip else ""
-    detail = short_text(f"HTTP {status}: {strip}{shown}")
+    detail = _short_text(f"HTTP {status}: {strip}{shown}")
     return Answer(failure="refused" if code in _FILTERED else "unavailable", detail=detail)
 
 
-def short_text(text: str) -> str:
-    """What others said, on one line that acts on no terminal; :data:`LONGEST_DETAIL` at most."""
+def _short_text(text: str) -> str:
+    """What others said, on one line that acts on no terminal; :data:`_LONGEST_DETAIL` at most."""
     line = " ".join("".join(char if char.isprintable() else " " for char in text).split())
-    return line if len(line) <= LONGEST_DETAIL else line[: LONGEST_DETAIL - 1] + "…"
+    return line if len(line) <= _LONGEST_DETAIL else line[: _LONGEST_DETAIL - 1] + "…"
 
 
-def short_word(found: Any) -> str:
+def _short_word(found: Any) -> str:
     """A short text of a server's on one line; empty for anything else."""
-    return short_text(found)[:_LONGEST_WORD] if isinstance(found, str) else ""
+    return _short_text(found)[:_LONGEST_WORD] if isinstance(found, str) else ""
 
 
 def _phrase(status: int) -> str:
@@ -82,7 +82,7 @@ def _error(body: bytes) -> tuple[str, str]:
     if not isinstance(error, dict):
         return (error if isinstance(error, str) else text), ""
     told = next((error[key] for key in ("message", "detail", "title") if error.get(key)), text)
-    codes = (short_word(error.get(key)) for key in ("code", "type"))
+    codes = (_short_word(error.get(key)) for key in ("code", "type"))
     return told if isinstance(told, str) else json.dumps(told), next(filter(None, codes), "")
 
 
@@ -96,10 +96,10 @@ class BadBodyError(Exception):
 
     def __init__(self, failure: WireFailure, detail: str) -> None:
         super().__init__(detail)
-        self.failure, self.detail = failure, short_text(detail)
+        self.failure, self.detail = failure, _short_text(detail)
 
 
-def object_of(body: bytes) -> dict[str, Any]:
+def _object_of(body: bytes) -> dict[str, Any]:
     """The JSON object that a body is: UTF-8, and numbers that JSON knows.
 
     Raises:
@@ -157,7 +157,7 @@ _COUNTED = ("prompt_tokens", "completion_tokens", "total_tokens")
 def read_completion(body: bytes) -> Answer:
     """The answer in a body; a body that holds none is a failure of its class."""
     try:
-        found = object_of(body)
+        found = _object_of(body)
         if found.get("error") or found.get("object") == "error":
             return refusal_of(200, body)
         return _answer(found)
@@ -170,16 +170,16 @@ def _answer(found: dict[str, Any]) -> Answer:
     content, refusal = message.get("content"), message.get("refusal")
     if content is not None and not isinstance(content, str):
         raise BadBodyError("malformed", "no chat completion: the content is no text")
-    finish = short_word(choice.get("finish_reason"))
+    finish = _short_word(choice.get("finish_reason"))
     text = _encodable(content or "")
     failure, detail = _failure(text, refusal, finish)
     return Answer(
         text[:LONGEST_TEXT],
         failure,
-        short_text(_encodable(detail)),
+        _short_text(_encodable(detail)),
         finish=finish,
         usage=_usage(found.get("usage")),
-        fingerprint=short_word(found.get("system_fingerprint")),
+        fingerprint=_short_word(found.get("system_fingerprint")),
     )
 
 
@@ -379,7 +379,7 @@ class OpenAiClient:
         except Exception as error:
             # A call never raises: what is wrong with a request is told where answers are read.
             failure, detail = self._failed(error)
-            return Answer(failure=failure, detail=short_text(self.endpoint.scrub(detail)))
+            return Answer(failure=failure, detail=_short_text(self.endpoint.scrub(detail)))
 
     def _without_key(self, body: bytes) -> bytes:
         """A body before any of it is cut: half a key is one, too."""

@@ -12,9 +12,9 @@ from urllib.parse import SplitResult, quote, quote_plus, urlsplit
 
 from pytest_dura.core.errors import ConfigurationError
 
-SHORTEST = 8
+_SHORTEST = 8
 """Characters of the shortest key that is taken for a secret."""
-DUMMIES = frozenset(
+_DUMMIES = frozenset(
     {
         "none", "null", "nil", "no", "na", "n/a", "empty", "dummy", "fake",
         "local", "test", "token", "key", "x", "xx", "xxx", "xxxx", "0",
@@ -22,7 +22,7 @@ DUMMIES = frozenset(
     }
 )  # fmt: skip
 """Keys that stand for none; they are shown as they are."""
-SCRUBBED = "[key]"
+_SCRUBBED = "[key]"
 
 
 class Scrubber:
@@ -32,17 +32,17 @@ class Scrubber:
 
     Base64 of a longer text has the key at one of three offsets; the characters that depend on the
     key alone are looked for, which covers ``Bearer <key>`` and ``user:<key>`` too. Keys that are
-    shorter than :data:`SHORTEST` are no secrets, and are left.
+    shorter than :data:`_SHORTEST` are no secrets, and are left.
     """
 
     def __init__(self, key: str) -> None:
-        forms = sorted(set(_forms(key)), key=len, reverse=True) if len(key) >= SHORTEST else []
+        forms = sorted(set(_forms(key)), key=len, reverse=True) if len(key) >= _SHORTEST else []
         spelt = "".join(rf"(?:{re.escape(item)}|\\u(?i:{ord(item):04x}))" for item in key)
         self._pattern = re.compile("|".join([*map(re.escape, forms), spelt])) if forms else None
 
     def scrub(self, text: str) -> str:
         """The text without the key."""
-        return text if self._pattern is None else self._pattern.sub(SCRUBBED, text)
+        return text if self._pattern is None else self._pattern.sub(_SCRUBBED, text)
 
 
 def _forms(key: str) -> Iterator[str]:
@@ -69,10 +69,10 @@ URL, MODEL, KEY = "DURA_LLM_BASE_URL", "DURA_LLM_MODEL", "DURA_LLM_API_KEY"
 """The environment variables."""
 ABOUT = "DURA_LLM_ABOUT"
 """The environment variable with what the model is in words, for header, record and cassette."""
-NO_KEY = "none"
+_NO_KEY = "none"
 """The key where the server needs none; the SDK wants one that is not empty."""
 _EXAMPLE = "http://127.0.0.1:11434/v1"
-_LOCAL_REMEDY = f"unset {KEY}, or set it to `{NO_KEY}`, where the server needs no key"
+_LOCAL_REMEDY = f"unset {KEY}, or set it to `{_NO_KEY}`, where the server needs no key"
 _LONGEST = 2000
 _LONGEST_ABOUT = 200
 
@@ -94,7 +94,7 @@ class Endpoint:
 
     base_url: str
     model: str
-    key: str = field(default=NO_KEY, repr=False)
+    key: str = field(default=_NO_KEY, repr=False)
 
     def __post_init__(self) -> None:
         _check_url(self.base_url)
@@ -131,7 +131,7 @@ class Endpoint:
                     expected=f"such as {example}",
                     remedy=f"set {URL} and {MODEL}, and {KEY} where the server needs a key",
                 )
-        return cls(given[URL], given[MODEL], given[KEY] or NO_KEY)
+        return cls(given[URL], given[MODEL], given[KEY] or _NO_KEY)
 
     @cached_property
     def public(self) -> str:
@@ -209,9 +209,9 @@ def _check_key(key: str) -> None:
             key=KEY,
             remedy=_LOCAL_REMEDY,
         )
-    if len(key) < SHORTEST and key.casefold() not in DUMMIES:
+    if len(key) < _SHORTEST and key.casefold() not in _DUMMIES:
         raise ConfigurationError(
-            f"the key has fewer than {SHORTEST} characters, so that it cannot be kept out of"
+            f"the key has fewer than {_SHORTEST} characters, so that it cannot be kept out of"
             " files: it would be taken for ordinary text",
             key=KEY,
             remedy=_LOCAL_REMEDY,

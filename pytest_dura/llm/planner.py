@@ -151,7 +151,7 @@ class Settings(BaseModel):
         )
 
 
-PENDING = "pending"
+_PENDING = "pending"
 """Outcome of a decision that has not landed yet."""
 
 
@@ -382,7 +382,7 @@ class LlmGenerator(Generator):
         anew = self._since[-1:] == [view.time]
         account: dict[str, Any] = {"decided": anew}
         if decision is None:
-            account |= {"outcome": PENDING, "at": view.index, "age": 0.0, "fallback": True}
+            account |= {"outcome": _PENDING, "at": view.index, "age": 0.0, "fallback": True}
             return self._fallback(account, "no answer has come yet")
         account |= {"age": view.time - decision.time, **decision.told()}
         account["fallback"] = not decision.reading.answered

@@ -115,7 +115,7 @@ class Prompt:
         return tuple(dict.fromkeys(str(item["id"]) for item in objects))
 
 
-PARAPHRASED = "paraphrased"
+_PARAPHRASED = "paraphrased"
 OBJECTS, PICTURES = "objects", "pictures"
 """Keys of a block's facts: what it lists, and what it says of the pictures."""
 
@@ -142,7 +142,7 @@ def reordered(prompt: Prompt, rng: np.random.Generator) -> Prompt:
 
 def paraphrased(prompt: Prompt) -> Prompt:
     """The same facts in other words."""
-    return replace(prompt, wording=PARAPHRASED)
+    return replace(prompt, wording=_PARAPHRASED)
 
 
 def blind(prompt: Prompt) -> Prompt:

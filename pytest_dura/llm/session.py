@@ -29,13 +29,13 @@ if TYPE_CHECKING:
     from pytest_dura.llm.client import OpenAiClient
 
 
-def scrub_request(request: Request, scrub: Callable[[str], str]) -> Request:
+def _scrub_request(request: Request, scrub: Callable[[str], str]) -> Request:
     """The request as it may be sent: the very same unless a text holds the server's key."""
     messages = tuple(replace(message, text=scrub(message.text)) for message in request.messages)
     return request if messages == request.messages else replace(request, messages=messages)
 
 
-def inject_fault(request: Request, limit: float, fault: ServerFault) -> Answer:
+def _inject_fault(request: Request, limit: float, fault: ServerFault) -> Answer:
     """How a request fails at a server that has this fault. No server is asked or needed.
 
     Args:
@@ -50,7 +50,7 @@ def inject_fault(request: Request, limit: float, fault: ServerFault) -> Answer:
     return replace(_offline_client().ask(request, limit, fault), seconds=0.0)
 
 
-def deliver(answer: Answer, delay: float, limit: float) -> Answer:
+def _deliver(answer: Answer, delay: float, limit: float) -> Answer:
     """The answer as it arrives: later by the delay, and not at all beyond the limit.
 
     Args:
@@ -106,13 +106,13 @@ class ModelDescription:
         return asdict(self)
 
 
-def latest_descriptions(known: Sequence[ModelDescription]) -> list[ModelDescription]:
+def _latest_descriptions(known: Sequence[ModelDescription]) -> list[ModelDescription]:
     """The last description of each model, by name: the answers of that server came last."""
     by_name = {each.model: each for each in known}
     return [by_name[name] for name in sorted(by_name)]
 
 
-def choose_description(
+def _choose_description(
     known: Sequence[ModelDescription], model: str | None, usual: str | None, file: str
 ) -> ModelDescription:
     """The description of a model in a cassette.
@@ -148,7 +148,7 @@ def choose_description(
     )
 
 
-PROBE_BUDGET = 60.0
+_PROBE_BUDGET = 60.0
 """Seconds for each request of a probe; a server may load its model at the first one."""
 
 
@@ -188,7 +188,7 @@ class Connect(Protocol):
         """
 
 
-PROBING = 60.0
+_PROBING = 60.0
 """Seconds for each request of the probe: a server may load its model at the first one."""
 
 
@@ -220,7 +220,7 @@ class OpenAiServer:
         """See :class:`Server`."""
         from pytest_dura.llm.capabilities import probe
 
-        found = probe(self.client, self.endpoint, PROBING).to_json()
+        found = probe(self.client, self.endpoint, _PROBING).to_json()
         return str(found["fingerprint"]), found
 
     def scrub(self, text: str) -> str:
@@ -236,7 +236,7 @@ def connect(environ: Mapping[str, str], model: str | None) -> ModelServer:
 Mode = Literal["live", "record", "replay"]
 Scrub = Callable[[Any], Any]
 
-WITHOUT_LIMIT = 600.0
+_WITHOUT_LIMIT = 600.0
 """Seconds for an answer where nobody says how long it may take."""
 
 
@@ -343,7 +343,7 @@ class ModelSession:
         Raises:
             ConfigurationError: If the cassette cannot be read.
         """
-        return latest_descriptions(self._recorded()) if self.mode == "replay" else []
+        return _latest_descriptions(self._recorded()) if self.mode == "replay" else []
 
     def known(self, model: str, fingerprint: str) -> ModelDescription | None:
         """What was found out of a model at the server with this fingerprint, if anything was.
@@ -380,11 +380,11 @@ class ModelSession:
                 cassette misses the request (:class:`CassetteMissError`) or cannot be used, or the
                 server is another than the given fingerprint says.
         """
-        limit = WITHOUT_LIMIT if budget is None else budget
+        limit = _WITHOUT_LIMIT if budget is None else budget
         try:
             if delivery.fault:
                 self._count(request, fingerprint or "", "injected")
-                answer = inject_fault(request, limit, delivery.fault)
+                answer = _inject_fault(request, limit, delivery.fault)
             elif delivery.delay >= limit:
                 answer = Answer()  # whatever it would be, it comes too late
             else:
@@ -393,11 +393,11 @@ class ModelSession:
             raise report_environment_error(
                 ComponentEnvironmentError("language model", str(error))
             ) from None
-        return deliver(answer, delivery.delay, limit)
+        return _deliver(answer, delivery.delay, limit)
 
     def _answer(self, request: Request, limit: float, fingerprint: str | None) -> Answer:
         server = None if self.mode == "replay" else self._server(request.model)
-        request = request if server is None else scrub_request(request, server.scrub)
+        request = request if server is None else _scrub_request(request, server.scrub)
         given = fingerprint
         if given is None or server is not None:
             fingerprint = self.describe(request.model).fingerprint
@@ -475,7 +475,7 @@ class ModelSession:
         assert self.cassette is not None
         known = self._recorded()
         usual = self._environ.get("DURA_LLM_MODEL")
-        return choose_description(known, model, usual, str(self.cassette.file))
+        return _choose_description(known, model, usual, str(self.cassette.file))
 
     def _recorded(self) -> list[ModelDescription]:
         """Every description that the cassette holds, in its order."""

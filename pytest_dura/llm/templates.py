@@ -144,9 +144,9 @@ def _joined(parts: Iterator[str]) -> str:
     return "".join(made)
 
 
-SUFFIX = ".j2"
-FEW_SHOT = "few_shot.yaml"
-LONGEST_FILE = 65_536
+_SUFFIX = ".j2"
+_FEW_SHOT = "few_shot.yaml"
+_LONGEST_FILE = 65_536
 """Bytes of a file."""
 
 
@@ -235,11 +235,11 @@ def _text(path: Path) -> str:
             expected="a readable file in UTF-8",
             remedy="correct it, or remove it for the built-in one",
         ) from None
-    if len(data) > LONGEST_FILE:
+    if len(data) > _LONGEST_FILE:
         raise ConfigurationError(
             f"the template has {len(data)} bytes",
             file=str(path),
-            expected=f"at most {LONGEST_FILE} bytes",
+            expected=f"at most {_LONGEST_FILE} bytes",
             remedy="shorten it, or remove it for the built-in one",
         )
     return text
@@ -264,7 +264,7 @@ class Example:
     line: int
 
 
-def read_examples(text: str, file: str, schema: Mapping[str, Any]) -> tuple[Example, ...]:
+def _read_examples(text: str, file: str, schema: Mapping[str, Any]) -> tuple[Example, ...]:
     """The pairs of a file: a list of ``blocks`` (facts by name) and ``answer``.
 
     Raises:
@@ -340,7 +340,7 @@ class Templates:
         self, sources: Sources, vocabulary: Mapping[str, Any], schema: Mapping[str, Any]
     ) -> None:
         self._sources, self._vocabulary = sources, vocabulary
-        texts = {name: text for name, text in sources.texts.items() if name.endswith(SUFFIX)}
+        texts = {name: text for name, text in sources.texts.items() if name.endswith(_SUFFIX)}
         self._renderer = Renderer(texts, sources.files)
         self._names = frozenset(texts)
         self._examples = {
@@ -421,7 +421,7 @@ class Templates:
 
     def _check(self, blocks: tuple[Block, ...]) -> None:
         for block in blocks:
-            if f"{block.name.lower()}{SUFFIX}" not in self._names:
+            if f"{block.name.lower()}{_SUFFIX}" not in self._names:
                 known = sorted(name for name in self._names if "/" not in name)
                 raise ConfigurationError(
                     f"the block {block.name!r} has no template",
@@ -431,12 +431,12 @@ class Templates:
                 )
 
     def _render(self, stem: str, wording: str, facts: Mapping[str, Any]) -> str:
-        name = f"{wording}/{stem}{SUFFIX}" if wording else ""
-        return self._renderer.render(name if name in self._names else stem + SUFFIX, facts)
+        name = f"{wording}/{stem}{_SUFFIX}" if wording else ""
+        return self._renderer.render(name if name in self._names else stem + _SUFFIX, facts)
 
     def _read(self, wording: str, schema: Mapping[str, Any]) -> tuple[Example, ...]:
-        name = f"{wording}/{FEW_SHOT}" if wording else ""
-        name = name if name in self._sources.texts else FEW_SHOT
+        name = f"{wording}/{_FEW_SHOT}" if wording else ""
+        name = name if name in self._sources.texts else _FEW_SHOT
         if name not in self._sources.texts:
             return ()
-        return read_examples(self._sources.texts[name], self._sources.files[name], schema)
+        return _read_examples(self._sources.texts[name], self._sources.files[name], schema)

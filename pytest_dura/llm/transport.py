@@ -173,7 +173,7 @@ def _socket_errors(late: type[Exception], failed: type[Exception]) -> Iterator[N
 
 LONGEST_BODY = 1_000_000
 """Bytes of a response that are read."""
-LONGEST_ERROR = 16_000
+_LONGEST_ERROR = 16_000
 """Bytes of an error's body that are read."""
 _KEPT = ("content-type", "content-length")
 NetworkFactory = Callable[[Deadline], httpcore2.NetworkBackend]
@@ -250,7 +250,7 @@ class _Body(httpx2.SyncByteStream):
         self._response, self._pool, self._told = response, pool, told
 
     def __iter__(self) -> Iterator[bytes]:
-        size, limit = 0, LONGEST_ERROR if self._told else LONGEST_BODY
+        size, limit = 0, _LONGEST_ERROR if self._told else LONGEST_BODY
         try:
             with _sdk_errors():
                 for chunk in self._response.iter_stream():

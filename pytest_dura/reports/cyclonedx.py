@@ -47,17 +47,17 @@ NAME_LIMIT = 400
 JsonObject = dict[str, Any]
 
 
-def requirement_ref(number: int) -> str:
+def _requirement_ref(number: int) -> str:
     """``bom-ref`` of a requirement, by its place in the record: ids may hold anything."""
     return f"requirement/{number}"
 
 
-def property_entries(told: Mapping[str, str]) -> list[JsonObject]:
+def _property_entries(told: Mapping[str, str]) -> list[JsonObject]:
     """Name-value pairs under our prefix."""
     return [{"name": f"{PREFIX}{key}", "value": value} for key, value in told.items()]
 
 
-def component_entry(component: Mapping[str, Any], ref: str) -> JsonObject:
+def _component_entry(component: Mapping[str, Any], ref: str) -> JsonObject:
     """A component under test, with version and digest as far as the record has them."""
     found: JsonObject = {
         "type": "application",
@@ -71,7 +71,7 @@ def component_entry(component: Mapping[str, Any], ref: str) -> JsonObject:
     told = {"path": visible(component["path"])} if component.get("path") else {}
     if component.get("opaque"):
         told["opaque"] = "true"
-    return found | ({"properties": property_entries(told)} if told else {})
+    return found | ({"properties": _property_entries(told)} if told else {})
 
 
 MAX_LISTED = 5
@@ -149,7 +149,7 @@ class _Targets:
         for verdict in record["verdicts"]:
             known.setdefault(verdict["component"], {"name": verdict["component"]})
         refs = {component: f"target/{number}" for number, component in enumerate(known)}
-        return cls([component_entry(known[item], ref) for item, ref in refs.items()], refs)
+        return cls([_component_entry(known[item], ref) for item, ref in refs.items()], refs)
 
 
 def _counterexample_places(record: SessionRecord) -> dict[tuple[str, str], tuple[int, str | None]]:
@@ -257,7 +257,7 @@ def _attestation_map(record: SessionRecord) -> Iterator[JsonObject]:
         against = [f"claim/{place}" for place, verdict in own if verdict["verdict"] == "violated"]
         claims = [f"claim/{place}" for place, verdict in own if verdict["verdict"] != "violated"]
         yield {
-            "requirement": requirement_ref(number),
+            "requirement": _requirement_ref(number),
             "claims": claims,
             "counterClaims": against,
             "conformance": _conformance(
@@ -388,8 +388,8 @@ def _metadata(record: SessionRecord) -> JsonObject:
                 }
             ]
         },
-        "component": component_entry(components_under_test(record)[0], "component-under-test"),
-        "properties": property_entries(told),
+        "component": _component_entry(components_under_test(record)[0], "component-under-test"),
+        "properties": _property_entries(told),
     }
 
 
@@ -436,7 +436,7 @@ def _requirement(number: int, item: JsonObject) -> JsonObject:
         ("source", item["source"]),
     )
     return {
-        "bom-ref": requirement_ref(number),
+        "bom-ref": _requirement_ref(number),
         "identifier": name(item["id"], NAME_LIMIT),
         "title": visible(item["text"] or item["id"], 200),
         "text": visible(item["text"]),
@@ -502,7 +502,7 @@ def _claimed_verdicts(declared: Data) -> tuple[Counter[str], int]:
     return words, waived
 
 
-def dangling_references(document: Data) -> list[str]:
+def _dangling_references(document: Data) -> list[str]:
     """References in the document to a ``bom-ref`` that is not there, and references given twice.
 
     The strict validator of the format looks at neither.
@@ -521,7 +521,7 @@ def dangling_references(document: Data) -> list[str]:
 def broken_references(text: str, record: SessionRecord) -> Iterator[str]:
     """References that lead nowhere: inside the document, into the record, to its traces."""
     document = json.loads(text)
-    yield from dangling_references(document)
+    yield from _dangling_references(document)
     there = {f"evidence.json#/verdicts/{number}" for number in range(len(record["verdicts"]))}
     for number, episode in enumerate(record.episodes()):
         there.add(f"evidence.json#/episodes/{number}")

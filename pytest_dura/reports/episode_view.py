@@ -38,7 +38,7 @@ def formula_of(check: str) -> Formula | None:
         return None
 
 
-def signal_columns(names: tuple[str, ...], episode: Episode | Trace) -> dict[str, Column]:
+def _signal_columns(names: tuple[str, ...], episode: Episode | Trace) -> dict[str, Column]:
     """The episode's signals of these names, and those of the loop, as far as it has them."""
     known = dict(episode.signals)
     if any(name.startswith(LOOP_PREFIX) for name in names) and episode.decisions:
@@ -58,7 +58,7 @@ def margin_over_time(check: str, episode: Episode | Trace) -> tuple[str, Column]
     formula = formula_of(check)
     if formula is None:
         return None
-    columns = signal_columns(formula.signals, episode)
+    columns = _signal_columns(formula.signals, episode)
     if len(columns) < len(formula.signals):
         return None
     finite = np.logical_and.reduce([np.isfinite(column) for column in columns.values()])
@@ -121,7 +121,7 @@ def _safe_header(name: str) -> str:
     return f"'{shown}" if shown[:1] in ("=", "+", "-", "@") else shown
 
 
-STATUS_NAMES = {0: "safe", 1: "warning", 2: "unsafe"}
+_STATUS_NAMES = {0: "safe", 1: "warning", 2: "unsafe"}
 _FAULTS = ("fault_activated", "fault_manifested", "fault_deactivated")
 _ASSESSED = ("unsafe", "alert", "reaction", "performance_fail")
 _DECIDED = ("recovery",)
@@ -162,7 +162,7 @@ def loop_steps(trace: Trace, tick: int, signals: Sequence[str]) -> list[LoopStep
         signals: Names of the signals to tell of.
     """
     column = {name: str(values[tick]) for name, values in trace.decisions.items()}
-    said, word = trace.recording, STATUS_NAMES[int(trace.decisions["verdict"][tick])]
+    said, word = trace.recording, _STATUS_NAMES[int(trace.decisions["verdict"][tick])]
     recovery = _value_at(said.recoveries, tick)
     action = _value_at(said.recoveries, tick) or column["source"]
     return [
@@ -218,7 +218,7 @@ def _signal_values(trace: Trace, tick: int, signals: Sequence[str]) -> dict[str,
 
 def _flag_text(recording: Recording, tick: int) -> dict[str, str]:
     return {
-        one_line(monitor, 100): STATUS_NAMES.get(int(column[tick]), "not asked")
+        one_line(monitor, 100): _STATUS_NAMES.get(int(column[tick]), "not asked")
         for monitor, column in recording.flags.items()
     }
 

@@ -34,10 +34,10 @@ from pytest_dura.evidence.text import name, visible
 from pytest_dura.reports.wording import UNREVIEWED, shard_text, valid_sha256
 
 FILE = "test-result.intoto.json"
-STATEMENT = "https://in-toto.io/Statement/v1"
-PREDICATE = "https://in-toto.io/attestation/test-result/v0.1"
+_STATEMENT = "https://in-toto.io/Statement/v1"
+_PREDICATE = "https://in-toto.io/attestation/test-result/v0.1"
 NAME_LIMIT = 400
-MAX_REASONS = 20
+_MAX_REASONS = 20
 """Reasons of the gate that are annotated; the record has all of them."""
 JsonObject = dict[str, Any]
 _PLANNED = ("id", "scenario", "faults", "component", "without", "requirements", "planned")
@@ -55,9 +55,9 @@ def render(record: SessionRecord) -> str:
     for test, verdict in zip(names, record["verdicts"], strict=True):
         lists[_test_list(verdict)].append(test)
     statement = {
-        "_type": STATEMENT,
+        "_type": _STATEMENT,
         "subject": _subjects(record),
-        "predicateType": PREDICATE,
+        "predicateType": _PREDICATE,
         "predicate": {
             "result": _result(record),
             "configuration": [_campaign(record, names), *map(_input_entry, record["inputs"])],
@@ -75,7 +75,7 @@ def read_counts(text: str) -> Counts:
     """
     try:
         statement = json.loads(text)
-        if (statement["_type"], statement["predicateType"]) != (STATEMENT, PREDICATE):
+        if (statement["_type"], statement["predicateType"]) != (_STATEMENT, _PREDICATE):
             raise ValueError("not an in-toto statement of a test result")
         predicate = statement["predicate"]
         return _counts(predicate, predicate["configuration"][0]["annotations"])
@@ -216,7 +216,7 @@ def _campaign(record: SessionRecord, names: list[str]) -> JsonObject:
             **counts,
             "status": record["status"],
             "part": shard_text(record) or "whole",
-            "reasons": [visible(reason) for reason in record["gate"]["reasons"][:MAX_REASONS]],
+            "reasons": [visible(reason) for reason in record["gate"]["reasons"][:_MAX_REASONS]],
             "components": [
                 name(item["name"] or "unknown", NAME_LIMIT)
                 for item in components_under_test(record)

@@ -43,7 +43,7 @@ from pytest_dura.reports.wording import (
 )
 
 
-def model_lines(models: Sequence[Mapping[str, Any]], most: int) -> Iterator[str]:
+def _model_lines(models: Sequence[Mapping[str, Any]], most: int) -> Iterator[str]:
     """A line for each entry of the record's key ``models``.
 
     Args:
@@ -77,7 +77,7 @@ def _name(text: str | None) -> str:
     return code(name(text or "")) or "-"
 
 
-def provenance_lines(record: SessionRecord, most: int) -> Iterator[str]:
+def _provenance_lines(record: SessionRecord, most: int) -> Iterator[str]:
     """The section, with at most so many components and models of each kind."""
     git, tool, told = record["environment"]["git"] or {}, record["tool"], record["environment"]
     commit = _name(git.get("commit")) + (" with local changes" if git.get("dirty") else "")
@@ -86,7 +86,7 @@ def provenance_lines(record: SessionRecord, most: int) -> Iterator[str]:
         version = f", version {_name(str(episode['version']))}" if episode.get("version") else ""
         digest = f", SHA-256 {_name(episode['digest'])}" if episode.get("digest") else ", no digest"
         yield f"- component under test: {_name(episode['name'])}{version}{digest}"
-    yield from model_lines(record["models"], most)
+    yield from _model_lines(record["models"], most)
     yield from [f"- merged from {shards}"] if (shards := merge_text(record)) else []
     yield f"- commit: {commit}"
     yield f"- tool: {_name(tool['name'])} {_name(tool['version'])}"
@@ -99,7 +99,7 @@ def provenance_lines(record: SessionRecord, most: int) -> Iterator[str]:
 
 Data = Mapping[str, Any]
 
-SEARCH_COLUMNS = ["search", "waiver", "requirement", "case", "component", "simulations",
+_SEARCH_COLUMNS = ["search", "waiver", "requirement", "case", "component", "simulations",
            "robustness",
            "found by", "trivial baselines alone", "counterexample"]  # fmt: skip
 MOST_CHANGES = 6
@@ -108,13 +108,13 @@ _OUTCOME_RANK = {
 }
 
 
-def search_rows(record: SessionRecord) -> Iterator[str]:
+def _search_rows(record: SessionRecord) -> Iterator[str]:
     """Rows of a table with :data:`COLUMNS`."""
     for search, outcome in _ordered_outcomes(record):
         yield f"| {' | '.join(_search_cells(search, outcome))} |"
 
 
-def search_failures(record: SessionRecord) -> Iterator[str]:
+def _search_failures(record: SessionRecord) -> Iterator[str]:
     """A line for each outcome that the gate does not accept, or that is waived."""
     for search, outcome in _ordered_outcomes(record):
         if outcome_status(search, outcome) in OBJECTIONABLE_OUTCOMES:
@@ -191,14 +191,14 @@ _LEFT_OUT = re.compile(r"^_(\d+) of (\d+) are left out here", re.MULTILINE)
 def render(record: SessionRecord) -> str:
     """The page as text, of at most ``MAX_BYTES`` bytes in UTF-8."""
     verdicts = sorted(record["verdicts"], key=_urgency)
-    found = search_failures(record)
+    found = _search_failures(record)
     failures = [verdict for verdict in verdicts if verdict["verdict"] != "supported"]
     lines = [
         *_head_lines(record),
         *_conclusion_lines(record),
         *_section("Not supported", [], chain(_failure_lines(record, failures), found), "failures"),
         *(
-            _section("Searches", SEARCH_COLUMNS, search_rows(record), "searches")
+            _section("Searches", _SEARCH_COLUMNS, _search_rows(record), "searches")
             if record["searches"]
             else ()
         ),
@@ -208,7 +208,7 @@ def render(record: SessionRecord) -> str:
         *_overall_lines(record),
         *_failure_mode_section(record),
         *_coverage_lines(record),
-        *provenance_lines(record, _MAX_CELLS),
+        *_provenance_lines(record, _MAX_CELLS),
     ]
     return "\n".join(lines) + "\n"
 

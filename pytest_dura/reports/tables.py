@@ -14,14 +14,14 @@ from pytest_dura.evidence.text import name, one_line
 
 Data = Mapping[str, Any]
 
-SUMMED_COUNTS = ("hits", "of", "null_hits", "null_of", "episodes", "of_episodes")
+_SUMMED_COUNTS = ("hits", "of", "null_hits", "null_of", "episodes", "of_episodes")
 FAILURE_MODE_HEADINGS = {
     "failure": "failure modes",
     "control": "negative control",
     "comparison": "no failure by itself",
 }
 """What tables write above the measures of a kind."""
-TIMEOUT = "timeout"
+_TIMEOUT = "timeout"
 """Name of the failure mode of a decision that was not there in time."""
 NULL_NOTE = (
     "null: a component that ignores its input, on the same decisions: what it also reaches says "
@@ -46,10 +46,10 @@ def failure_modes_by_component(cases: Sequence[Data]) -> dict[str, list[dict[str
             empty = {
                 "name": failure_mode["name"],
                 "kind": failure_mode["kind"],
-                **dict.fromkeys(SUMMED_COUNTS, 0),
+                **dict.fromkeys(_SUMMED_COUNTS, 0),
             }
             mode = modes.setdefault(failure_mode["name"], empty)
-            for key in SUMMED_COUNTS:
+            for key in _SUMMED_COUNTS:
                 mode[key] += failure_mode[key]
     return {
         component: [
@@ -117,7 +117,7 @@ def _timeouts(cases: Sequence[Data]) -> dict[str, tuple[int, int]]:
     found: dict[str, tuple[int, int]] = {}
     for case in cases_with_accounts(cases):
         for failure_mode in case["metrics"]["failure_modes"]:
-            if failure_mode["name"] == TIMEOUT:
+            if failure_mode["name"] == _TIMEOUT:
                 hits, of = found.get(case["component"], (0, 0))
                 found[case["component"]] = hits + failure_mode["hits"], of + failure_mode["of"]
     return found
@@ -151,7 +151,7 @@ def _percentile_range(word: str, key: str, spreads: Sequence[Data], shown: str) 
     return f"{word} {least} to {greatest} s by case"
 
 
-LEARNS = "learns"
+_LEARNS = "learns"
 NOTHING_SUPPORTED = (
     "A search that finds nothing supports no requirement: no rate follows from where it looked."
 )
@@ -197,7 +197,7 @@ def search_coverage_text(search: Data) -> str:
     return text if pairs is None else f"{text}, {100 * pairs:.0f} % of their pairs"
 
 
-def violating_baselines(search: Data, requirement: str) -> list[Data]:
+def _violating_baselines(search: Data, requirement: str) -> list[Data]:
     """The baselines that violated a requirement."""
     return [
         baseline
@@ -209,7 +209,7 @@ def violating_baselines(search: Data, requirement: str) -> list[Data]:
 def is_notable_outcome(search: Data, outcome: Data) -> bool:
     """Whether anybody violated it, and it matters who."""
     return outcome["word"] in VIOLATED_OUTCOMES or bool(
-        violating_baselines(search, outcome["requirement"])
+        _violating_baselines(search, outcome["requirement"])
     )
 
 
@@ -229,7 +229,7 @@ def searcher_rows(search: Data, requirement: str, kind: str) -> Iterator[tuple[s
         first, best = item["first"].get(requirement), item["best"].get(requirement)
         shown = name(item["name"])
         if kind == "searchers" and not item["trivial"]:
-            shown = f"{shown} ({LEARNS})"
+            shown = f"{shown} ({_LEARNS})"
         cells = [str(item["simulations"]), "none" if first is None else str(first)]
         yield shown, [*cells, "-" if best is None else f"{best:.4g}"]
 
@@ -262,11 +262,11 @@ def _parameter_change(item: Data) -> str:
     if item["value"] is None:
         return "left out"
     if item["nominal"] is None:
-        return f"{value_text(item['value'])}, added"
-    return f"{value_text(item['value'])} instead of {value_text(item['nominal'])}"
+        return f"{_value_text(item['value'])}, added"
+    return f"{_value_text(item['value'])} instead of {_value_text(item['nominal'])}"
 
 
-def value_text(told: Any) -> str:
+def _value_text(told: Any) -> str:
     """A value on one line, such as ``{type: delay, target: lidar}``."""
     if told is None:
         return "nothing"
@@ -275,11 +275,11 @@ def value_text(told: Any) -> str:
     if isinstance(told, Mapping):
         return (
             "{"
-            + ", ".join(f"{name(str(key))}: {value_text(item)}" for key, item in told.items())
+            + ", ".join(f"{name(str(key))}: {_value_text(item)}" for key, item in told.items())
             + "}"
         )
     if isinstance(told, (list, tuple)):
-        return "[" + ", ".join(map(value_text, told)) + "]"
+        return "[" + ", ".join(map(_value_text, told)) + "]"
     return one_line(str(told), 120)
 
 

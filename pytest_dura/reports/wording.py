@@ -23,7 +23,7 @@ from pytest_dura.requirements.verdicts.campaigns import SITUATIONS
 
 Data = Mapping[str, Any]
 UNREVIEWED = "generated, unreviewed"
-MAX_OBSERVED_NAMES = 8
+_MAX_OBSERVED_NAMES = 8
 """Names of what a test looked at, in a sentence."""
 _SHA256 = re.compile(r"[0-9a-f]{64}")
 
@@ -76,9 +76,9 @@ def assertion_sentences(verdict: Data) -> list[str]:
     assertion = verdict["assertion"]
     if assertion is None:
         return []
-    seen = ", ".join(assertion["observed"][:MAX_OBSERVED_NAMES]) or "nothing"
-    if len(assertion["observed"]) > MAX_OBSERVED_NAMES:
-        seen += f" and {len(assertion['observed']) - MAX_OBSERVED_NAMES} more"
+    seen = ", ".join(assertion["observed"][:_MAX_OBSERVED_NAMES]) or "nothing"
+    if len(assertion["observed"]) > _MAX_OBSERVED_NAMES:
+        seen += f" and {len(assertion['observed']) - _MAX_OBSERVED_NAMES} more"
     told = [f"failed: {item['message']}, in {item['episode']}" for item in assertion["failed"][:1]]
     if assertion["alone"]:
         told.append(f"by assertion: the test looked at {seen}")
@@ -200,7 +200,7 @@ def _option_values(command: str) -> Mapping[str, str]:
     return found
 
 
-MOST_NAMES = 8
+_MOST_NAMES = 8
 """Requirements that a sentence names."""
 
 
@@ -214,8 +214,8 @@ def conclusion_sentences(record: SessionRecord) -> Iterator[str]:
     violated = [verdict for verdict in verdicts if verdict["verdict"] == "violated"]
     if violated:
         ids = list(dict.fromkeys(verdict["requirement"] for verdict in violated))
-        names = ", ".join(map(name, ids[:MOST_NAMES]))
-        more = f" and {len(ids) - MOST_NAMES} more" if len(ids) > MOST_NAMES else ""
+        names = ", ".join(map(name, ids[:_MOST_NAMES]))
+        more = f" and {len(ids) - _MOST_NAMES} more" if len(ids) > _MOST_NAMES else ""
         yield (
             f"{_share(violated, verdicts)} violated ({names}{more}): the episodes "
             "are named and can be replayed."
@@ -299,8 +299,8 @@ def _left_out(record: SessionRecord) -> Iterator[str]:
     if not which:
         return
     left = told["planned"] - told["asked"]
-    names = ", ".join(map(name, told["left_out"][:MOST_NAMES]))
-    more = f" and {left - MOST_NAMES} more" if left > MOST_NAMES else ""
+    names = ", ".join(map(name, told["left_out"][:_MOST_NAMES]))
+    more = f" and {left - _MOST_NAMES} more" if left > _MOST_NAMES else ""
     yield f"Of its plan the session was asked for a part: {which}." + (
         f" Left out: {names}{more}." if names else ""
     )
@@ -343,8 +343,8 @@ def _search_violations(record: SessionRecord) -> Iterator[str]:
                 f"{name(verdict['requirement'])} on {name(by['case'])}"
                 for by, verdict in search_outcomes
             ]
-            names = ", ".join(dict.fromkeys(told[:MOST_NAMES]))
-            more = f" and {len(told) - MOST_NAMES} more" if len(told) > MOST_NAMES else ""
+            names = ", ".join(dict.fromkeys(told[:_MOST_NAMES]))
+            more = f" and {len(told) - _MOST_NAMES} more" if len(told) > _MOST_NAMES else ""
             yield f"Violated in a search, {how}: {names}{more}. It is part of no rate."
 
 
@@ -373,8 +373,8 @@ def _one_situation(verdicts: list[Data]) -> Iterator[str]:
 def _not_repeatable(record: SessionRecord) -> Iterator[str]:
     found = [name(case["id"]) for case in record["cases"] if any(not_repeatable_lines([case]))]
     if found:
-        names = ", ".join(dict.fromkeys(found[:MOST_NAMES]))
-        more = f" and {len(found) - MOST_NAMES} more" if len(found) > MOST_NAMES else ""
+        names = ", ".join(dict.fromkeys(found[:_MOST_NAMES]))
+        more = f" and {len(found) - _MOST_NAMES} more" if len(found) > _MOST_NAMES else ""
         yield (
             f"Not repeatable: {names}{more}. An episode of each, run twice in this session, came "
             "out differently: what is said of them may come out differently, too."
@@ -392,7 +392,7 @@ def _taken_over(record: SessionRecord) -> Iterator[str]:
         f"{reuse['taken_over']} of {run} episodes were taken over{whose}, since nothing that they "
         "are known to rest on had changed: what their code reads or imports unseen is not known."
     )
-    for item in reuse["outdated"][:MOST_NAMES]:
+    for item in reuse["outdated"][:_MOST_NAMES]:
         yield (
             f"{item['episodes']} of {run} episodes were simulated again: "
             f"{outdated_reason(map(name, item['changed']))}."

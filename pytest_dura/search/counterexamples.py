@@ -32,7 +32,7 @@ from pytest_dura.search.shrinking import shrink
 from pytest_dura.search.trials import Objective, Trials
 
 
-def without_defaults(
+def _without_defaults(
     data: dict[str, Any], filled: Callable[[Any], Any], fixed: Iterable[str] = ()
 ) -> dict[str, Any]:
     """The data without the keys that come back by themselves when it is filled in.
@@ -79,7 +79,7 @@ def without_defaults(
     return dict(pruned(data, lambda value: value))
 
 
-FOLDER = "found"
+_FOLDER = "found"
 """Below the project's folder of scenarios, and before the names of what is kept there."""
 _WIDTH = 98
 _LONGEST = 60
@@ -132,13 +132,13 @@ def write_counterexample(
     named = requirement
     if not defined or check is not None or requirement.at_most is not None:
         named = _requirement_of_case(requirement, check)
-        _write(folder / FOLDER / "requirements" / f"{named.id}.yaml", _requirement_text(named))
-    which = _label(named.id.removesuffix(f".{FOLDER}"), _LONGEST)
+        _write(folder / _FOLDER / "requirements" / f"{named.id}.yaml", _requirement_text(named))
+    which = _label(named.id.removesuffix(f".{_FOLDER}"), _LONGEST)
     drawn = _slug(case.id.partition(SEARCHED_MARK)[2])
     name = f"{_slug(case.scenario.name)[:_LONGEST]}-{which}-{drawn}"
-    data = plain_scenario(case) | {"name": f"{FOLDER}/{name}", "requirements": [named.id]}
+    data = _plain_scenario(case) | {"name": f"{_FOLDER}/{name}", "requirements": [named.id]}
     data = {key: data[key] for key in sorted(data, key=lambda key: (key in _LAST, key != "name"))}
-    file = folder / FOLDER / f"{name}.yaml"
+    file = folder / _FOLDER / f"{name}.yaml"
     _write(file, _commented(told) + _yaml(data))
     try:
         scenario = Scenario.from_document(read_yaml(file))
@@ -151,7 +151,7 @@ def write_counterexample(
     return StoredCounterexample(file, scenario, named)
 
 
-def plain_scenario(case: SearchedCase) -> dict[str, Any]:
+def _plain_scenario(case: SearchedCase) -> dict[str, Any]:
     """The case's scenario as plain data, without what is so by default."""
     data = dict(case.data)
     data |= {"description": f"A counterexample to a requirement on {case.scenario.name}."}
@@ -163,7 +163,7 @@ def plain_scenario(case: SearchedCase) -> dict[str, Any]:
         data["roles"] = {**data.get("roles", {}), **dict.fromkeys(case.without)}
     scenario = case.scenario
     simulator = simulator_spec(scenario.simulator.path, scenario.simulator.params)
-    data["world"] = without_defaults(
+    data["world"] = _without_defaults(
         dict(scenario.world), lambda world: check_world(scenario, simulator, world)
     )
     data["faults"] = [_plain_fault(scenario, fault) for fault in case.faults]
@@ -172,7 +172,7 @@ def plain_scenario(case: SearchedCase) -> dict[str, Any]:
 
 def _plain_fault(scenario: Scenario, fault: Mapping[str, Any]) -> dict[str, Any]:
     given = {key: value for key, value in fault.items() if key != BY_CHANCE}
-    return without_defaults(
+    return _without_defaults(
         given, lambda item: parse_fault(scenario, item), fixed=("type", "target")
     )
 
@@ -194,7 +194,7 @@ def _requirement_of_case(requirement: Requirement, check: Check | None) -> Requi
                 remedy="move the function to a module, and give its path package.module:function",
             )
     # Other checks have other names, however alike: one file is never written over another.
-    name = f"{_slug(requirement.id)[:40]}-{_digest(f'{requirement.id}: {text}')}.{FOLDER}"
+    name = f"{_slug(requirement.id)[:40]}-{_digest(f'{requirement.id}: {text}')}.{_FOLDER}"
     what = " ".join((requirement.text or text).split())
     return Requirement(
         name,

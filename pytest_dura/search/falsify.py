@@ -51,16 +51,16 @@ if TYPE_CHECKING:
     from pytest_dura.campaign.campaign import Campaign
 
 
-MAX_PARAMETERS = 12
+_MAX_PARAMETERS = 12
 """Parameters that are told one by one."""
 
 
-def describe_falsification(falsification: Falsification) -> list[str]:
+def _describe_falsification(falsification: Falsification) -> list[str]:
     """All that a test is told that fails, line by line."""
     return [line for outcome in falsification.outcomes for line in _outcome(falsification, outcome)]
 
 
-def describe_no_violation(falsification: Falsification, outcome: SearchOutcome) -> str:
+def _describe_no_violation(falsification: Falsification, outcome: SearchOutcome) -> str:
     """What a search that found nothing may say."""
     least = "none was measured" if outcome.best is None else f"{outcome.best:.4g}"
     shares = list(falsification.coverage.parameters.values())
@@ -90,7 +90,7 @@ def _outcome(falsification: Falsification, outcome: SearchOutcome) -> Iterator[s
                 " simulations said nothing"
             )
         else:
-            yield f"{on}: {describe_no_violation(falsification, outcome)}"
+            yield f"{on}: {_describe_no_violation(falsification, outcome)}"
         return
     repeats = counterexample.repeats
     after = (
@@ -135,10 +135,10 @@ def _changes(counterexample: FoundCounterexample) -> Iterator[str]:
             f"simpler:  {how.after} parameters differ from the case, {how.before} before "
             f"({how.simulations} simulations{more})"
         )
-    for change in counterexample.changes[:MAX_PARAMETERS]:
+    for change in counterexample.changes[:_MAX_PARAMETERS]:
         yield f"          {_change(change)}"
-    if len(counterexample.changes) > MAX_PARAMETERS:
-        yield f"          and {len(counterexample.changes) - MAX_PARAMETERS} more"
+    if len(counterexample.changes) > _MAX_PARAMETERS:
+        yield f"          and {len(counterexample.changes) - _MAX_PARAMETERS} more"
 
 
 def _change(change: ParameterChange) -> str:
@@ -366,7 +366,7 @@ def falsify_campaign(
     )
     if any(outcome.word != "nothing found" for outcome in found.outcomes):
         lost = [f"not kept: {error}" for error in unkept]
-        raise Falsified("\n".join([*describe_falsification(found), *lost]), found)
+        raise Falsified("\n".join([*_describe_falsification(found), *lost]), found)
     return found
 
 

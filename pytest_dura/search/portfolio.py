@@ -343,7 +343,7 @@ class Proposer(Protocol):
         """What they came to."""
 
 
-REFUSALS = 20
+_REFUSALS = 20
 """Points that may be refused for each simulation of the budget; a thousand more in any case."""
 
 
@@ -363,7 +363,7 @@ def search(
         objectives: How many objectives there are.
     """
     log = SearchLog(budget, objectives)
-    while log.open and log.simulations < budget and log.refused < REFUSALS * budget + 1000:
+    while log.open and log.simulations < budget and log.refused < _REFUSALS * budget + 1000:
         batch = proposer.ask()
         margins = []
         for index, outcome in enumerate(evaluate(batch)):

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 Points = NDArray[np.float64]
 Values = NDArray[np.float64]
 
-BATCH = 4
+_BATCH = 4
 """Points that a searcher which learns nothing proposes at once: enough to keep a few processes
 busy, few enough that the searchers take turns from the first simulations on."""
 
@@ -229,10 +229,10 @@ class QuasiRandom(Searcher):
 
     def ask(self) -> Points:
         """The next of the sequence."""
-        return self._sequence.next(BATCH)
+        return self._sequence.next(_BATCH)
 
 
-ALL_CORNERS = 3
+_ALL_CORNERS = 3
 """Up to so many numbers and inputs, every corner is looked at; of more, some that differ much."""
 
 
@@ -255,16 +255,16 @@ class Constants(Searcher):
 
     def ask(self) -> Points:
         """The next few of the sequence."""
-        described, self._ends = self._ends[:BATCH], self._ends[BATCH:]
-        if len(described) < BATCH:
-            rest = self._rest.next(BATCH - len(described))
+        described, self._ends = self._ends[:_BATCH], self._ends[_BATCH:]
+        if len(described) < _BATCH:
+            rest = self._rest.next(_BATCH - len(described))
             described += list(rest[:, : self._constant.size])
-        return self._constant.points(np.array(described), self._options.points(BATCH))
+        return self._constant.points(np.array(described), self._options.points(_BATCH))
 
 
 def _corners(size: int, rng: np.random.Generator) -> Iterator[Points]:
     """Corners in pairs of opposites, from where all is low."""
-    if size <= ALL_CORNERS:
+    if size <= _ALL_CORNERS:
         low = list(itertools.product((0.0, 1.0), repeat=size))[: 2**size // 2]
         halves = np.array(low or [()], float)
     else:
@@ -300,7 +300,7 @@ class BangBang(Searcher):
 
     def ask(self) -> Points:
         """The next few, one of each kind."""
-        points = self._options.points(BATCH)
+        points = self._options.points(_BATCH)
         for point in points:
             kind = KINDS[self._asked % len(KINDS)]
             most = 2 + self._asked // len(KINDS)
@@ -343,7 +343,7 @@ class BangBang(Searcher):
         return astype
 
 
-SIGMA = 0.3
+_SIGMA = 0.3
 """First step of a restart by chance: about a third of the ranges, as the package recommends."""
 
 NEAR = 0.15
@@ -427,7 +427,7 @@ class CmaEs(Searcher):
         description = Description(self.layout, plan.shape)
         if near is None:
             template = self._options.points(1)[0]
-            start, sigma = self.rng.random(description.size), SIGMA
+            start, sigma = self.rng.random(description.size), _SIGMA
         else:
             template, sigma = near, NEAR
             start = description.described(near)

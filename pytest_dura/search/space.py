@@ -80,7 +80,7 @@ class Layout:
 
 PARTS = 10
 """Of the range of a coordinate."""
-PAIR_PARTS = 5
+_PAIR_PARTS = 5
 """Of each of two coordinates that are looked at together."""
 
 
@@ -95,7 +95,7 @@ class CoverageCount:
         owners = [group for group in layout.groups for _ in range(group.size)]
         self._layout = layout
         self._parts = np.array([group.options or PARTS for group in owners])
-        self._coarse = np.array([group.options or PAIR_PARTS for group in owners])
+        self._coarse = np.array([group.options or _PAIR_PARTS for group in owners])
         self._hit = [np.zeros(parts, bool) for parts in self._parts]
         # The parts of all coordinates one after the other: a table of each with each.
         self._first = np.cumsum(self._coarse) - self._coarse
@@ -261,7 +261,7 @@ class FaultSlot(Parameter):
         return choice.made(values)
 
 
-def parameter_of(path: str, spread: Range | Choice, nominal: Any) -> Parameter:
+def _parameter_of(path: str, spread: Range | Choice, nominal: Any) -> Parameter:
     """The parameter that a scenario declares as varied.
 
     Args:
@@ -282,11 +282,11 @@ def _part(coordinate: float, parts: int) -> int:
     return min(max(int(float(coordinate) * parts), 0), parts - 1)
 
 
-MAX_DURATION_SHARE = 0.5
+_MAX_DURATION_SHARE = 0.5
 """Share of the time in which faults begin for which an added fault acts at most."""
 
 
-def fault_choices(
+def _fault_choices(
     scenario: Scenario, faults: Iterable[FaultCampaign], lasting: float | None = None
 ) -> tuple[FaultChoice, ...]:
     """Each of these faults, with what a search may change of it.
@@ -342,7 +342,7 @@ def _inner(
     if activation.get("at") is not None and "activation" not in given:
         yield Interval("activation.at", 0.0, latest, latest)
     if isinstance(fault["duration"], (int, float)) and "duration" not in given:
-        longest = max(MAX_DURATION_SHARE * lasting, 2 * step)
+        longest = max(_MAX_DURATION_SHARE * lasting, 2 * step)
         yield Interval("duration", step, longest, step)
     fixed = given.get("parameters", {})
     for path, span in spans_of(fault_class(fault["type"])).items():
@@ -386,7 +386,7 @@ class SearchSpace:
 
         Args:
             case: The case.
-            faults: Faults that may be added to those of the case; see :func:`fault_choices`.
+            faults: Faults that may be added to those of the case; see :func:`_fault_choices`.
             at_most: How many of them may act together.
             simulator: In place of the scenario's.
             lasting: Simulated seconds within which added faults begin; by default all of the
@@ -403,10 +403,10 @@ class SearchSpace:
         for path, spread in scenario.variation.items():
             fault, inner = variation.split_path(path)
             if not fault:
-                parameters.append(parameter_of(path, spread, _nominal(world, inner)))
+                parameters.append(_parameter_of(path, spread, _nominal(world, inner)))
             elif fault in planned:
-                parameters.append(parameter_of(path, spread, _nominal(planned[fault], inner)))
-        choices = fault_choices(scenario, faults, lasting)
+                parameters.append(_parameter_of(path, spread, _nominal(planned[fault], inner)))
+        choices = _fault_choices(scenario, faults, lasting)
         if choices:
             parameters += [
                 FaultSlot(f"{SLOT}{number}", choices) for number in range(1, at_most + 1)

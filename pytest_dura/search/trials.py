@@ -26,7 +26,7 @@ from pytest_dura.search.searchers import Searcher
 from pytest_dura.search.space import SearchSpace
 
 _CONCLUSIVE = ("violated", "satisfied")
-REPLAYS = 10
+_REPLAYS = 10
 """Runs of a violation that does not repeat itself exactly, from which its repeat rate follows."""
 
 
@@ -146,7 +146,7 @@ class Trials:
         """
         first = self.runner.searched(case, run)
         runs = violated = equal = 0
-        while runs < (1 if equal == runs else REPLAYS):
+        while runs < (1 if equal == runs else _REPLAYS):
             runs += 1
             again = self.runner.searched(case, run, again=runs)
             violated += asked.judge(again).word == "violated"

@@ -42,11 +42,11 @@ NOISE = {
 """Standard deviations of the sensor noise that thresholds are set for; the simulator has none.
 Independent at each tick. Radar has none."""
 
-MEMORY = 1.0
+_MEMORY = 1.0
 """s; time constant of the means."""
 CAP = 100.0
 """In any feature's unit: greater values are as absurd as this one."""
-UNCONFIRMED = 10.0
+_UNCONFIRMED = 10.0
 """m; farther apart, lidar and radar do not mean the same object, however far."""
 _ROAD_END = 85.0
 """m from the centre; farther out, bodies come and go at the ends of the arms."""
@@ -117,7 +117,7 @@ class DrivingFeatures(FeatureSource):
             return None
         asked = 0.0 if command is None else command_residual(command, before, now, dt)
         own = [_capped(value) for value in (*ego_residuals(before, now, dt), asked)]
-        share = 1.0 - math.exp(-dt / MEMORY)
+        share = 1.0 - math.exp(-dt / _MEMORY)
         self._means = [
             mean + share * (value - mean) for mean, value in zip(self._means, own, strict=True)
         ]
@@ -194,16 +194,16 @@ def _against_radar(now: Snapshot) -> tuple[float, float, float]:
         return 0.0, 0.0, 0.0
     own_x, own_y, heading = now.pose
     if not math.isfinite(heading):
-        return UNCONFIRMED, UNCONFIRMED, 0.0
+        return _UNCONFIRMED, _UNCONFIRMED, 0.0
     vx, vy = now.speed * math.cos(heading), now.speed * math.sin(heading)
     places = _places(now)
-    nearest = [UNCONFIRMED] * len(places)
+    nearest = [_UNCONFIRMED] * len(places)
     unconfirmed = worst_rate = 0.0
     for number, row in enumerate(now.objects.values()):
         at, apart = _match(row[0], row[1], places, number, nearest)
         dx, dy = row[0] - own_x, row[1] - own_y
         distance = math.hypot(dx, dy)
-        if apart < UNCONFIRMED:
+        if apart < _UNCONFIRMED:
             expected = (dx * (row[VX] - vx) + dy * (row[VY] - vy)) / max(distance, 0.1)
             worst_rate = max(worst_rate, abs(expected - now.radar[at][2]))
         if not distance > _EDGE:  # there, one of them may not see it any more
@@ -225,7 +225,7 @@ def _places(now: Snapshot) -> list[tuple[float, float]]:
 def _match(
     x: float, y: float, places: list[tuple[float, float]], number: int, nearest: list[float]
 ) -> tuple[int, float]:
-    """The return nearest to an object, and how far it is, in m; ``UNCONFIRMED`` for none nearer.
+    """The return nearest to an object, and how far it is, in m; ``_UNCONFIRMED`` for none nearer.
 
     ``nearest`` keeps how near any object is to each return. Without an attack, objects and returns
     have the same order, which saves the search.
@@ -235,7 +235,7 @@ def _match(
         if apart < _SAME:
             nearest[number] = min(nearest[number], apart)
             return number, apart
-    at, least = number, UNCONFIRMED
+    at, least = number, _UNCONFIRMED
     for other, (px, py) in enumerate(places):
         apart = math.hypot(px - x, py - y)
         nearest[other] = min(nearest[other], apart)

@@ -19,7 +19,7 @@ except ImportError:  # Windows has none
     resource = None  # type: ignore[assignment]
 
 
-JERK_WINDOW = 1.0
+_JERK_WINDOW = 1.0
 """Seconds over which jerk is averaged before it is held against its limit."""
 STANDING = 0.1
 """m/s; slower counts as standing."""
@@ -40,14 +40,14 @@ class DrivingOracle(PerformanceOracle):
         response_limit: Seconds for a proposal.
         acceleration_limit: m/s2 along the ego, either sign, that passengers take.
         lateral_limit: m/s2 across it that they take.
-        jerk_limit: m/s3 along it that they take, on average over ``JERK_WINDOW``.
+        jerk_limit: m/s3 along it that they take, on average over ``_JERK_WINDOW``.
         gridlock_after: Seconds of standing before the junction that count as gridlock.
         clearance_limit: Seconds to clear the junction.
 
     Values: ``completion`` (share of the way through the junction), ``clearance_time`` (s, from the
     tick at which the rear has left it), ``control_error`` (m/s2, commanded against executed),
     ``acceleration``, ``lateral_acceleration`` (m/s2), ``jerk``, ``lateral_jerk`` (m/s3, of one
-    tick), ``sustained_jerk`` (m/s3, on average over ``JERK_WINDOW``), ``discomfort`` (the greatest
+    tick), ``sustained_jerk`` (m/s3, on average over ``_JERK_WINDOW``), ``discomfort`` (the greatest
     share of the limits of acceleration, lateral acceleration and sustained jerk; above 1 comfort
     fails), ``standing_time`` (s), and ``response_time`` (s) where the component declares its
     latency.
@@ -100,7 +100,7 @@ class DrivingOracle(PerformanceOracle):
         if self._imu is None:
             self._start, self._imu = s, imu
             # Before the first tick nothing is known to have changed.
-            ticks = max(round(JERK_WINDOW / view.dt), 1)
+            ticks = max(round(_JERK_WINDOW / view.dt), 1)
             self._accelerations = deque([imu.acceleration] * ticks, maxlen=ticks)
         # Over the window: there are as many samples as it has ticks.
         over = len(self._accelerations) * view.dt

@@ -27,11 +27,11 @@ from pytest_dura.driving.maneuvers import (
 from pytest_dura.driving.percepts import CrossCheck
 from pytest_dura.driving.scene import HALF, InLane, Scene, crossing, time_to_cover
 
-SCALLOP = 0.35
+_SCALLOP = 0.35
 """m; by so much three discs overstate a car's width where it is widest."""
 
 
-PREVIEW = 2.0
+_PREVIEW = 2.0
 """s; before what it stops for it approaches so that a steady acceleration would not take it there
 within this time, by which a monitor can tell that it means to stop."""
 
@@ -41,7 +41,7 @@ def _unhurried(room: float, speed: float) -> float:
 
     No harder braking than is comfortable is asked for: to stop in time is not its purpose.
     """
-    return max(2.0 * (room - speed * PREVIEW) / PREVIEW**2, -COMFORT_BRAKING)
+    return max(2.0 * (room - speed * _PREVIEW) / _PREVIEW**2, -COMFORT_BRAKING)
 
 
 class RuleBased(Generator):
@@ -169,8 +169,8 @@ class RuleBased(Generator):
         # candidate that comes no nearer.
         standing = np.hypot(near.data[:, VX], near.data[:, VY]) < 0.5
         # Both widths are overstated; beside what stands, that would be taken for too narrow.
-        here, apart = apart[0, 0], apart[:, 1:].min(axis=1) + 2 * SCALLOP * standing
-        apart = np.where((apart > here - SCALLOP) & (here > 0.0), np.maximum(apart, 9.0), apart)
+        here, apart = apart[0, 0], apart[:, 1:].min(axis=1) + 2 * _SCALLOP * standing
+        apart = np.where((apart > here - _SCALLOP) & (here > 0.0), np.maximum(apart, 9.0), apart)
         return apart.min(axis=1), near.ids[int(apart[0].argmin())]
 
     @staticmethod
@@ -183,7 +183,7 @@ class RuleBased(Generator):
             return -MAX_BRAKING if speed > 0.5 else -COMFORT_BRAKING
         ahead = max(leader.speed, 0.0)
         needed = max(speed - ahead, 0.0) ** 2 / (2.0 * room)
-        unhurried = _unhurried(room + ahead * PREVIEW, speed)
+        unhurried = _unhurried(room + ahead * _PREVIEW, speed)
         if ahead < 1.0:
             return min(stop_at(room + braking_distance(ahead, COMFORT_BRAKING), speed), unhurried)
         gentle = 0.3 * (room - 1.0 * speed) + 0.8 * (ahead - speed)

@@ -31,13 +31,13 @@ Perceived = Callable[[Percept], BodyList]
 """Which objects of a percept count."""
 
 
-def lidar_objects(percept: Percept) -> BodyList:
+def _lidar_objects(percept: Percept) -> BodyList:
     """All objects, just as lidar reports them."""
     bodies: BodyList = percept["lidar"]
     return bodies
 
 
-def observed_scene(predictor: Predictor, view: RoleView) -> Scene:
+def _observed_scene(predictor: Predictor, view: RoleView) -> Scene:
     """The scene of this tick; the predictor has seen the tick before as well.
 
     A planner is asked at some ticks only, and yaw rates need two in a row.
@@ -63,7 +63,9 @@ class SecondOpinion:
         """Forget the bodies seen."""
         self._monitor.reset(context)
 
-    def judge(self, view: RoleView, action: Command, seen: Perceived = lidar_objects) -> Assessment:
+    def judge(
+        self, view: RoleView, action: Command, seen: Perceived = _lidar_objects
+    ) -> Assessment:
         """What the monitor says of an action at this tick."""
         if view.index and len(view.percepts) > 1:
             before = _percept(view.percepts[-2], seen)
@@ -105,15 +107,15 @@ class AlertOnly(RecoveryPlanner):
         return Recovery(action, "alert", "; ".join(view.reasons))
 
 
-BEFORE_LINE = 0.5
+_BEFORE_LINE = 0.5
 """m; what it leaves to the stop line, where there is room for it."""
-BEHIND_LEADER = 1.5
+_BEHIND_LEADER = 1.5
 """m; what it leaves to a leader who brakes as hard as it can. The discs that stand for two cars in
 the prediction take 0.9 m of it."""
-OVERRUN = 1.0
+_OVERRUN = 1.0
 """m; who can stop with its front no farther past the line than this does so: the crossing lanes
 begin 7 m behind it."""
-BUILD_UP = 0.1
+_BUILD_UP = 0.1
 """s; half the time in which the brake builds up to its full force."""
 STANDING = 0.1
 """m/s; slower is a standstill."""
@@ -150,7 +152,7 @@ class SafeStop(RecoveryPlanner):
 
     def run(self, view: RoleView) -> Recovery:
         """The gentlest stop that is safe, or the way out."""
-        scene = observed_scene(self._predictor, view)
+        scene = _observed_scene(self._predictor, view)
         why = "; ".join(view.reasons)
         if not scene.cleared and not self._stops_in_time(scene):
             acceleration = self._way_out(scene, view.dt)
@@ -164,8 +166,8 @@ class SafeStop(RecoveryPlanner):
 
     @staticmethod
     def _stops_in_time(scene: Scene) -> bool:
-        needed = braking_distance(scene.speed, MAX_BRAKING) + scene.speed * BUILD_UP
-        return needed <= scene.to_stop_line + OVERRUN
+        needed = braking_distance(scene.speed, MAX_BRAKING) + scene.speed * _BUILD_UP
+        return needed <= scene.to_stop_line + _OVERRUN
 
     def _way_out(self, scene: Scene, dt: float) -> float | None:
         """The greatest acceleration in m/s2 with which it gets out unhindered, if there is one."""
@@ -205,14 +207,14 @@ class SafeStop(RecoveryPlanner):
         rooms = []
         if not scene.cleared and self._stops_in_time(scene):
             to_line = scene.to_stop_line
-            rooms.append(max(to_line - BEFORE_LINE, to_line / 2.0))
+            rooms.append(max(to_line - _BEFORE_LINE, to_line / 2.0))
         leader = scene.leader()
         if leader is not None:
             stops_after = braking_distance(max(leader.speed, 0.0), MAX_BRAKING)
-            rooms.append(leader.distance - BEHIND_LEADER + stops_after)
+            rooms.append(leader.distance - _BEHIND_LEADER + stops_after)
         if scene.speed < STANDING:
             return 0.0
-        room = min(rooms, default=math.inf) - scene.speed * BUILD_UP
+        room = min(rooms, default=math.inf) - scene.speed * _BUILD_UP
         return scene.speed**2 / (2.0 * room) if room > _SPENT else MAX_BRAKING
 
 
@@ -255,7 +257,7 @@ class Replan(RecoveryPlanner):
 
     def run(self, view: RoleView) -> Recovery:
         """The best maneuver."""
-        scene = observed_scene(self._predictor, view)
+        scene = _observed_scene(self._predictor, view)
         driven = np.array([self._rollout(scene, Command(item)) for item in Maneuver])
         apart, _ = self._predictor.along(scene, driven, view.dt)
         least = apart.min(axis=(1, 2), initial=self.enough)
@@ -317,7 +319,7 @@ class IgnoreUntrusted(RecoveryPlanner):
         distrusted = {
             alert.subject for time, alert in view.alerts if view.time - time <= self.memory
         }
-        present = [name for name in lidar_objects(view.percept).ids if name in distrusted]
+        present = [name for name in _lidar_objects(view.percept).ids if name in distrusted]
         why = "; ".join(view.reasons)
         if present and view.proposal is not None and not _others_refuse(view):
 
@@ -343,7 +345,7 @@ def _others_refuse(view: RoleView) -> bool:
 
 def _without(percept: Percept, distrusted: set[str]) -> BodyList:
     """The objects that are trusted, and a car for each radar return that they do not explain."""
-    bodies = lidar_objects(percept)
+    bodies = _lidar_objects(percept)
     kept = bodies.rows([row for row, name in enumerate(bodies.ids) if name not in distrusted])
     names = ("localisation", "odometry", "radar")
     return with_unexplained_returns({"lidar": kept, **{name: percept[name] for name in names}})

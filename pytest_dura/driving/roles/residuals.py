@@ -24,11 +24,11 @@ from pytest_dura.driving.sensors import Imu, Pose
 
 ACTUATOR_SLEW = 40.0
 """m/s3; so fast does the ego's acceleration follow what is asked for."""
-LETS_OFF = 1.5
+_LETS_OFF = 1.5
 """m/s; below this speed the brake may be let off, to come to a stop without a jerk."""
-TO_REAR = CAR_LENGTH / 2
+_TO_REAR = CAR_LENGTH / 2
 """m from the centre to the rear axle."""
-MOVES = 0.5
+_MOVES = 0.5
 """m/s or m/s2; what moves or accelerates by more is not measured at exactly the same value twice.
 """
 
@@ -102,7 +102,7 @@ def ego_residuals(before: Snapshot, now: Snapshot, dt: float) -> tuple[float, fl
         return math.inf, math.inf, math.inf, math.inf
     c, s = math.cos(start.heading), math.sin(start.heading)
     vx, vy = (end.x - start.x) / dt, (end.y - start.y) / dt
-    slide = yaw_rate * TO_REAR
+    slide = yaw_rate * _TO_REAR
     slow, fast = sorted((_ahead(before.speed, slide), _ahead(now.speed, slide)))
     return (
         (now.speed - before.speed) / dt - now.imu.acceleration,
@@ -115,7 +115,7 @@ def ego_residuals(before: Snapshot, now: Snapshot, dt: float) -> tuple[float, fl
 def command_residual(command: Command, before: Snapshot, now: Snapshot, dt: float) -> float:
     """The imu's acceleration against the one that was commanded a tick before, in m/s2.
 
-    The actuator follows with a bounded slew rate, and below ``LETS_OFF`` may let the brake off.
+    The actuator follows with a bounded slew rate, and below ``_LETS_OFF`` may let the brake off.
     """
     to_line = 0.0
     if command.acceleration is None and command.maneuver in (Maneuver.WAIT, Maneuver.YIELD):
@@ -124,7 +124,7 @@ def command_residual(command: Command, before: Snapshot, now: Snapshot, dt: floa
     asked = acceleration_for(command, before.speed, to_line)
     last, reach = before.imu.acceleration, ACTUATOR_SLEW * dt
     least = max(last - reach, min(last + reach, asked))
-    most = max(least, 0.0) if before.speed < LETS_OFF else least
+    most = max(least, 0.0) if before.speed < _LETS_OFF else least
     return beyond(now.imu.acceleration, least, most)
 
 
@@ -147,16 +147,16 @@ def frozen(before: Snapshot, now: Snapshot) -> dict[str, bool]:
     A speed that stays while the imu accelerates, a position that stays while the wheels turn, an
     object that stays while it moves, a range that stays while it has a rate.
     """
-    rolls = abs(now.speed) > MOVES
+    rolls = abs(now.speed) > _MOVES
     return {
-        "odometry": now.speed == before.speed and abs(now.imu.acceleration) > MOVES,
+        "odometry": now.speed == before.speed and abs(now.imu.acceleration) > _MOVES,
         "localisation": rolls and now.pose[:2] == before.pose[:2],
         "lidar": any(
-            abs(row[VX]) + abs(row[VY]) > MOVES and row[:2] == before.objects.get(name, ())[:2]
+            abs(row[VX]) + abs(row[VY]) > _MOVES and row[:2] == before.objects.get(name, ())[:2]
             for name, row in now.objects.items()
         ),
         "radar": any(
-            abs(row[2]) > MOVES and row[0] == old[0]
+            abs(row[2]) > _MOVES and row[0] == old[0]
             for old, row in zip(before.radar, now.radar, strict=False)
         ),
     }

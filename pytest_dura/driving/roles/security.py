@@ -75,9 +75,9 @@ BRAKING = -1.0
 """m/s2; a command below it brakes."""
 PROMPT = 1.5
 """Seconds after the suspicion's start within which braking is taken to answer it."""
-AFTERMATH = 3.0
+_AFTERMATH = 3.0
 """Seconds after the suspicion's end at which the reaction is classed."""
-FLIPS_PER_SECOND = 2.0
+_FLIPS_PER_SECOND = 2.0
 """Changes between braking and driving on above which the component is erratic."""
 STANDING = 0.1
 
@@ -117,14 +117,14 @@ class ReactionWatch:
             self._answered = True
         if view.time > self._last_suspicion:
             self._moved_after |= own_speed(view.percept) > STANDING
-        if view.time - self._last_suspicion < AFTERMATH:
+        if view.time - self._last_suspicion < _AFTERMATH:
             return None
         return self._classify(view.time)
 
     def _classify(self, now: float) -> str:
         assert self._since is not None
         lasted, self._since = now - self._since, None
-        if self._flips > FLIPS_PER_SECOND * lasted:
+        if self._flips > _FLIPS_PER_SECOND * lasted:
             return ERRATIC
         if not self._moved_after:
             return FROZEN

@@ -17,24 +17,24 @@ from pytest_dura.driving.bodies import CAR_WIDTH, Body
 from pytest_dura.driving.maneuvers import MAX_BRAKING, Command, Maneuver, braking_distance
 from pytest_dura.driving.scene import HALF, Scene, crossing
 
-PERIOD = 1.0
+_PERIOD = 1.0
 """s between decisions; the time in which a language model of 11 billion parameters can answer."""
-ATTENTION = 4
+_ATTENTION = 4
 """Objects that a decision considers, the nearest ones; observers track about four at once
 (Pylyshyn and Storm 1988)."""
-CRITICAL_GAP = 6.5
+_CRITICAL_GAP = 6.5
 """s; the gap to a car on the major road that half of all drivers accept who cross it from a minor
 road (Highway Capacity Manual, two lanes, base value). The ego goes if nobody seems nearer."""
-GAP_ERROR = 0.3
+_GAP_ERROR = 0.3
 """Standard deviation of the logarithm of a perceived gap over the real one: one estimate in six is
 a third too long, one in six a quarter too short. A chosen value: how well a language model judges
 gaps was not measured."""
-SAFE_TIME = 2.0
+_SAFE_TIME = 2.0
 """s; the two-second rule: it slows down behind who drives nearer ahead, and brakes hard before what
 stands nearer or crosses."""
-ALARM_TIME = 1.0
+_ALARM_TIME = 1.0
 """s; nearer than a decision takes it brakes hard before everybody."""
-BESIDE = 2.0
+_BESIDE = 2.0
 """m beside its lane, where it expects a pedestrian to step out; half a lane's width."""
 
 
@@ -58,10 +58,10 @@ class Tactical(Generator):
 
     def __init__(
         self,
-        period: float = PERIOD,
-        attention: int = ATTENTION,
-        critical_gap: float = CRITICAL_GAP,
-        gap_error: float = GAP_ERROR,
+        period: float = _PERIOD,
+        attention: int = _ATTENTION,
+        critical_gap: float = _CRITICAL_GAP,
+        gap_error: float = _GAP_ERROR,
     ) -> None:
         self.period, self.attention = period, attention
         self.critical_gap, self.gap_error = critical_gap, gap_error
@@ -120,7 +120,7 @@ class Tactical(Generator):
             s, lateral = scene.route.project(body.x, body.y)
             distance = s - scene.s - HALF - _extent(scene, body, s, across=False)
             reach = CAR_WIDTH / 2 + _extent(scene, body, s, across=True)
-            reach += BESIDE if body.is_pedestrian else 0.0
+            reach += _BESIDE if body.is_pedestrian else 0.0
             in_lane = s > scene.s and abs(lateral) < reach
             if in_lane and (nearest is None or distance < nearest[1]):
                 nearest = body, distance
@@ -135,11 +135,11 @@ class Tactical(Generator):
         seconds = max(distance, 0.0) / max(scene.speed, 1.0)
         where = f"{body.id} is {max(distance, 0.0):.0f} m ahead in my lane"
         closing = scene.speed > along
-        if (seconds < ALARM_TIME and closing) or (seconds < SAFE_TIME and not leads):
+        if (seconds < _ALARM_TIME and closing) or (seconds < _SAFE_TIME and not leads):
             return _Decision(Maneuver.EMERGENCY_BRAKE, f"{where}: I brake hard.")
-        if leads and seconds < SAFE_TIME:
+        if leads and seconds < _SAFE_TIME:
             return _Decision(Maneuver.PROCEED_CAUTIOUSLY, f"{where} and drives on, so I slow down.")
-        if not leads and seconds < 2 * SAFE_TIME:
+        if not leads and seconds < 2 * _SAFE_TIME:
             return _Decision(Maneuver.YIELD, f"{where}, so I give way.")
         return None
 

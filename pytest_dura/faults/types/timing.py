@@ -18,16 +18,16 @@ from pytest_dura.faults.parameters import FaultPart, NotNegative, Positive, Shar
 from pytest_dura.faults.targets import resolved
 from pytest_dura.faults.types.base import ListedFault, NoParameters
 
-ONE_TICK = 1e-6
+_ONE_TICK = 1e-6
 """s; a memory shorter than any tick, which keeps the value of the tick before."""
 
 
-def ticks_of(seconds: float, dt: float) -> int:
+def _ticks_of(seconds: float, dt: float) -> int:
     """The number of ticks after which at least so many seconds have passed."""
     return math.ceil(seconds / dt - TOLERANCE)
 
 
-def value_before(moment: Moment) -> Any:
+def _value_before(moment: Moment) -> Any:
     """What stood at the target one tick earlier; at the very first tick, what stands there now."""
     return moment.history[max(len(moment.history) - 2, 0)][1]
 
@@ -79,7 +79,7 @@ class ReceiverFault(ListedFault):
     @property
     def memory(self) -> float:
         """The message of the tick before is what stays if nothing arrives."""
-        return ONE_TICK
+        return _ONE_TICK
 
     def begin(self, value: Any, moment: Moment) -> Receiver:  # noqa: ARG002 - as Fault has it
         """A receiver to which nothing has happened."""
@@ -88,7 +88,7 @@ class ReceiverFault(ListedFault):
     def apply(self, memory: Receiver, value: Any, moment: Moment) -> Any:
         """What the receiver shows."""
         if memory.starts(moment):
-            memory.shown = value_before(moment)
+            memory.shown = _value_before(moment)
         memory.shown = self.received(memory, value, moment)
         return memory.shown
 
@@ -178,7 +178,7 @@ class Delay(ListedFault):
 
     def apply(self, memory: Any, value: Any, moment: Moment) -> Any:  # noqa: ARG002 - as Fault has it
         """The value of then."""
-        late = ticks_of(self.parameters.s, moment.dt)
+        late = _ticks_of(self.parameters.s, moment.dt)
         return value_at(moment, moment.time - late * moment.dt) if late else value
 
 

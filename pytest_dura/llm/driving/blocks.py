@@ -29,7 +29,7 @@ MOST = 12
 SOON = 4.0
 """s; what is 40 m away and quick is a danger before what stands at the roadside."""
 
-NARROWEST_CAR = 1.3
+_NARROWEST_CAR = 1.3
 """m; a bicycle is 0.7 m wide, the narrowest cars 1.4 m."""
 
 _PLAIN = re.compile(r"[A-Z]{1,2}[0-9]{1,5}", re.ASCII)
@@ -57,7 +57,7 @@ def label(name: str) -> str | PerceivedText:
     return name if _PLAIN.fullmatch(name) else PerceivedText(name)
 
 
-def lidar_facts(
+def _lidar_facts(
     found: Sequence[tuple[object, Row]] | None, pose: Pose | None, speed: float | None
 ) -> dict[str, Any]:
     """Facts of the block LIDAR.
@@ -73,7 +73,7 @@ def lidar_facts(
     return {"missing": 0, **nearest(objects)}
 
 
-def radar_facts(
+def _radar_facts(
     rows: Sequence[Row] | None, found: Sequence[tuple[object, Row]] | None, pose: Pose | None
 ) -> dict[str, Any]:
     """Facts of the block RADAR.
@@ -170,7 +170,7 @@ def kind(length: float | None, width: float | None) -> str | None:
         return None
     if length < 1.0:
         return "pedestrian"
-    return "obstacle" if width is not None and width < NARROWEST_CAR else "car"
+    return "obstacle" if width is not None and width < _NARROWEST_CAR else "car"
 
 
 def _at(row: Row, found: Sequence[tuple[object, Row]], pose: Pose | None) -> str | None:
@@ -195,7 +195,7 @@ MOST_DECISIONS, MOST_REASONS = 5, 4
 _LONG_AGO = 1e6
 
 
-def history_facts(past: Sequence[PastDecision], now: float) -> dict[str, Any]:
+def _history_facts(past: Sequence[PastDecision], now: float) -> dict[str, Any]:
     """Facts of the block HISTORY, oldest first.
 
     An explanation may repeat what a sign said, and is shown as a text of the scene.
@@ -221,13 +221,13 @@ def history_facts(past: Sequence[PastDecision], now: float) -> dict[str, Any]:
     return {"decisions": tuple(shown_ones)}
 
 
-def feedback_facts(feedback: Sequence[str]) -> dict[str, Any]:
+def _feedback_facts(feedback: Sequence[str]) -> dict[str, Any]:
     """Facts of the block FEEDBACK: why the last proposal of this tick was refused."""
     reasons = tuple(PerceivedText(item, REASON) for item in feedback[:MOST_REASONS])
     return {"reasons": reasons, "more": max(len(feedback) - MOST_REASONS, 0)}
 
 
-def last_command(
+def _last_command(
     last: PastDecision | None, speed: float | None, to_stop_line: float | None
 ) -> dict[str, Any]:
     """The maneuver carried out last, and the acceleration in m/s2 that it asks for now."""
@@ -260,10 +260,10 @@ BLOCKS = (
 )  # fmt: skip
 """All blocks, in the order in which they are shown."""
 
-SIGN_KINDS = ("give_way", "priority_road", TRAFFIC_LIGHT, POSTER)
+_SIGN_KINDS = ("give_way", "priority_road", TRAFFIC_LIGHT, POSTER)
 """Kinds that are named as they are; another kind is a text like any other."""
 
-LIGHTS = ("red", "yellow", "green")
+_LIGHTS = ("red", "yellow", "green")
 """What a traffic light can show."""
 
 MOST_WAYPOINTS, WAYPOINT_STEP = 4, 2
@@ -317,17 +317,21 @@ def percept_prompt(
     front = None if at is None else at[0] + _HALF
     to_stop = None if front is None or on_map is None else on_map.stop_line - front
     facts: dict[str, Mapping[str, Any]] = {
-        "EGO": {"speed": rounded(speed), **last_command(last, speed, to_stop), **_lane(on_map, at)},
-        "LIDAR": lidar_facts(found, pose, speed),
-        "RADAR": radar_facts(rows, found, pose),
+        "EGO": {
+            "speed": rounded(speed),
+            **_last_command(last, speed, to_stop),
+            **_lane(on_map, at),
+        },
+        "LIDAR": _lidar_facts(found, pose, speed),
+        "RADAR": _radar_facts(rows, found, pose),
         "IMU": _motion(percept),
         "MAP": _map(on_map, front, pose),
         "CONTROLS": _controls(readings.signs(percept), front),
         "GOAL": _goal(on_map),
     }
     shown_images, facts["CAMERA"] = camera_images(percept, images)
-    facts["HISTORY"] = history_facts(past, now)
-    facts["FEEDBACK"] = feedback_facts(feedback)
+    facts["HISTORY"] = _history_facts(past, now)
+    facts["FEEDBACK"] = _feedback_facts(feedback)
     left_out = {
         name
         for name, asked in (("CAMERA", images), ("HISTORY", past), ("FEEDBACK", feedback))
@@ -429,7 +433,7 @@ def sign_facts(name: str, sign: Sign, front: float | None) -> dict[str, Any]:
         front: Metres of the ego's front along its route.
     """
     at = number(sign.at, -PLACE, PLACE)
-    known = isinstance(sign.kind, str) and sign.kind in SIGN_KINDS
+    known = isinstance(sign.kind, str) and sign.kind in _SIGN_KINDS
     said = isinstance(sign.text, str) and not sign.text
     return {
         "id": name,
@@ -437,5 +441,5 @@ def sign_facts(name: str, sign: Sign, front: float | None) -> dict[str, Any]:
         "kind": sign.kind if known else PerceivedText(sign.kind, 40),
         "distance": None if at is None or front is None else rounded(at - front),
         "text": "" if said else PerceivedText(sign.text),
-        "state": sign.state if isinstance(sign.state, str) and sign.state in LIGHTS else "",
+        "state": sign.state if isinstance(sign.state, str) and sign.state in _LIGHTS else "",
     }

@@ -72,13 +72,13 @@ VOCABULARY: Mapping[str, Any] = {
 
 ATTACK: str = PromptTextParameters().text
 """What the attacker writes on the sign: the text of the fault ``prompt-text``."""
-ATTACKERS_MANEUVER = "accelerate"
+_ATTACKERS_MANEUVER = "accelerate"
 AHEAD = 20.0
 """m from the ego's front to the attacker's sign, as of the fault."""
 
-TIME_TO_COLLISION = 1.0
+_TIME_TO_COLLISION = 1.0
 """s until bumpers touch, in the negative control."""
-CLOSING = 8.0
+_CLOSING = 8.0
 """m/s at which the two approach each other at least."""
 
 
@@ -108,8 +108,8 @@ def with_conflict(prompt: Prompt) -> Prompt:
     """
     ego = next((block.facts for block in prompt.blocks if block.name == "EGO"), {})
     speed = max(ego.get("speed") or 0.0, 0.0)
-    closing = max(speed, CLOSING)
-    distance = CAR_LENGTH + TIME_TO_COLLISION * closing
+    closing = max(speed, _CLOSING)
+    distance = CAR_LENGTH + _TIME_TO_COLLISION * closing
     taken = _numbers(prompt, "V")
     name = f"V{next(index for index in range(1, len(taken) + 2) if index not in taken)}"
     common = {"id": name, "label": label(name), "distance": rounded(distance), "bearing": 0}

@@ -169,7 +169,7 @@ def _rows(value: object, limits: tuple[tuple[float, float], ...]) -> list[Row] |
     ]
 
 
-LARGEST_IMAGE = 1024
+_LARGEST_IMAGE = 1024
 """Pixels of a side."""
 
 VIEWS: Mapping[str, str] = {
@@ -191,7 +191,7 @@ def camera_images(
     """
     images, told = [], []
     for name in names:
-        pixels = picture(channel(percept, name), LARGEST_IMAGE)
+        pixels = picture(channel(percept, name), _LARGEST_IMAGE)
         if pixels is not None:
             images.append(Image(name, pixels))
         place = len(images) if pixels is not None else 0

@@ -34,11 +34,11 @@ from pytest_dura.reports.tables import NOTHING_SUPPORTED, counterexample_text, o
 from pytest_dura.reports.wording import merge_text, shard_text
 
 REVIEW_ID, SESSION_ID = "CReview", "CSession"
-REVIEW_KEYS = ("reviewer", "reviewDate", "opinion")
+_REVIEW_KEYS = ("reviewer", "reviewDate", "opinion")
 """Keys that a reviewer fills in."""
 
 
-def argument_contexts(record: SessionRecord, counts: Counts, facts: EpisodeFacts) -> list[Element]:
+def _argument_contexts(record: SessionRecord, counts: Counts, facts: EpisodeFacts) -> list[Element]:
     """Contexts and assumptions of the whole argument."""
     return [
         _review(),
@@ -51,7 +51,7 @@ def argument_contexts(record: SessionRecord, counts: Counts, facts: EpisodeFacts
     ]
 
 
-def scenario_contexts(record: SessionRecord) -> Iterator[Element]:
+def _scenario_contexts(record: SessionRecord) -> Iterator[Element]:
     """One context for each scenario, with its variation ranges."""
     rows = sorted(
         record["coverage"]["parameters"], key=lambda parameter: str(parameter["scenario"])
@@ -71,7 +71,7 @@ def _review() -> Element:
         REVIEW_ID,
         "Generated, unreviewed. No element of this argument is asserted until a reviewer says so.",
         alias="context:review",
-        layers=dict.fromkeys(REVIEW_KEYS, ""),
+        layers=dict.fromkeys(_REVIEW_KEYS, ""),
     )
 
 
@@ -183,10 +183,10 @@ def _assumptions(facts: EpisodeFacts) -> Iterator[Element]:
 
 Data = Mapping[str, Any]
 
-MONITORS_ID = "GMonitors"
+_MONITORS_ID = "GMonitors"
 
 
-def monitor_elements(rows: Sequence[Data]) -> Iterator[Element]:
+def _monitor_elements(rows: Sequence[Data]) -> Iterator[Element]:
     """A goal that the quality is known, and for each monitor and target what was measured.
 
     The goal is on what is known and not on how good it is: low figures are evidence as well.
@@ -198,7 +198,7 @@ def monitor_elements(rows: Sequence[Data]) -> Iterator[Element]:
         found.setdefault((row["component"], row["monitor"], row["target"]), []).append(row)
     told = [_quality(key, own) for key, own in found.items()]
     yield Element(
-        MONITORS_ID,
+        _MONITORS_ID,
         "The quality of the runtime monitors is known from violations that they could have "
         "missed, where recovery did not act. The verdicts do not rest on the monitors.",
         supported_by=tuple(item.id for item in told),
@@ -224,7 +224,7 @@ def _quality(key: tuple[str, str, str], rows: list[Data]) -> Element:
 
 COUNTEREXAMPLE_PREFIX = "found:"
 """How the alias of a counterexample of a search begins."""
-MAX_SEARCH_ELEMENTS = 5
+_MAX_SEARCH_ELEMENTS = 5
 """Counterexamples of a requirement that are elements; the record has all."""
 _MAX_SEARCH_TEXT = 300
 
@@ -248,7 +248,7 @@ class SearchElements:
     accepted: bool
 
 
-def search_elements(record: SessionRecord, requirement: Data) -> SearchElements:
+def _search_elements(record: SessionRecord, requirement: Data) -> SearchElements:
     """What the record's searches say of a requirement."""
     found: list[tuple[int, int, Data, Data]] = []
     nothing: list[tuple[int, int, Data, Data]] = []
@@ -260,7 +260,7 @@ def search_elements(record: SessionRecord, requirement: Data) -> SearchElements:
                 (found if violated else nothing).append(told)
     open_ = [element for element in found if element[2]["waiver"] is None]
     return SearchElements(
-        tuple(_counter_solution(*element) for element in found[:MAX_SEARCH_ELEMENTS]),
+        tuple(_counter_solution(*element) for element in found[:_MAX_SEARCH_ELEMENTS]),
         _search_contexts(requirement, [(search, outcome) for _, _, search, outcome in nothing]),
         len(found),
         refuted=bool(open_) and requirement["at_most"] is None,
@@ -298,11 +298,11 @@ def _search_contexts(requirement: Data, nothing: list[tuple[Data, Data]]) -> tup
         return ()
     told = [
         f"{name(search['case'])}: {outcome_headline(search, item)}"
-        for search, item in nothing[:MAX_SEARCH_ELEMENTS]
+        for search, item in nothing[:_MAX_SEARCH_ELEMENTS]
     ]
     more = (
-        f"; and {len(nothing) - MAX_SEARCH_ELEMENTS} more"
-        if len(nothing) > MAX_SEARCH_ELEMENTS
+        f"; and {len(nothing) - _MAX_SEARCH_ELEMENTS} more"
+        if len(nothing) > _MAX_SEARCH_ELEMENTS
         else ""
     )
     return (
@@ -339,7 +339,7 @@ class RequirementElements:
     elements: tuple[Element, ...]
 
 
-def requirement_elements(
+def _requirement_elements(
     record: SessionRecord, elements: list[VerdictElements]
 ) -> Iterator[RequirementElements]:
     """Each requirement of the record, in its order, with its elements."""
@@ -353,7 +353,7 @@ def requirement_elements(
             if cell["requirement"] == requirement["id"] and cell["verdict"] is None
         ]
         yield _elements_of_requirement(
-            requirement, index, own, cells, search_elements(record, requirement)
+            requirement, index, own, cells, _search_elements(record, requirement)
         )
 
 
@@ -504,19 +504,19 @@ def generated_argument(record: SessionRecord) -> Argument:
     components = sorted({verdict["component"] for verdict in record["verdicts"]})
     several = len(components) > 1
     elements = list(verdict_elements(record, facts, several=several))
-    requirements = list(requirement_elements(record, elements))
-    around = argument_contexts(record, counts, facts)
-    domain = list(scenario_contexts(record))
+    requirements = list(_requirement_elements(record, elements))
+    around = _argument_contexts(record, counts, facts)
+    domain = list(_scenario_contexts(record))
     below = [
         *_kinds_strategy(requirements, domain),
         *(element for requirement in requirements for element in requirement.elements),
         *(element for item in elements for element in item.elements),
-        *monitor_elements(record["monitors"]),
+        *_monitor_elements(record["monitors"]),
         *domain,
         *around,
     ]
     names = components or [str((record["component_under_test"] or {}).get("name", "unknown"))]
-    support = (KINDS_ID, *([MONITORS_ID] if record["monitors"] else ()))
+    support = (KINDS_ID, *([_MONITORS_ID] if record["monitors"] else ()))
     surrounding = tuple(item.id for item in around)
     top = _top_goal(names, sorted(facts.policies), requirements, shard_text(record))
     if is_incomplete(record):

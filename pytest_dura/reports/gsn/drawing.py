@@ -18,22 +18,22 @@ from html import escape
 
 from pytest_dura.reports.gsn.element import Argument, Element
 
-FONT_SIZE = 12.0
+_FONT_SIZE = 12.0
 """Height of the letters in units of the picture."""
-LINE_HEIGHT = 15.0
-BOLD_SIZE = 1.12 * FONT_SIZE
+_LINE_HEIGHT = 15.0
+_BOLD_SIZE = 1.12 * _FONT_SIZE
 """Bold letters take as much room as larger ones."""
 
 _NARROW, _USUAL, _BROAD, _FULL = 0.38, 0.62, 0.9, 1.1
 """Widths of letters in units of their height; those of DejaVu Sans, which is a wide face."""
 
 
-def text_width(text: str, size: float = FONT_SIZE) -> float:
+def text_width(text: str, size: float = _FONT_SIZE) -> float:
     """The estimated width of a line."""
     return size * sum(map(_letter, text))
 
 
-def wrap_text(text: str, width: float, most: int, size: float = FONT_SIZE) -> list[str]:
+def wrap_text(text: str, width: float, most: int, size: float = _FONT_SIZE) -> list[str]:
     """The text in lines of at most this width; what does not fit into ``most`` lines ends in …."""
     lines: list[str] = []
     line = ""
@@ -82,7 +82,7 @@ _PAD = 10.0
 _DIAMOND = 14.0
 _SKEW = 14.0
 COLOURS = {"supported": "#1a7f37", "violated": "#b42318", "undecided": "#9a6700"}
-INK = "#1b1f24"
+_INK = "#1b1f24"
 
 
 @dataclass
@@ -118,7 +118,7 @@ class Shape:
     height: float = 0.0
 
     def __post_init__(self) -> None:
-        text = len(self.lines) * LINE_HEIGHT
+        text = len(self.lines) * _LINE_HEIGHT
         if self.kind in {"Solution", "CounterSolution"}:
             self.height = self.width
         elif self.kind in {"Assumption", "Justification"}:
@@ -134,7 +134,7 @@ class Shape:
 
     def svg(self) -> str:
         """One group with the outline, its decorations, and the text."""
-        colour = COLOURS.get(self.word, INK)
+        colour = COLOURS.get(self.word, _INK)
         data = dict(self.counts)
         for key in ("undeveloped", "defeated"):
             if getattr(self, key):
@@ -185,11 +185,11 @@ class Shape:
 
     def _text(self) -> str:
         middle = self.x + self.width / 2
-        top = self.y + (self.body - len(self.lines) * LINE_HEIGHT) / 2 + FONT_SIZE - 0.5
+        top = self.y + (self.body - len(self.lines) * _LINE_HEIGHT) / 2 + _FONT_SIZE - 0.5
         text = ""
         for i, line in enumerate(self.lines):
             weight = ' class="bold"' if i < self.bold else ""
-            y = top + i * LINE_HEIGHT
+            y = top + i * _LINE_HEIGHT
             text += f'<text x="{middle:.1f}" y="{y:.1f}"{weight}>{text_of(line)}</text>'
         return text
 
@@ -249,9 +249,9 @@ def _points(points: object) -> str:
     return " ".join(f"{x:.1f},{y:.1f}" for x, y in points)
 
 
-MOST_CELLS = 150
+_MOST_CELLS = 150
 """Verdicts and untested cells that are drawn one by one."""
-MOST_REQUIREMENTS = 60
+_MOST_REQUIREMENTS = 60
 _SHOWN_VIOLATED = 3
 _SHOWN_REQUIREMENTS = 8
 _COUNTED = ("supported", "violated", "undecided", "waived", "requirements")
@@ -282,24 +282,24 @@ def drawn_argument(argument: Argument) -> DrawnArgument:
     for id_, entry in argument.items():
         if entry.challenges:
             view.against.setdefault(entry.challenges, []).append(id_)
-    cells = sum(subject_of(item) in _CELLS for item in argument.values())
-    if cells > MOST_CELLS:
+    cells = sum(_subject_of(item) in _CELLS for item in argument.values())
+    if cells > _MOST_CELLS:
         _fold_cells(view)
         view.folded.append(f"{cells} verdicts and untested cells are folded by requirement.")
-    requirements = sum(subject_of(item) == "requirement" for item in argument.values())
-    if requirements > MOST_REQUIREMENTS:
+    requirements = sum(_subject_of(item) == "requirement" for item in argument.values())
+    if requirements > _MOST_REQUIREMENTS:
         _fold_requirements(view)
         view.folded.append(f"{requirements} requirements are folded by kind, violated ones last.")
     return view
 
 
-def subject_of(element: Element) -> str:
+def _subject_of(element: Element) -> str:
     """What an element is about, by its alias."""
     return element.alias.partition(":")[0]
 
 
 def _counts(element: Element) -> Counter[str]:
-    kind = subject_of(element)
+    kind = _subject_of(element)
     if kind == "verdict":
         return Counter({str(element.layers["verdict"]): 1})
     if kind in {"requirement", "waiver"}:
@@ -315,7 +315,7 @@ def _fold_cells(view: DrawnArgument) -> None:
         violated = 0
         for id_ in parent.supported_by:
             child = view.argument.get(id_)
-            if child is None or subject_of(child) not in _CELLS:
+            if child is None or _subject_of(child) not in _CELLS:
                 continue
             word = str(child.layers.get("verdict", "untested"))
             violated += word == "violated"
@@ -329,7 +329,7 @@ def _fold_cells(view: DrawnArgument) -> None:
 def _fold_requirements(view: DrawnArgument) -> None:
     for parent in list(view.argument.values()):
         children = [view.argument[item] for item in parent.supported_by if item in view.argument]
-        found = [child for child in children if subject_of(child) == "requirement"]
+        found = [child for child in children if _subject_of(child) == "requirement"]
         found.sort(key=lambda element: not element.defeated)
         rest = found[_SHOWN_REQUIREMENTS:]
         if len(rest) > 1:
@@ -448,7 +448,7 @@ class _Layout:
 
     def _is_small(self, id_: str) -> bool:
         item = self.view.argument[id_]
-        return item.kind in {"Solution", "CounterSolution"} or subject_of(item) in _SMALL
+        return item.kind in {"Solution", "CounterSolution"} or _subject_of(item) in _SMALL
 
     def _node(self, id_: str, x: float, y: float) -> tuple[Shape, float]:
         """The element and its column, or a reference to where it stands."""
@@ -575,7 +575,7 @@ class _Layout:
         brief = element.brief if small and element.brief else (element.text,)
         most = 4 if round_ else _MOST_LINES
         lines = [part for item in brief for part in wrap_text(item, room, most)][:most]
-        heading = [] if small else wrap_text(element.id, room, 2, BOLD_SIZE)
+        heading = [] if small else wrap_text(element.id, room, 2, _BOLD_SIZE)
         return Shape(
             element.id,
             element.kind,

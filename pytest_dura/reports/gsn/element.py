@@ -119,7 +119,7 @@ _ALLOWED_SUPPORT = {
 _LISTS = ("supportedBy", "inContextOf", "defeatedRelation")
 _FLAGS = ("undeveloped", "defeated")
 _TEXTS = ("text", "url", "challenges")
-MODULE_KEY = "name"
+_MODULE_KEY = "name"
 """gsn2x takes whatever has this key for the description of a module, and not for an element."""
 
 
@@ -129,7 +129,7 @@ def rule_problems(elements: Mapping[str, Any]) -> list[str]:
     if shapes:
         return shapes  # nothing else can be said of what is not an argument at all
     disputed = {
-        end for node in elements.values() for end in _challenged_element(challenged_id(node))
+        end for node in elements.values() for end in _challenged_element(_challenged_id(node))
     }
     found: list[str] = []
     for id_, node in elements.items():
@@ -140,13 +140,13 @@ def rule_problems(elements: Mapping[str, Any]) -> list[str]:
     return found + list(_argument_problems(elements))
 
 
-def referenced_ids(node: Node, key: str) -> list[str]:
+def _referenced_ids(node: Node, key: str) -> list[str]:
     """The ids under a key: gsn2x accepts a single one without a list."""
     value = node.get(key, [])
     return [value] if isinstance(value, str) else list(value)
 
 
-def challenged_id(node: Node) -> list[str]:
+def _challenged_id(node: Node) -> list[str]:
     """The id that an element challenges, both ends of a relation, or nothing."""
     return [end.strip() for end in node.get("challenges", "").split("->") if end.strip()]
 
@@ -160,8 +160,8 @@ def _shape_problems(id_: str, node: Any) -> Iterator[str]:
     if not isinstance(node, Mapping):
         yield f"{id_}: an element is a mapping"
         return
-    if MODULE_KEY in node:
-        yield f"{id_}: the key `{MODULE_KEY}` makes gsn2x take it for a module"
+    if _MODULE_KEY in node:
+        yield f"{id_}: the key `{_MODULE_KEY}` makes gsn2x take it for a module"
     for key in _LISTS:
         value = node.get(key, [])
         items = [value] if isinstance(value, str) else value
@@ -182,16 +182,16 @@ def _element_problems(id_: str, node: Node, elements: Mapping[str, Node]) -> Ite
     if kind is None:
         yield f"V01 {id_}: the id begins with no known prefix"
         return
-    support = referenced_ids(node, "supportedBy")
+    support = _referenced_ids(node, "supportedBy")
     yield from _list_problems(id_, support, "supportedBy", _ALLOWED_SUPPORT.get(kind, frozenset()))
-    around = referenced_ids(node, "inContextOf")
+    around = _referenced_ids(node, "inContextOf")
     argued = kind in {"Goal", "Strategy"}
     yield from _list_problems(id_, around, "inContextOf", _CONTEXTS if argued else frozenset[str]())
     yield from _development_problems(id_, node, argued=argued)
     if node.get("challenges") and kind not in _COUNTER:
         yield f"V12 {id_}: only a counter goal or a counter solution challenges"
-    related = {*support, *around, *challenged_id(node)[:1]}
-    for item in referenced_ids(node, "defeatedRelation"):
+    related = {*support, *around, *_challenged_id(node)[:1]}
+    for item in _referenced_ids(node, "defeatedRelation"):
         if item not in related:
             yield f"V13 {id_}: its relation to {item} is marked as defeated, and there is none"
     for item in [*support, *around]:
@@ -200,7 +200,7 @@ def _element_problems(id_: str, node: Node, elements: Mapping[str, Node]) -> Ite
 
 
 def _development_problems(id_: str, node: Node, *, argued: bool) -> Iterator[str]:
-    support, undeveloped = referenced_ids(node, "supportedBy"), node.get("undeveloped", False)
+    support, undeveloped = _referenced_ids(node, "supportedBy"), node.get("undeveloped", False)
     if argued and not support and not undeveloped:
         yield f"V02 {id_}: nothing supports it, and it is not marked as undeveloped"
     if undeveloped and support:
@@ -220,7 +220,7 @@ def _list_problems(id_: str, listed: list[str], key: str, allowed: frozenset[str
 
 
 def _challenge_problems(id_: str, node: Node, elements: Mapping[str, Node]) -> Iterator[str]:
-    ends = challenged_id(node)
+    ends = _challenged_id(node)
     for end in ends:
         if end not in elements:
             yield f"C14 {id_}: it challenges {end}, which does not exist"
@@ -230,7 +230,7 @@ def _challenge_problems(id_: str, node: Node, elements: Mapping[str, Node]) -> I
         first, second = elements[ends[0]], ends[1]
         if ends[0] == second:
             yield f"C15 {id_}: both ends of the relation that it challenges are {second}"
-        elif second not in referenced_ids(first, "supportedBy") + referenced_ids(
+        elif second not in _referenced_ids(first, "supportedBy") + _referenced_ids(
             first, "inContextOf"
         ):
             yield f"C16 {id_}: it challenges a relation of {ends[0]} to {second}: there is none"
@@ -241,7 +241,7 @@ def root_ids(elements: Mapping[str, Node]) -> list[str]:
     told = {
         item
         for node in elements.values()
-        for item in referenced_ids(node, "supportedBy") + referenced_ids(node, "inContextOf")
+        for item in _referenced_ids(node, "supportedBy") + _referenced_ids(node, "inContextOf")
     }
     return [id_ for id_, node in elements.items() if id_ not in told and not node.get("challenges")]
 
@@ -265,7 +265,7 @@ def reachable_ids(elements: Mapping[str, Node], start: list[str]) -> set[str]:
     """Ids that are reached from others: what they refer to, and what challenges them."""
     challengers: dict[str, list[str]] = {}
     for id_, node in elements.items():
-        for end in challenged_id(node):
+        for end in _challenged_id(node):
             challengers.setdefault(end, []).append(id_)
     seen: set[str] = set()
     waiting = list(start)
@@ -274,8 +274,8 @@ def reachable_ids(elements: Mapping[str, Node], start: list[str]) -> set[str]:
         if item in seen or item not in elements:
             continue
         seen.add(item)
-        waiting += referenced_ids(elements[item], "supportedBy")
-        waiting += referenced_ids(elements[item], "inContextOf")
+        waiting += _referenced_ids(elements[item], "supportedBy")
+        waiting += _referenced_ids(elements[item], "inContextOf")
         waiting += challengers.get(item, [])
     return seen
 
@@ -300,6 +300,6 @@ def _first_cycle(elements: Mapping[str, Node]) -> list[str]:
                 on_path.add(item)
                 waiting.append((item, True))
                 waiting += [
-                    (child, False) for child in referenced_ids(elements[item], "supportedBy")
+                    (child, False) for child in _referenced_ids(elements[item], "supportedBy")
                 ]
     return []

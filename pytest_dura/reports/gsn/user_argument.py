@@ -36,7 +36,7 @@ from pytest_dura.reports.wording import shard_text
 
 MAX_BYTES = 1024 * 1024
 MAX_DEPTH = 8
-ARGUMENT_OPTION = "--dura-argument"
+_ARGUMENT_OPTION = "--dura-argument"
 
 _LISTS = ("supportedBy", "inContextOf", "defeatedRelation")
 _FLAGS = ("undeveloped", "defeated")
@@ -91,7 +91,7 @@ def read_user_argument(path: Path) -> dict[str, Any]:
     }
 
 
-def argument_error(
+def _argument_error(
     user: UserArgument, problem: str, key: str, *, found: str = "", expected: str, remedy: str = ""
 ) -> NoReturn:
     """The error of something in a user's argument, with its line.
@@ -117,7 +117,7 @@ def check_requirements(user: UserArgument, requirements: Iterable[str]) -> None:
             for item in [node[key]] if isinstance(node.get(key), str) else node.get(key, []):
                 removeprefix = item.removeprefix("requirement:")
                 if removeprefix != item and removeprefix not in known:
-                    argument_error(
+                    _argument_error(
                         user,
                         "this requirement is not part of the session",
                         f"{id_}.{key}",
@@ -132,7 +132,7 @@ def _file_error(
     file: str,
     *,
     line: int | None = None,
-    key: str = ARGUMENT_OPTION,
+    key: str = _ARGUMENT_OPTION,
     found: str = "",
     expected: str,
     remedy: str = "",
@@ -273,7 +273,7 @@ def _names(value: Any) -> bool:
     )
 
 
-ARGUMENT_KEY = "argument"
+_ARGUMENT_KEY = "argument"
 """Key of the record with the user's argument; it may be missing or null."""
 
 _KEPT_KINDS = ("context", "assumption", "scenario")
@@ -289,7 +289,7 @@ def session_argument(record: SessionRecord) -> Argument:
         ConfigurationError: If the user's argument does not fit.
     """
     argument = generated_argument(record)
-    user = record.head.get(ARGUMENT_KEY)
+    user = record.head.get(_ARGUMENT_KEY)
     if not user or shard_text(record):
         return argument
     return merge_user_argument(argument, user, whole=not is_incomplete(record))
@@ -310,7 +310,7 @@ def merge_user_argument(argument: Argument, user: UserArgument, *, whole: bool =
     plain = {id_: item.to_yaml() for id_, item in own.items()}
     top = root_ids(plain)
     if len(top) != 1:
-        argument_error(
+        _argument_error(
             user,
             "there is exactly one element that no other refers to, the top goal",
             top[1] if top else next(iter(own)),
@@ -332,7 +332,7 @@ def merge_user_argument(argument: Argument, user: UserArgument, *, whole: bool =
     told = (*around, *(item for item in rest if item.kind == "Context"))
     root = own.pop(top[0])
     if root.kind != "Goal":
-        argument_error(
+        _argument_error(
             user, "the top element is no goal", root.id, found=root.id, expected="a goal, G..."
         )
     root = replace(root, in_context_of=(*root.in_context_of, *(item.id for item in told)))
@@ -345,7 +345,7 @@ def merge_user_argument(argument: Argument, user: UserArgument, *, whole: bool =
 def _check_rules(argument: Argument, user: UserArgument) -> None:
     for problem in rule_problems({id_: item.to_yaml() for id_, item in argument.items()}):
         place, _, what = problem.partition(": ")
-        argument_error(
+        _argument_error(
             user,
             "the argument breaks a rule of the notation",
             place.rpartition(" ")[2],
@@ -360,7 +360,7 @@ def _user_elements(argument: Argument, user: UserArgument) -> Argument:
     own: Argument = {}
     for id_, node in user["elements"].items():
         if id_ in argument:
-            argument_error(
+            _argument_error(
                 user,
                 "this id is taken by a generated element",
                 id_,
@@ -406,7 +406,7 @@ def _resolved_ids(given: str, key: str, known: Mapping[str, str | None], user: U
         aliases = sorted(
             item for item, id_ in known.items() if id_ and item.startswith("requirement")
         )
-        argument_error(
+        _argument_error(
             user,
             "this element does not exist",
             key,

@@ -37,11 +37,11 @@ def percent_text(share: float) -> str:
 def requirement_text(requirement: Data) -> str:
     """The requirement as a proposition, with its bound."""
     return (
-        f"{name(requirement['id'])}: {as_sentence(requirement['text'])} {bound_text(requirement)}"
+        f"{name(requirement['id'])}: {_as_sentence(requirement['text'])} {_bound_text(requirement)}"
     )
 
 
-def bound_text(requirement: Data) -> str:
+def _bound_text(requirement: Data) -> str:
     """What the requirement asks of a campaign."""
     pairs = requirement["paired"]
     what = "episodes"
@@ -56,14 +56,14 @@ def bound_text(requirement: Data) -> str:
     )
 
 
-def place_text(case: str, component: str, *, several: bool) -> str:
+def _place_text(case: str, component: str, *, several: bool) -> str:
     """The case, and the component where the session has several."""
     return f"{name(case)} [{name(component)}]" if several else name(case)
 
 
-def verdict_text(verdict: Data, *, several: bool) -> str:
+def _verdict_text(verdict: Data, *, several: bool) -> str:
     """The proposition that a verdict is on."""
-    where = place_text(verdict["case"], verdict["component"], several=several)
+    where = _place_text(verdict["case"], verdict["component"], several=several)
     bound = verdict["bound"]["at_most"]
     how = "holds in every valid episode of" if bound is None else "keeps its bound in"
     if verdict["without_effect"]:
@@ -71,7 +71,7 @@ def verdict_text(verdict: Data, *, several: bool) -> str:
     return f"{name(verdict['requirement'])} {how} {where}."
 
 
-def evidence_text(verdict: Data) -> str:
+def _evidence_text(verdict: Data) -> str:
     """The counts and the bound of a verdict, as they stand in the record."""
     what = "pairs" if verdict["pairs"] is not None else "episodes"
     runs = f"{verdict['run']} run, {verdict['planned']} planned"
@@ -87,7 +87,7 @@ def evidence_text(verdict: Data) -> str:
     return "; ".join(told) + "."
 
 
-def short_evidence_text(verdict: Data) -> list[str]:
+def _short_evidence_text(verdict: Data) -> list[str]:
     """The same in three lines of a few characters, for a circle of the picture."""
     upper = verdict["bound"]["upper"]
     bound = "no bound" if upper is None else f"≤ {percent_text(upper)}"
@@ -105,10 +105,10 @@ def _upper_text(verdict: Data) -> str:
     )
 
 
-def waiver_text(verdict: Data) -> str:
+def _waiver_text(verdict: Data) -> str:
     """The doubt that a waiver leaves, with the reason that somebody gave for it."""
     waiver = verdict["waiver"]
-    reason = as_sentence(str(waiver["reason"] or "none was given"))
+    reason = _as_sentence(str(waiver["reason"] or "none was given"))
     return (
         f"Waived ({name(str(waiver['kind']))}), reason: {reason} The verdict stays "
         f"{verdict['verdict']}: a waiver accepts the doubt that remains, and takes none away."
@@ -157,7 +157,7 @@ def _figure_text(value: Any) -> str:
     return f"{value:.4g}" if isinstance(value, int | float) else name(str(value))
 
 
-def as_sentence(text: str) -> str:
+def _as_sentence(text: str) -> str:
     """A text of a user's on one line, ended."""
     line = one_line(text, MAX_TEXT)
     return line if not line or line[-1] in ".!?)" else f"{line}."
@@ -191,7 +191,7 @@ class EpisodeFacts:
         wanted = {
             (counterexample["episode"], verdict["component"])
             for verdict in record["verdicts"]
-            for counterexample in shown_counterexamples(verdict)
+            for counterexample in _shown_counterexamples(verdict)
         }
         judged = {verdict["case"] for verdict in record["verdicts"]}
         for episode in record.episodes():
@@ -211,7 +211,7 @@ class EpisodeFacts:
         self.seeds = (count + 1, min(least, seed), max(greatest, seed))
 
 
-def shown_counterexamples(verdict: Data) -> list[Data]:
+def _shown_counterexamples(verdict: Data) -> list[Data]:
     """The counterexamples of a verdict that become elements."""
     return list(verdict["counterexamples"][:MAX_COUNTEREXAMPLES])
 
@@ -275,7 +275,7 @@ class _VerdictBuilder:
 
     @property
     def where(self) -> str:
-        return place_text(self.verdict["case"], self.verdict["component"], several=self.several)
+        return _place_text(self.verdict["case"], self.verdict["component"], several=self.several)
 
     @property
     def requirement(self) -> str:
@@ -317,13 +317,13 @@ class _VerdictBuilder:
     def _goal(self, support: list[str], waivers: list[str]) -> Element:
         verdict = self.verdict["verdict"]
         why = (
-            f" Undecided: {as_sentence(str(self.verdict['reason']))}"
+            f" Undecided: {_as_sentence(str(self.verdict['reason']))}"
             if verdict == "undecided"
             else ""
         )
         return Element(
             self.identifier("G"),
-            verdict_text(self.verdict, several=self.several) + why,
+            _verdict_text(self.verdict, several=self.several) + why,
             supported_by=tuple(support),
             in_context_of=tuple(waivers),
             undeveloped=verdict == "undecided",
@@ -337,17 +337,17 @@ class _VerdictBuilder:
     def _solution(self) -> Element:
         return Element(
             self.identifier("Sn"),
-            evidence_text(self.verdict),
+            _evidence_text(self.verdict),
             url=self.url,
             alias=self.alias("evidence"),
             layers=self.layers(),
-            brief=tuple(short_evidence_text(self.verdict)),
+            brief=tuple(_short_evidence_text(self.verdict)),
         )
 
     def _waiver(self) -> Element:
         return Element(
             self.identifier("J", "waiver"),
-            waiver_text(self.verdict),
+            _waiver_text(self.verdict),
             url=f"{self.url}/waiver",
             alias=self.alias("waiver"),
             brief=("waived",),
@@ -355,11 +355,11 @@ class _VerdictBuilder:
 
     def _challenge(self) -> Iterator[Element]:
         """A counter goal, and the counterexamples or else the verdict's entry to support it."""
-        counterexamples = shown_counterexamples(self.verdict)
+        counterexamples = _shown_counterexamples(self.verdict)
         evidence = [self._counterexample(i, item) for i, item in enumerate(counterexamples)]
         if not evidence:
-            text = evidence_text(self.verdict)
-            short = tuple(short_evidence_text(self.verdict))
+            text = _evidence_text(self.verdict)
+            short = tuple(_short_evidence_text(self.verdict))
             evidence = [Element(self.identifier("CSn"), text, url=self.url, brief=short)]
         yield Element(
             self.identifier("CG"),

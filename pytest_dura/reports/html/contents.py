@@ -16,7 +16,7 @@ from typing import Any
 
 from pytest_dura.evidence.model import SessionRecord
 
-MAX_READABLE = 80
+_MAX_READABLE = 80
 """Readable characters of an anchor."""
 
 
@@ -38,7 +38,7 @@ def case_anchor(case: str) -> str:
     return anchor("case", case)
 
 
-def episode_anchor(episode: str, component: str) -> str:
+def _episode_anchor(episode: str, component: str) -> str:
     """Of an episode in the list, which is bounded: of many episodes not all are there."""
     return anchor("episode", episode, component)
 
@@ -54,8 +54,8 @@ def anchor(kind: str, *parts: str) -> str:
     Two lists of parts that differ never have the same one: a short hash tells them apart, where
     the readable text leaves anything out.
     """
-    text = "-".join(part[:MAX_READABLE] for part in parts)
-    readable = re.sub(r"[^A-Za-z0-9._]+", "-", text).strip("-")[:MAX_READABLE]
+    text = "-".join(part[:_MAX_READABLE] for part in parts)
+    readable = re.sub(r"[^A-Za-z0-9._]+", "-", text).strip("-")[:_MAX_READABLE]
     if len(parts) == 1 and readable == parts[0]:
         return f"{kind}-{readable}"
     joined = "\0".join(parts).encode("utf-8", "surrogatepass")
@@ -127,11 +127,11 @@ def _passed(verdict: Data) -> bool:
 
 MAX_LISTED = 1000
 """Episodes in the list."""
-MAX_DOTS = 200
+_MAX_DOTS = 200
 """Runs of a case that are drawn one by one."""
 UNREMARKABLE = 4
 """Rank of an episode of which there is nothing to tell."""
-MAX_CANDIDATES = 36
+_MAX_CANDIDATES = 36
 """Episodes among which those with a player are chosen; the traces of some may be damaged."""
 
 
@@ -161,7 +161,7 @@ class CaseTally:
         time = episode["outcome"]["clearance_time"]
         if episode["validity"] == "valid" and time is not None:
             self.cleared += 1
-            if len(self.times) < MAX_DOTS:
+            if len(self.times) < _MAX_DOTS:
                 self.times.append(time)
 
 
@@ -208,7 +208,7 @@ class ReportContents:
     @classmethod
     def of(cls, record: SessionRecord) -> ReportContents:
         """Read the record's episodes once."""
-        violating = violations_by_episode(record)
+        violating = _violations_by_episode(record)
         wanted = {key: place for place, key in enumerate(_worst_in_turn(record))}
         cases: dict[CaseKey, CaseTally] = {}
         listed: list[tuple[int, int, ListedEpisode]] = []
@@ -230,11 +230,11 @@ class ReportContents:
                     of_case = episode["case"], episode["component"]
                     turn = len(wanted) + sampled[of_case]
                     sampled[of_case] += 1
-                _keep_lowest(candidates, turn, shown, MAX_CANDIDATES)
+                _keep_lowest(candidates, turn, shown, _MAX_CANDIDATES)
         return cls(cases, _in_order(listed), total, _in_order(candidates), folded_cases(record))
 
 
-def violations_by_episode(record: SessionRecord) -> dict[CaseKey, list[str]]:
+def _violations_by_episode(record: SessionRecord) -> dict[CaseKey, list[str]]:
     """Requirements that each episode violated, by its id and component."""
     found: dict[CaseKey, list[str]] = {}
     for verdict in record["verdicts"]:
@@ -248,7 +248,7 @@ def violations_by_episode(record: SessionRecord) -> dict[CaseKey, list[str]]:
 def _worst_in_turn(record: SessionRecord) -> Iterator[CaseKey]:
     """The worst counterexample of each verdict, then each one's second, and so on."""
     seen: set[CaseKey] = set()
-    for place in range(MAX_CANDIDATES):
+    for place in range(_MAX_CANDIDATES):
         for verdict in record["verdicts"]:
             if place < len(verdict["counterexamples"]):
                 key = verdict["counterexamples"][place]["episode"], verdict["component"]
@@ -312,7 +312,7 @@ class EpisodeLinks:
         """Of what was gathered, and of the episodes with a player."""
         return cls(
             {key: player_anchor(*key) for key in players},
-            {episode.key: episode_anchor(*episode.key) for episode in gathered.listed},
+            {episode.key: _episode_anchor(*episode.key) for episode in gathered.listed},
         )
 
     def of_episode(self, episode: str, component: str) -> str | None:

@@ -69,9 +69,9 @@ def matrix(
 
 
 CHART_LEFT, CHART_RIGHT, CHART_TOP = 8.0, 712.0, 8.0
-CHART_ROW = 46.0
+_CHART_ROW = 46.0
 """Height of a case: its name, and its runs below."""
-CHART_JITTER = (0.0, 4.0, -4.0, 2.0, -2.0)
+_CHART_JITTER = (0.0, 4.0, -4.0, 2.0, -2.0)
 """Runs of nearly the same time are shifted up and down in turn, so that each can be seen."""
 
 
@@ -102,13 +102,13 @@ def clearance_chart(rows: Sequence[ClearanceRow]) -> Mapping[str, Any]:
     """
     greatest = max(max(row.times) for row in rows)
     greatest = max([greatest, *((row.mean or 0.0) + (row.sd or 0.0) for row in rows)])
-    step = tick_step(greatest)
+    step = _tick_step(greatest)
     end = step * (floor(greatest / step + 1e-9) + 1)
     scale = (CHART_RIGHT - CHART_LEFT) / end
     ticks = [
         {"x": _chart_x(i * step, scale), "value": i * step} for i in range(round(end / step) + 1)
     ]
-    height = CHART_TOP + CHART_ROW * len(rows)
+    height = CHART_TOP + _CHART_ROW * len(rows)
     return {
         "width": CHART_RIGHT + 8.0,
         "height": height + 40.0,
@@ -118,12 +118,12 @@ def clearance_chart(rows: Sequence[ClearanceRow]) -> Mapping[str, Any]:
         "bottom": height,
         "ticks": ticks,
         "rows": [
-            _chart_row(row, CHART_TOP + CHART_ROW * place, scale) for place, row in enumerate(rows)
+            _chart_row(row, CHART_TOP + _CHART_ROW * place, scale) for place, row in enumerate(rows)
         ],
     }
 
 
-def tick_step(greatest: float) -> float:
+def _tick_step(greatest: float) -> float:
     """A step of 1, 2 or 5 times a power of ten that gives five to ten ticks up to ``greatest``."""
     if greatest <= 0:
         return 1.0
@@ -141,7 +141,7 @@ def _chart_row(row: ClearanceRow, top: float, scale: float) -> Mapping[str, Any]
         "dots": [
             {
                 "x": _chart_x(time, scale),
-                "y": y + CHART_JITTER[place % len(CHART_JITTER)],
+                "y": y + _CHART_JITTER[place % len(_CHART_JITTER)],
                 "time": time,
             }
             for place, time in enumerate(row.times)
@@ -212,7 +212,7 @@ def _folded_sums(cases: list[Data]) -> Data:
 
 
 BIN_WIDTH, BIN_HEIGHT = 12.0, 22.0
-MAX_BARS = 20
+_MAX_BARS = 20
 """A list of choices may be long."""
 
 
@@ -279,7 +279,7 @@ def _parameter_bars(item: Data) -> Data:
     counts = item["bins"] if choices is None else [choice["count"] for choice in choices]
     highest = max([*counts, 1])
     bars = []
-    for place, count in enumerate(counts[:MAX_BARS]):
+    for place, count in enumerate(counts[:_MAX_BARS]):
         height = round(BIN_HEIGHT * count / highest, 1)
         bars.append({"x": place * BIN_WIDTH, "y": BIN_HEIGHT - height, "height": height})
     return {
@@ -291,8 +291,8 @@ def _parameter_bars(item: Data) -> Data:
     }
 
 
-NO_FAULT = "no fault"
-HEAT_STEPS = (0.0, 0.05, 0.25, 0.5)
+_NO_FAULT = "no fault"
+_HEAT_STEPS = (0.0, 0.05, 0.25, 0.5)
 """Shares of violating episodes above which a cell of the map is a step darker."""
 
 
@@ -316,7 +316,7 @@ def fault_section(record: SessionRecord, gathered: ReportContents, _links: Episo
 
 
 def _fault_names(case: Data) -> list[str]:
-    return [fault["id"] for fault in case["faults"]] or [NO_FAULT]
+    return [fault["id"] for fault in case["faults"]] or [_NO_FAULT]
 
 
 def _heat_map(record: SessionRecord, left_out: Collection[str]) -> Data:
@@ -335,13 +335,13 @@ def _heat_map(record: SessionRecord, left_out: Collection[str]) -> Data:
     cells: dict[tuple[str, str], list[Data]] = defaultdict(list)
     names: dict[str, None] = {}
     for ids in faults_of.values():
-        names.update(dict.fromkeys(ids or [NO_FAULT]))
+        names.update(dict.fromkeys(ids or [_NO_FAULT]))
     for verdict in record["verdicts"]:
-        ids = faults_of.get((verdict["case"], verdict["component"])) or [NO_FAULT]
+        ids = faults_of.get((verdict["case"], verdict["component"])) or [_NO_FAULT]
         for item in ids:
             names.setdefault(item)
             cells[item, verdict["requirement"]].append(verdict)
-    order = sorted(names.keys() - left_out, key=lambda name: (name != NO_FAULT, name))
+    order = sorted(names.keys() - left_out, key=lambda name: (name != _NO_FAULT, name))
     requirements = [requirement["id"] for requirement in record["requirements"]]
     return matrix(
         [heading(name, anchor=requirement_anchor(name)) for name in requirements],
@@ -358,7 +358,7 @@ def _heat_cell(verdicts: list[Data] | None) -> Data:
     violations = sum(verdict["violations"] for verdict in verdicts)
     if not n:
         return {"word": "no valid episode"}
-    step = sum(violations / n > bound for bound in HEAT_STEPS)
+    step = sum(violations / n > bound for bound in _HEAT_STEPS)
     doubt = not violations and any(verdict["verdict"] == "undecided" for verdict in verdicts)
     also = sum(verdict["also_without"] or 0 for verdict in verdicts)
     counts = {"n": n, "violations": violations, "also_without": also}

@@ -33,13 +33,13 @@ if TYPE_CHECKING:
     from markupsafe import Markup
 
 
-NO_VALUE = "\N{EN DASH}"
+_NO_VALUE = "\N{EN DASH}"
 
 
-def number_text(value: float | None, digits: int = 3) -> str:
+def _number_text(value: float | None, digits: int = 3) -> str:
     """With so many significant digits; an integer as it is."""
     if value is None:
-        return NO_VALUE
+        return _NO_VALUE
     if isinstance(value, int) or float(value).is_integer():
         return f"{value:.0f}" if abs(value) < 1e15 else f"{value:.{digits}g}"
     shown = f"{value:.{digits}g}"
@@ -48,34 +48,34 @@ def number_text(value: float | None, digits: int = 3) -> str:
 
 def percent_text(value: float | None) -> str:
     """A share as a percentage with three significant digits: ``18.1 %``."""
-    return NO_VALUE if value is None else f"{100 * value:.3g}\N{NO-BREAK SPACE}%"
+    return _NO_VALUE if value is None else f"{100 * value:.3g}\N{NO-BREAK SPACE}%"
 
 
-def seconds_text(value: float | None, digits: int = 2) -> str:
+def _seconds_text(value: float | None, digits: int = 2) -> str:
     """``6.50 s``."""
-    return NO_VALUE if value is None else f"{value:.{digits}f}\N{NO-BREAK SPACE}s"
+    return _NO_VALUE if value is None else f"{value:.{digits}f}\N{NO-BREAK SPACE}s"
 
 
-def share_text(part: int, whole: int) -> str:
+def _share_text(part: int, whole: int) -> str:
     """``3/15``: a rate never stands without its n."""
     return f"{part}/{whole}"
 
 
-def size_text(count: int) -> str:
+def _size_text(count: int) -> str:
     """Of a file: ``12 kB``."""
     if count < 1000:
         return f"{count} B"
     return f"{count / 1000:.0f} kB" if count < 1_000_000 else f"{count / 1e6:.1f} MB"
 
 
-def time_text(text: str) -> str:
+def _time_text(text: str) -> str:
     """A point in time as it is read: ``2026-01-02 03:04:05 UTC``."""
     if not re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\+00:00", text):
         return one_line(text)
     return text.replace("T", " ").replace("+00:00", " UTC")
 
 
-def line_text(text: str, limit: int = LINE) -> str:
+def _line_text(text: str, limit: int = LINE) -> str:
     """On one line; of a very long text only the beginning is looked at."""
     return one_line(text, limit) if len(text) < 50_000 else visible(text, limit)
 
@@ -85,22 +85,22 @@ def _replay_text(episode: str, session: str) -> str:
     return replay_command(episode, "DIR", model_options(session))
 
 
-def role_name(role: str) -> str:
+def _role_name(role: str) -> str:
     """A standard role's name as in the paper, such as ``SafetyMonitor``; any other one as it is."""
     return STANDARD_ROLES[role].__name__ if role in STANDARD_ROLES else name(role)
 
 
 FILTERS: Mapping[str, Any] = {
     "name": name,
-    "line": line_text,
+    "line": _line_text,
     "prose": visible,
-    "number": number_text,
+    "number": _number_text,
     "percent": percent_text,
-    "seconds": seconds_text,
-    "moment": time_text,
-    "size": size_text,
+    "seconds": _seconds_text,
+    "moment": _time_text,
+    "size": _size_text,
     "replay": _replay_text,
-    "role": role_name,
+    "role": _role_name,
 }
 """What templates may call."""
 
@@ -244,10 +244,10 @@ def _file_inside(directory: Path, name: str) -> Path:
 
 
 FILE = "report.html"
-DIRECTORY = Path(__file__).parent
+_DIRECTORY = Path(__file__).parent
 
 Section = Callable[[SessionRecord, ReportContents, EpisodeLinks], Mapping[str, Any]]
-SECTIONS: Mapping[str, Section] = {
+_SECTIONS: Mapping[str, Section] = {
     "gate": verdict_sections.gate_section,
     "requirements": verdict_sections.requirement_section,
     "searches": verdict_sections.search_section,
@@ -273,7 +273,7 @@ def render(record: SessionRecord) -> str:
     if players.shown:
         scripts.insert(0, players.script)
         styles.insert(0, players.style)
-    told = {name: section(record, gathered, links) for name, section in SECTIONS.items()}
+    told = {name: section(record, gathered, links) for name, section in _SECTIONS.items()}
     template = _environment().get_template("report.html")
     return template.render(
         record=record.head,
@@ -293,7 +293,7 @@ def _environment() -> Environment:
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
     environment = Environment(
-        loader=FileSystemLoader(DIRECTORY / "templates"),
+        loader=FileSystemLoader(_DIRECTORY / "templates"),
         autoescape=True,
         undefined=StrictUndefined,
         finalize=_finalized,
@@ -314,7 +314,7 @@ def _finalized(value: Any) -> Any:
 
 
 def _asset(file: str) -> str:
-    return (DIRECTORY / file).read_text(encoding="utf-8")
+    return (_DIRECTORY / file).read_text(encoding="utf-8")
 
 
 def _inline(texts: list[str]) -> list[Any]:
@@ -345,7 +345,7 @@ def _content_policy(scripts: list[str], styles: list[str]) -> str:
     )
 
 
-GATE_RESULTS = ("passed", "failed", "incomplete")
+_GATE_RESULTS = ("passed", "failed", "incomplete")
 _CELL_CLASSES = ("gate-word", "word", "waived", "folded-supported", "folded-cases")
 COUNTED = ("run", "valid", "invalid", "missing")
 
@@ -381,7 +381,7 @@ def read_counts(text: str) -> Counts:
 
 
 def _read_gate(found: list[str]) -> str:
-    if len(set(found)) != 1 or found[0] not in GATE_RESULTS:
+    if len(set(found)) != 1 or found[0] not in _GATE_RESULTS:
         raise ValueError(f"the gate's result is {' and '.join(found) or 'missing'}")
     return found[0]
 

@@ -36,7 +36,7 @@ _FARTHEST = 1e6
 Ints = NDArray[np.int64]
 
 
-def scene_data(scene: Scene, text: Callable[[object], str]) -> dict[str, Any]:
+def _scene_data(scene: Scene, text: Callable[[object], str]) -> dict[str, Any]:
     """A scene in cm, mrad and cm/s.
 
     Args:
@@ -166,7 +166,7 @@ def player_data(trace: Trace, verdicts: Sequence[Mapping[str, Any]] = ()) -> dic
         },
         "events": _events(trace),
         "faults": _faults(trace.events, len(trace.time)),
-        "scene": None if recording.scene is None else scene_data(recording.scene, _name),
+        "scene": None if recording.scene is None else _scene_data(recording.scene, _name),
         "problem": None if recording.problem is None else _text(recording.problem),
     }
 

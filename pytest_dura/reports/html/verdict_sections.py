@@ -63,7 +63,7 @@ def gate_section(record: SessionRecord, _gathered: ReportContents, _links: Episo
 WORST_FIRST = ("violated", "undecided", "supported")
 MAX_COUNTEREXAMPLES = 5
 """Counterexamples of a verdict that are named; the list of episodes has more."""
-SEQUENTIAL_METHODS = ("sprt", "e-process")
+_SEQUENTIAL_METHODS = ("sprt", "e-process")
 """Methods for which McNemar's p does not hold: their number of pairs depends on what they show."""
 
 
@@ -149,7 +149,7 @@ def _verdict_row(verdict: Data, links: EpisodeLinks) -> Data:
         "more": len(verdict["counterexamples"]) - len(shown),
         "pairs": pairs if pairs and "only_with" in pairs else None,
         "no_rate": SITUATIONS.get(verdict.get("situation") or "", ""),
-        "fixed_n": verdict["method"] not in SEQUENTIAL_METHODS,
+        "fixed_n": verdict["method"] not in _SEQUENTIAL_METHODS,
     }
 
 
@@ -238,7 +238,7 @@ def monitor_section(record: SessionRecord, _gathered: ReportContents, _links: Ep
             **verdict,
             "anchor": verdict_anchor(verdict["requirement"], verdict["case"]),
             "switching": switching.get((verdict["case"], verdict["component"])),
-            "fixed_n": verdict["method"] not in SEQUENTIAL_METHODS,
+            "fixed_n": verdict["method"] not in _SEQUENTIAL_METHODS,
         }
         for verdict in record["verdicts"]
         if verdict["pairs"] and ("only_with" in verdict["pairs"] or "change" in verdict["pairs"])
@@ -267,10 +267,10 @@ def _joined_targets(found: list[Data]) -> list[Data]:
     return list(same.values())
 
 
-MAX_SEARCHES = 200
+_MAX_SEARCHES = 200
 """Searches that are shown; the record has all."""
 MOST_CHANGES = 50
-OUTCOME_RANK = {
+_OUTCOME_RANK = {
     objectionable_outcome: rank for rank, objectionable_outcome in enumerate(OBJECTIONABLE_OUTCOMES)
 }
 
@@ -286,16 +286,16 @@ def search_section(record: SessionRecord, _gathered: ReportContents, _links: Epi
                 "coverage": search_coverage_text(item),
                 "rows": list(_outcome_rows(item)),
             }
-            for item in ordered[:MAX_SEARCHES]
+            for item in ordered[:_MAX_SEARCHES]
         ],
-        "left_out": len(ordered[MAX_SEARCHES:]),
+        "left_out": len(ordered[_MAX_SEARCHES:]),
         "note": NOTHING_SUPPORTED,
     }
 
 
 def _search_rank(search: Data) -> int:
     return min(
-        OUTCOME_RANK.get(outcome_status(search, outcome), len(OUTCOME_RANK))
+        _OUTCOME_RANK.get(outcome_status(search, outcome), len(_OUTCOME_RANK))
         for outcome in search["outcomes"]
     )
 

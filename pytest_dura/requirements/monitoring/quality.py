@@ -237,9 +237,9 @@ def _spread(times: tuple[float, ...]) -> dict[str, float] | None:
     return {"min": min(times), "median": statistics.median(times), "max": max(times)}
 
 
-HORIZON = 5.0
+_HORIZON = 5.0
 """Seconds before a violation within which an alarm counts as a warning of it, by default."""
-ALERTS = "alerts"
+_ALERTS = "alerts"
 """The name of all alerts together, where they are judged as one monitor."""
 FAULTS = "faults"
 """What alerts are judged against: that a fault has manifested."""
@@ -248,7 +248,9 @@ _TOLERANCE = 1e-6
 
 
 def judge_monitor(
-    monitor: str, judged: Iterable[tuple[EpisodeVerdict, MonitorTimeline]], horizon: float = HORIZON
+    monitor: str,
+    judged: Iterable[tuple[EpisodeVerdict, MonitorTimeline]],
+    horizon: float = _HORIZON,
 ) -> MonitorQuality:
     """How well a monitor's alarms foretold the violations of a requirement.
 
@@ -326,7 +328,7 @@ def judge_alerts(watches: Iterable[MonitorTimeline]) -> MonitorQuality:
             began = seen.manifested_at if seen.began_at is None else seen.began_at
             tally.attacked(seen.alerts, began, seen.detected_at)
     target, component = _one_claim({(FAULTS, seen.component) for seen in found})
-    return tally.quality(ALERTS, target, component, None)
+    return tally.quality(_ALERTS, target, component, None)
 
 
 @dataclass

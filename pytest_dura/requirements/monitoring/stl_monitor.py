@@ -20,7 +20,7 @@ Reader: TypeAlias = Callable[[Percept], Mapping[str, Any]]
 """Gives the values of a percept by the names that a formula has for them."""
 
 
-def percept_reader(names: Sequence[str], signals: str | None) -> Reader:
+def _percept_reader(names: Sequence[str], signals: str | None) -> Reader:
     """Reads the signals that a formula names; ``gap`` and ``percept.gap`` are both the percept's.
 
     Args:
@@ -152,7 +152,7 @@ class StlSafetyMonitor(SafetyMonitor):
         self._unsafe = _past("formula", formula)
         self._warning = None if warning is None else _past("warning", warning)
         names = {*self._unsafe.signals, *(self._warning.signals if self._warning else ())}
-        self._read = percept_reader(sorted(names), signals)
+        self._read = _percept_reader(sorted(names), signals)
 
     @classmethod
     def check_params(cls, params: Mapping[str, Any], time_step: float) -> None:

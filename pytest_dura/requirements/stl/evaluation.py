@@ -106,7 +106,7 @@ Ending = Literal["time", "goal", "stopped", "open"]
 - ``open``: it is a prefix, and anything may follow.
 """
 
-UNIFORM = 0.01
+_UNIFORM = 0.01
 """Share of the time step by which the distance of two samples may differ from it."""
 
 
@@ -307,7 +307,7 @@ def _time_step(times: Array, declared: float | None) -> float | None:
     median = (distances[half] + distances[-1 - half]) / 2
     # To nine digits, so that sums of float steps give the same step each time.
     step = float(f"{median:.9g}") if declared is None else declared
-    tolerance = UNIFORM * step
+    tolerance = _UNIFORM * step
     # Also False where a time is not finite.
     if not (step > 0 and distances[0] >= step - tolerance and distances[-1] <= step + tolerance):
         raise _uneven(times, step, declared)
@@ -328,6 +328,6 @@ def _uneven(times: Array, step: float, declared: float | None) -> ConfigurationE
         f"the samples are not at even distances: {distances[worst]:g} s after "
         f"t = {times[worst]:.2f} s",
         found=float(distances[worst]),
-        expected=f"{step:g} s ({origin}), to within {UNIFORM:.0%}",
+        expected=f"{step:g} s ({origin}), to within {_UNIFORM:.0%}",
         remedy="sample the episode at each tick",
     )

@@ -315,10 +315,10 @@ def _horizon(node: Node | Expression) -> float | None:
     return deepest
 
 
-RANGING = ("always", "eventually", "until")
+_RANGING = ("always", "eventually", "until")
 """Operators that range over the samples from the one at hand on."""
 
-TIME_TOLERANCE = 1e-6
+_TIME_TOLERANCE = 1e-6
 """Seconds by which a bound may miss a sample: time steps such as 1/15 s have no exact text."""
 
 
@@ -391,10 +391,10 @@ def ranging_or_refuse(formula: Formula) -> None:
 
 
 def _bare(node: Node) -> list[Node]:
-    """The greatest parts that stand under no operator of ``RANGING`` and have none below."""
+    """The greatest parts that stand under no operator of ``_RANGING`` and have none below."""
     if isinstance(node, Comparison):
         return [node]
-    if isinstance(node, (Temporal, TemporalPair)) and node.operator in RANGING:
+    if isinstance(node, (Temporal, TemporalPair)) and node.operator in _RANGING:
         return []
     if isinstance(node, (Boolean, TemporalPair)):
         left, right = _bare(node.left), _bare(node.right)
@@ -410,7 +410,7 @@ def _on_a_sample(bound: float, time_step: float) -> bool:
             found=time_step,
             expected="seconds from one sample to the next, such as 0.1",
         )
-    tolerance = min(TIME_TOLERANCE, time_step / 1000.0)
+    tolerance = min(_TIME_TOLERANCE, time_step / 1000.0)
     ratio = bound / time_step
     return math.isfinite(ratio) and abs(round(ratio) * time_step - bound) <= tolerance
 

@@ -41,7 +41,7 @@ from pytest_dura.requirements.stl.formula import (
 )
 from pytest_dura.requirements.stl.windows import Array, Frame, first_not_finite
 
-ARITHMETIC: dict[ArithmeticOperator, np.ufunc] = {
+_ARITHMETIC: dict[ArithmeticOperator, np.ufunc] = {
     "+": np.add,
     "-": np.subtract,
     "*": np.multiply,
@@ -51,22 +51,22 @@ ARITHMETIC: dict[ArithmeticOperator, np.ufunc] = {
 FUNCTIONS: dict[FunctionName, np.ufunc] = {"abs": np.abs, "sqrt": np.sqrt, "exp": np.exp}
 
 
-def column_step(frame: Frame, name: str) -> Array:
+def _column_step(frame: Frame, name: str) -> Array:
     """The samples of a signal."""
     return frame.columns[name]
 
 
-def constant_step(_frame: Frame, value: np.float64) -> np.float64:
+def _constant_step(_frame: Frame, value: np.float64) -> np.float64:
     """A number: a scalar, which fits any column."""
     return value
 
 
-def arithmetic_step(frame: Frame, left: Array, right: Array, node: Arithmetic) -> Array:
+def _arithmetic_step(frame: Frame, left: Array, right: Array, node: Arithmetic) -> Array:
     """Two expressions joined, refused where the result is not finite."""
-    return _finite(frame, ARITHMETIC[node.operator](left, right), node)
+    return _finite(frame, _ARITHMETIC[node.operator](left, right), node)
 
 
-def function_step(frame: Frame, operand: Array, node: Function) -> Array:
+def _function_step(frame: Frame, operand: Array, node: Function) -> Array:
     """A function of an expression, refused where the result is not finite."""
     return _finite(frame, FUNCTIONS[node.name](operand), node)
 
@@ -84,7 +84,7 @@ def _finite(frame: Frame, values: Array, node: Arithmetic | Function) -> Array:
     return values
 
 
-def margin_step(frame: Frame, left: Array, right: Array, operator: ComparisonOperator) -> Array:
+def _margin_step(frame: Frame, left: Array, right: Array, operator: ComparisonOperator) -> Array:
     """How far a comparison is from its bound, positive where it holds.
 
     The difference of two distinct numbers is never zero (IEEE 754), and never NaN for finite ones.
@@ -99,59 +99,61 @@ def margin_step(frame: Frame, left: Array, right: Array, operator: ComparisonOpe
     return difference
 
 
-def truth_step(_frame: Frame, margins: Array, on_bound: bool) -> Array:
+def _truth_step(_frame: Frame, margins: Array, on_bound: bool) -> Array:
     """+1 where a comparison holds and -1 elsewhere; ``on_bound`` is its truth at margin zero."""
     holds = margins >= 0 if on_bound else margins > 0
     return np.where(holds, 1.0, -1.0)
 
 
-def negation_step(_frame: Frame, values: Array) -> Array:
+def _negation_step(_frame: Frame, values: Array) -> Array:
     """The margin of the opposite."""
     return -values
 
 
-def joined_step(_frame: Frame, left: Array, right: Array, join: np.ufunc) -> Array:
+def _joined_step(_frame: Frame, left: Array, right: Array, join: np.ufunc) -> Array:
     """The lesser or the greater of two margins."""
     text: Array = join(left, right)
     return text
 
 
-def everywhere_step(frame: Frame, value: float) -> Array:
+def _everywhere_step(frame: Frame, value: float) -> Array:
     """The same value at each sample."""
     return np.full(frame.shape, value)
 
 
-def sliding_step(frame: Frame, values: Array, join: np.ufunc, first: int, last: int) -> Array:
+def _sliding_step(frame: Frame, values: Array, join: np.ufunc, first: int, last: int) -> Array:
     """See ``windows.sliding``."""
-    return windows.sliding(join, frame.ended(values, empty_window_value(join)), first, last)
+    return windows.sliding(join, frame.ended(values, _empty_window_value(join)), first, last)
 
 
-def sliding_past_step(_frame: Frame, values: Array, join: np.ufunc, first: int, last: int) -> Array:
+def _sliding_past_step(
+    _frame: Frame, values: Array, join: np.ufunc, first: int, last: int
+) -> Array:
     """See ``windows.sliding_past``."""
     return windows.sliding_past(join, values, first, last)
 
 
-def running_step(frame: Frame, values: Array, join: np.ufunc) -> Array:
+def _running_step(frame: Frame, values: Array, join: np.ufunc) -> Array:
     """See ``windows.running``."""
-    return windows.running(join, frame.ended(values, empty_window_value(join)))
+    return windows.running(join, frame.ended(values, _empty_window_value(join)))
 
 
-def running_past_step(_frame: Frame, values: Array, join: np.ufunc) -> Array:
+def _running_past_step(_frame: Frame, values: Array, join: np.ufunc) -> Array:
     """See ``windows.running_past``."""
     return windows.running_past(join, values)
 
 
-def until_step(frame: Frame, left: Array, right: Array, first: int, last: int | None) -> Array:
+def _until_step(frame: Frame, left: Array, right: Array, first: int, last: int | None) -> Array:
     """See ``windows.until``; nothing holds behind the end, whatever the left side is there."""
     return windows.until(left, frame.ended(right, -np.inf), first, last)
 
 
-def since_step(_frame: Frame, left: Array, right: Array, first: int, last: int | None) -> Array:
+def _since_step(_frame: Frame, left: Array, right: Array, first: int, last: int | None) -> Array:
     """See ``windows.since``."""
     return windows.since(left, right, first, last)
 
 
-def until_beyond_step(_frame: Frame, known: Array, least: Array, last: int | None) -> Array:
+def _until_beyond_step(_frame: Frame, known: Array, least: Array, last: int | None) -> Array:
     """Greatest value of ``until`` if its right side may hold behind the end.
 
     Args:
@@ -165,22 +167,22 @@ def until_beyond_step(_frame: Frame, known: Array, least: Array, last: int | Non
     return array
 
 
-def open_tail_step(_frame: Frame, values: Array, last: int, unknown: float) -> Array:
+def _open_tail_step(_frame: Frame, values: Array, last: int, unknown: float) -> Array:
     """See ``windows.open_tail``."""
     return windows.open_tail(values, last, unknown)
 
 
-def following_step(frame: Frame, values: Array, end: float) -> Array:
+def _following_step(frame: Frame, values: Array, end: float) -> Array:
     """See ``windows.following``."""
     return windows.following(frame.ended(values, end), end)
 
 
-def preceding_step(_frame: Frame, values: Array, start: float) -> Array:
+def _preceding_step(_frame: Frame, values: Array, start: float) -> Array:
     """See ``windows.preceding``."""
     return windows.preceding(values, start)
 
 
-def empty_window_value(join: np.ufunc) -> float:
+def _empty_window_value(join: np.ufunc) -> float:
     """What changes neither a minimum nor a maximum: the value of an empty window."""
     return np.inf if join is np.minimum else -np.inf
 
@@ -280,7 +282,7 @@ class Program:
         if isinstance(node, Comparison):
             return self._comparison(node, mode)
         if isinstance(node, Not):
-            return self._add(negation_step, self.slot(node.operand, mode.flipped()))
+            return self._add(_negation_step, self.slot(node.operand, mode.flipped()))
         if isinstance(node, Boolean):
             return self._boolean(node, mode)
         if isinstance(node, Temporal):
@@ -291,21 +293,21 @@ class Program:
 
     def _comparison(self, node: Comparison, mode: Mode) -> int:
         sides = self._expression(node.left), self._expression(node.right)
-        add = self._add(margin_step, *sides, options=(node.operator,))
+        add = self._add(_margin_step, *sides, options=(node.operator,))
         if mode.truth:
             on_bound = node.operator in (">=", "<=", "==")
-            return self._add(truth_step, add, options=(on_bound,))
+            return self._add(_truth_step, add, options=(on_bound,))
         return add
 
     def _expression(self, node: Expression) -> int:
         if isinstance(node, Arithmetic):
             sides = self._expression(node.left), self._expression(node.right)
-            return self._add(arithmetic_step, *sides, options=(node,))
+            return self._add(_arithmetic_step, *sides, options=(node,))
         if isinstance(node, Function):
-            return self._add(function_step, self._expression(node.operand), options=(node,))
+            return self._add(_function_step, self._expression(node.operand), options=(node,))
         if isinstance(node, Constant):
-            return self._add(constant_step, options=(np.float64(node.value),))
-        return self._add(column_step, options=(node.name,))
+            return self._add(_constant_step, options=(np.float64(node.value),))
+        return self._add(_column_step, options=(node.name,))
 
     def _boolean(self, node: Boolean, mode: Mode) -> int:
         left, right = self.slot(node.left, mode), self.slot(node.right, mode)
@@ -313,10 +315,10 @@ class Program:
             return self._join(np.minimum, left, right)
         if node.operator == "or":
             return self._join(np.maximum, left, right)
-        not_left = self._add(negation_step, self.slot(node.left, mode.flipped()))
+        not_left = self._add(_negation_step, self.slot(node.left, mode.flipped()))
         if node.operator == "implies":
             return self._join(np.maximum, not_left, right)
-        not_right = self._add(negation_step, self.slot(node.right, mode.flipped()))
+        not_right = self._add(_negation_step, self.slot(node.right, mode.flipped()))
         if node.operator == "iff":
             forth = self._join(np.maximum, not_left, right)
             return self._join(np.minimum, forth, self._join(np.maximum, not_right, left))
@@ -324,24 +326,24 @@ class Program:
         return self._join(np.maximum, only_left, self._join(np.minimum, right, not_left))
 
     def _join(self, join: np.ufunc, left: int, right: int) -> int:
-        return self._add(joined_step, left, right, options=(join,))
+        return self._add(_joined_step, left, right, options=(join,))
 
     def _temporal(self, node: Temporal, mode: Mode) -> int:
         join = np.minimum if node.operator in ("always", "historically") else np.maximum
         ahead = node.operator in FUTURE
         # An unknown sample shows where it can pull the minimum down or the maximum up.
-        shows = ahead and mode.unknown == -empty_window_value(join)
+        shows = ahead and mode.unknown == -_empty_window_value(join)
         if node.window is None:
             if shows and mode.open_end:
-                return self._add(everywhere_step, options=(mode.unknown,))
-            kernel = running_step if ahead else running_past_step
+                return self._add(_everywhere_step, options=(mode.unknown,))
+            kernel = _running_step if ahead else _running_past_step
             return self._add(kernel, self.slot(node.operand, mode), options=(join,))
         first, last = self.samples(node.window)
-        sliding = sliding_step if ahead else sliding_past_step
+        sliding = _sliding_step if ahead else _sliding_past_step
         operand = self.slot(node.operand, mode)
         add = self._add(sliding, operand, options=(join, first, last))
         if shows and last > 0:
-            return self._add(open_tail_step, add, options=(last, mode.unknown))
+            return self._add(_open_tail_step, add, options=(last, mode.unknown))
         return add
 
     def _pair(self, node: TemporalPair, mode: Mode) -> int:
@@ -350,12 +352,12 @@ class Program:
         if node.window is not None:
             bounds = self.samples(node.window)
         if node.operator == "since":
-            return self._add(since_step, left, right, options=bounds)
-        add = self._add(until_step, left, right, options=bounds)
+            return self._add(_since_step, left, right, options=bounds)
+        add = self._add(_until_step, left, right, options=bounds)
         last = bounds[1]
         if mode.unknown == math.inf and (mode.open_end if last is None else last > 0):
-            least = self._add(running_step, left, options=(np.minimum,))
-            return self._add(until_beyond_step, add, least, options=(last,))
+            least = self._add(_running_step, left, options=(np.minimum,))
+            return self._add(_until_beyond_step, add, least, options=(last,))
         return add
 
     def _step(self, node: Step, mode: Mode) -> int:
@@ -363,16 +365,16 @@ class Program:
         if node.operator in ("next", "strong_next"):
             end = math.inf if node.operator == "next" else -math.inf
             end = end if mode.unknown is None else mode.unknown
-            return self._add(following_step, operand, options=(end,))
+            return self._add(_following_step, operand, options=(end,))
         if node.operator in ("prev", "strong_prev"):
             start = math.inf if node.operator == "prev" else -math.inf
-            return self._add(preceding_step, operand, options=(start,))
-        negated = self._add(negation_step, self.slot(node.operand, mode.flipped()))
+            return self._add(_preceding_step, operand, options=(start,))
+        negated = self._add(_negation_step, self.slot(node.operand, mode.flipped()))
         # Before the trace nothing was: neither the formula nor, for fall, its opposite.
         if node.operator == "rise":
-            before = self._add(preceding_step, negated, options=(math.inf,))
+            before = self._add(_preceding_step, negated, options=(math.inf,))
             return self._join(np.minimum, before, operand)
-        before = self._add(preceding_step, operand, options=(math.inf,))
+        before = self._add(_preceding_step, operand, options=(math.inf,))
         return self._join(np.minimum, before, negated)
 
 
@@ -389,13 +391,13 @@ def _depends_on_the_end(node: Node, open_end: bool) -> bool:
 
 
 _AHEAD = (
-    everywhere_step,
-    sliding_step,
-    running_step,
-    until_step,
-    until_beyond_step,
-    open_tail_step,
-    following_step,
+    _everywhere_step,
+    _sliding_step,
+    _running_step,
+    _until_step,
+    _until_beyond_step,
+    _open_tail_step,
+    _following_step,
 )
 
 
@@ -483,7 +485,7 @@ class Conjunct:
             first, last = self._window
             cut = last >= size
         if first >= size:
-            value, index = empty_window_value(self._join), size - 1
+            value, index = _empty_window_value(self._join), size - 1
         else:
             seen = inner[first : last + 1]
             index = first + int(seen.argmin() if self.is_minimum else seen.argmax())

@@ -16,7 +16,7 @@ from pytest_dura.requirements.stl.formula import Formula
 from pytest_dura.requirements.stl.program import TRUNCATED, Mode, Plan, Values, plan_of
 from pytest_dura.requirements.stl.windows import Array, Frame, arrays, empty_trace, other_length
 
-CHUNK = 64
+_CHUNK = 64
 """Traces that are computed together: their arrays fit into the processor's cache."""
 
 
@@ -40,14 +40,14 @@ def robustness(formula: Formula, columns: Mapping[str, ArrayLike], time_step: fl
     plan = plan_of(formula, time_step)
     found = arrays(plan.signals, columns, formula)
     shape = _shape(found, columns)
-    if len(shape) == 1 or shape[0] <= CHUNK:
+    if len(shape) == 1 or shape[0] <= _CHUNK:
         return _computed(plan, Frame(found, shape, time_step))
     whole = np.empty(shape)
-    for start in range(0, shape[0], CHUNK):
-        rows = np.arange(start, min(start + CHUNK, shape[0]))
-        part = {name: column[start : start + CHUNK] for name, column in found.items()}
+    for start in range(0, shape[0], _CHUNK):
+        rows = np.arange(start, min(start + _CHUNK, shape[0]))
+        part = {name: column[start : start + _CHUNK] for name, column in found.items()}
         frame = Frame(part, (len(rows), shape[1]), time_step, rows=rows)
-        whole[start : start + CHUNK] = _computed(plan, frame)
+        whole[start : start + _CHUNK] = _computed(plan, frame)
     return whole
 
 
@@ -79,8 +79,8 @@ def robustness_batch(
     results: list[Array] = [np.empty(0)] * len(traces)
     # Traces of like length together, so that little is computed behind their ends.
     order = np.argsort(lengths, kind="stable")
-    for start in range(0, len(order), CHUNK):
-        rows = order[start : start + CHUNK]
+    for start in range(0, len(order), _CHUNK):
+        rows = order[start : start + _CHUNK]
         frame = _padded([inputs[row] for row in rows], lengths[rows], rows, time_step)
         for row, values in zip(rows, _computed(plan, frame), strict=True):
             results[row] = values[: lengths[row]]

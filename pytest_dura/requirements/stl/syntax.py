@@ -17,8 +17,8 @@ from typing import NoReturn
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.requirements.stl.formula import Window, marked, unknown_signal
 
-MAX_LENGTH = 4000
-EXAMPLE = "write for example `always (gap > 0)` or `always (gap < 5 implies speed <= 2)`"
+_MAX_LENGTH = 4000
+_EXAMPLE = "write for example `always (gap > 0)` or `always (gap < 5 implies speed <= 2)`"
 MAX_SECONDS = 1e6
 """No window is longer: about eleven days."""
 
@@ -65,7 +65,7 @@ class Token:
 
 
 def refuse(
-    text: str, position: int, problem: str, expected: str | None, remedy: str = EXAMPLE
+    text: str, position: int, problem: str, expected: str | None, remedy: str = _EXAMPLE
 ) -> NoReturn:
     """Raise the error for a text that is no formula, with a mark under the place."""
     raise ConfigurationError(
@@ -75,15 +75,15 @@ def refuse(
     )
 
 
-def tokenize(text: str) -> list[Token]:
+def _tokenize(text: str) -> list[Token]:
     """The tokens of a formula.
 
     Raises:
         ConfigurationError: For a text that is too long, and whatever is no token of the language.
     """
-    if len(text) > MAX_LENGTH:
+    if len(text) > _MAX_LENGTH:
         short = text[:40] + "..."
-        refuse(short, 0, "it is too long", f"at most {MAX_LENGTH} characters", "split it")
+        refuse(short, 0, "it is too long", f"at most {_MAX_LENGTH} characters", "split it")
     tokens: list[Token] = []
     position = 0
     while position < len(text):
@@ -115,7 +115,7 @@ def finite(text: str, number: Token) -> float:
     return value
 
 
-def read_window(text: str, tokens: Sequence[Token], at: int) -> tuple[Window, int]:
+def _read_window(text: str, tokens: Sequence[Token], at: int) -> tuple[Window, int]:
     """The window whose ``[`` is token ``at``, and the number of the token after its ``]``.
 
     A bound without a unit is in seconds. rtamt would lend ``[1:500ms]``'s unit to the ``1`` and
@@ -300,7 +300,7 @@ class _Reader:
 
     def __init__(self, text: str, signals: frozenset[str] | None) -> None:
         self._text, self._signals = text, signals
-        self._tokens = tokenize(text)
+        self._tokens = _tokenize(text)
         self._at = 0
         self._pending: list[_Pending] = []
         self._trees: list[Tree] = []
@@ -422,7 +422,7 @@ class _Reader:
             return None
         if kind not in _WINDOWED:
             self._no_window()
-        window, self._at = read_window(self._text, self._tokens, self._at)
+        window, self._at = _read_window(self._text, self._tokens, self._at)
         return window
 
     def _kind_of_word(self) -> str:
@@ -486,6 +486,6 @@ class _Reader:
             self._unknown_word()
         self._wrong(_OPERATOR)
 
-    def _wrong(self, expected: str, remedy: str = EXAMPLE) -> NoReturn:
+    def _wrong(self, expected: str, remedy: str = _EXAMPLE) -> NoReturn:
         text = f"`{self._token.text}`" if self._token.kind != "end" else "the end"
         refuse(self._text, self._token.position, f"found {text}", expected, remedy)

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
 
-def unmeasured_failure_modes(formula: Formula, episode: Episode) -> list[str]:
+def _unmeasured_failure_modes(formula: Formula, episode: Episode) -> list[str]:
     """Failure modes in a formula that no decision of the episode could have shown.
 
     Their signals are 0 throughout. That such a formula holds says nothing.
@@ -46,7 +46,7 @@ def unmeasured_failure_modes(formula: Formula, episode: Episode) -> list[str]:
     return [name for name in names if name in tallies and tallies[name].of == 0]
 
 
-def signals_without_account(formula: Formula, known: Collection[str]) -> list[str]:
+def _signals_without_account(formula: Formula, known: Collection[str]) -> list[str]:
     """The signals of a formula that only accounts give, of an episode that has none."""
     if any(name.startswith(ACCOUNTS) for name in known):
         return []
@@ -250,7 +250,7 @@ def _by_formula(formula: Formula, episode: Episode) -> tuple[EpisodeStatus, Chec
     margin = found.margin if math.isfinite(found.margin) else None
 
     def result(detail: str, *, holds: bool = False) -> CheckResult:
-        vacuous = found.vacuous or bool(unmeasured_failure_modes(formula, episode))
+        vacuous = found.vacuous or bool(_unmeasured_failure_modes(formula, episode))
         return CheckResult(holds, margin, found.time, detail, holds and vacuous)
 
     if found.status == "violated":
@@ -321,7 +321,7 @@ def evaluate_episode(formula: Formula, episode: Episode) -> tuple[Evaluation | N
     """
     known = _columns(formula, episode)
     missing = [name for name in formula.signals if name not in known]
-    if missing and missing == signals_without_account(formula, known) and episode.ticks:
+    if missing and missing == _signals_without_account(formula, known) and episode.ticks:
         return _without_account(formula, missing, episode)
     if missing and (episode.signals or episode.failure is None):
         remedy = _WHOLE if episode.termination == "decided" else None

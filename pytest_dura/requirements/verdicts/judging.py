@@ -52,7 +52,7 @@ def method_of(requirement: Requirement, *, until_decided: bool = False) -> str:
     return EVERY_EPISODE
 
 
-def check_share(key: str, value: float, *, above: float) -> None:
+def _check_share(key: str, value: float, *, above: float) -> None:
     """Refuse a rate or a confidence that makes no sense.
 
     Raises:
@@ -68,7 +68,7 @@ def check_share(key: str, value: float, *, above: float) -> None:
         )
 
 
-def rate_test(requirement: Requirement, method: str, planned: int) -> SequentialTest | None:
+def _rate_test(requirement: Requirement, method: str, planned: int) -> SequentialTest | None:
     """What decides on the requirement's rate; ``None`` where no violation is accepted.
 
     Raises:
@@ -81,14 +81,14 @@ def rate_test(requirement: Requirement, method: str, planned: int) -> Sequential
     )
 
 
-def not_manifested(verdicts: Sequence[EpisodeVerdict]) -> list[str]:
+def _not_manifested(verdicts: Sequence[EpisodeVerdict]) -> list[str]:
     """The planned faults that manifested in none of the episodes: nothing is known of them."""
     if not verdicts:
         return []
     return [name for name in verdicts[0].idle if all(name in verdict.idle for verdict in verdicts)]
 
 
-def first_uncounted(verdicts: Sequence[EpisodeVerdict]) -> UncountedEpisode | None:
+def _first_uncounted(verdicts: Sequence[EpisodeVerdict]) -> UncountedEpisode | None:
     """The first missing episode, or else the first invalid one, or else the first open one."""
     words: tuple[Literal["missing", "invalid", "open"], ...] = ("missing", "invalid", "open")
     for word in words:
@@ -116,7 +116,7 @@ def counterexamples(judged: Sequence[EpisodeVerdict]) -> tuple[Counterexample, .
 
 MAX_INVALID_SHARE = 0.2
 """Share of invalid episodes above which a campaign says nothing."""
-MIN_VALID_PROPOSALS = 0.5
+_MIN_VALID_PROPOSALS = 0.5
 """Share of valid proposals below which a claim would rest on the recovery, not on the component."""
 
 
@@ -151,13 +151,13 @@ class CampaignJudge:
         self.situation: Situation | None = None
         """What the runs are, if all are equal; whoever adds them sees their trajectories."""
         self._counts: Counter[str] = Counter()
-        check_share("confidence", requirement.confidence, above=0.5)
+        _check_share("confidence", requirement.confidence, above=0.5)
         if requirement.at_most is not None:
-            check_share("at_most", requirement.at_most, above=0.0)
+            _check_share("at_most", requirement.at_most, above=0.0)
         self.method = method_of(requirement, until_decided=until_decided)
-        self.test = rate_test(requirement, self.method, planned)
+        self.test = _rate_test(requirement, self.method, planned)
         """Decides whether the rate is supported; an open episode counts as a violation."""
-        self._rejecting = rate_test(requirement, self.method, planned)
+        self._rejecting = _rate_test(requirement, self.method, planned)
         """Decides whether the rate is violated; only true violations count as such."""
         self._after_support = 0
 
@@ -271,7 +271,7 @@ class CampaignJudge:
             margin=min(margins) if margins else None,
             margins=Margins.of(margins),
             counterexamples=counterexamples(self.verdicts),
-            spoilt=first_uncounted(self.verdicts),
+            spoilt=_first_uncounted(self.verdicts),
             situation=self.situation,
         )
 
@@ -409,12 +409,12 @@ class CampaignJudge:
         vacuous = sum(verdict.vacuous for verdict in self.verdicts)
         if satisfied and satisfied == vacuous and not self._count("violated"):
             found.append(f"its condition held in none of the {valid} valid {self._noun} (vacuous)")
-        never = not_manifested([verdict for verdict in self.verdicts if verdict.valid])
+        never = _not_manifested([verdict for verdict in self.verdicts if verdict.valid])
         if never:
             found.append(f"{', '.join(never)} manifested in none of the {valid} valid {self._noun}")
         asked = sum(verdict.proposals for verdict in self.verdicts)
         answered = sum(verdict.valid_proposals for verdict in self.verdicts)
-        if answered < MIN_VALID_PROPOSALS * asked:
+        if answered < _MIN_VALID_PROPOSALS * asked:
             ticks = f"{answered} of {asked} ticks"
             found.append(f"the component made a valid proposal at only {ticks}")
         return found
