@@ -18,7 +18,6 @@ from typing import Any
 
 import numpy as np
 
-from pytest_dura import __version__
 from pytest_dura.core.anomaly_monitor import (
     KINDS,
     AnomalyModel,
@@ -38,6 +37,7 @@ from pytest_dura.core.state import RoleView
 from pytest_dura.domains import DOMAINS, domain_of, role_spec
 from pytest_dura.library.cases import expand_cases
 from pytest_dura.library.loading import load_library
+from pytest_dura.provenance import describe_tool
 
 TREES = 64
 ROWS_PER_TREE = 256
@@ -146,7 +146,7 @@ def train(detector: str, training: Training) -> AnomalyModel:
     hours = sum(map(len, others)) * time_step / 3600.0
     threshold = _threshold(scores, hours, training.false_alarms)
     told = {
-        "tool": f"pytest-dura {__version__}",
+        "tool": f"pytest-dura {describe_tool()['version']}",
         "packages": {name: version(name) for name in _PACKAGES},
         "scenarios": sorted({tape.scenario for tape in tapes}),
         "generators": list(training.generators),
