@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import importlib
 import os
 import re
@@ -88,12 +89,22 @@ def test_the_search_finds_absolute_paths(folder) -> None:
     assert not ABSOLUTE_PATH.search(f"..{path}")
 
 
-def test_every_public_name_comes_from_its_home() -> None:
-    homes = {name for names in pytest_dura._HOMES.values() for name in names.split()}
-    assert homes | {"__version__"} == set(pytest_dura.__all__) == set(dir(pytest_dura))
-    for module, names in pytest_dura._HOMES.items():
-        for name in names.split():
-            assert getattr(pytest_dura, name) is getattr(importlib.import_module(module), name)
+def test_every_public_name_of_the_stub_can_be_imported() -> None:
+    stub = ast.parse(Path(pytest_dura.__file__).with_suffix(".pyi").read_text())
+    homes = {
+        alias.name: f"pytest_dura.{node.module}"
+        for node in stub.body
+        if isinstance(node, ast.ImportFrom) and node.level
+        for alias in node.names
+    }
+    assert {*homes, "__version__"} == set(pytest_dura.__all__) == set(dir(pytest_dura))
+    for name, module in homes.items():
+        assert getattr(pytest_dura, name) is getattr(importlib.import_module(module), name)
+
+
+def test_a_renamed_public_name_works_and_warns() -> None:
+    with pytest.warns(DeprecationWarning, match="renamed to pytest_dura.Runner"):
+        assert pytest_dura.Bench is pytest_dura.Runner
 
 
 def test_an_unknown_public_name_is_an_attribute_error() -> None:

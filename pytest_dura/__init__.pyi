@@ -1,0 +1,131 @@
+from .campaign.campaign import Campaign
+from .campaign.falsification import Falsification
+from .campaign.pairs import PairedCampaign
+from .campaign.runs import RequirementViolated
+from .core.conformance import check_role
+from .core.episode import Episode, EpisodeSpec, Policy, Termination
+from .core.errors import (
+    ActionError,
+    ConfigurationError,
+    ConformanceError,
+    DuraError,
+    InfrastructureError,
+)
+from .core.metrics import DependabilityMetrics, FaultRecord
+from .core.orchestrator import Orchestrator
+from .core.role_spec import RoleSpec
+from .core.roles import (
+    Assessed,
+    Assessment,
+    FaultInjector,
+    Generator,
+    Injection,
+    PerformanceAssessment,
+    PerformanceOracle,
+    Recovery,
+    RecoveryPlanner,
+    Role,
+    RoleContext,
+    SafetyMonitor,
+    SecurityAssessment,
+    SecurityAssessor,
+)
+from .core.seeding import derive_seed, stream
+from .core.simulator import Line, Recording, Scene, Simulator, Tracks
+from .core.simulator_conformance import check_simulator
+from .core.state import (
+    Alert,
+    Event,
+    GeneratorView,
+    Lazy,
+    Percept,
+    Proposal,
+    RoleView,
+    StateManager,
+    Tick,
+    sealed,
+)
+from .core.trust import factory
+from .faults.model import Fault, Moment
+from .faults.parameters import FaultPart
+from .library.cases import Case, SearchedCase
+from .requirements.checks import CheckResult
+from .requirements.model import Paired, Requirement
+from .requirements.monitoring.stl_monitor import StlSafetyMonitor
+from .requirements.verdicts.campaigns import CampaignVerdict
+from .requirements.verdicts.episodes import EpisodeVerdict, JudgedEpisode, SearchedEpisode
+from .runner import Runner
+from .search.falsify import Falsified
+
+Bench = Runner  # deprecated
+__version__: str
+
+__all__ = [
+    "ActionError",
+    "Alert",
+    "Assessed",
+    "Assessment",
+    "Campaign",
+    "CampaignVerdict",
+    "Case",
+    "CheckResult",
+    "ConfigurationError",
+    "ConformanceError",
+    "DependabilityMetrics",
+    "DuraError",
+    "Episode",
+    "EpisodeSpec",
+    "EpisodeVerdict",
+    "Event",
+    "Falsification",
+    "Falsified",
+    "Fault",
+    "FaultInjector",
+    "FaultPart",
+    "FaultRecord",
+    "Generator",
+    "GeneratorView",
+    "InfrastructureError",
+    "Injection",
+    "JudgedEpisode",
+    "Lazy",
+    "Line",
+    "Moment",
+    "Orchestrator",
+    "Paired",
+    "PairedCampaign",
+    "Percept",
+    "PerformanceAssessment",
+    "PerformanceOracle",
+    "Policy",
+    "Proposal",
+    "Recording",
+    "Recovery",
+    "RecoveryPlanner",
+    "Requirement",
+    "RequirementViolated",
+    "Role",
+    "RoleContext",
+    "RoleSpec",
+    "RoleView",
+    "Runner",
+    "SafetyMonitor",
+    "Scene",
+    "SearchedCase",
+    "SearchedEpisode",
+    "SecurityAssessment",
+    "SecurityAssessor",
+    "Simulator",
+    "StateManager",
+    "StlSafetyMonitor",
+    "Termination",
+    "Tick",
+    "Tracks",
+    "__version__",
+    "check_role",
+    "check_simulator",
+    "derive_seed",
+    "factory",
+    "sealed",
+    "stream",
+]
