@@ -15,9 +15,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.plugin.messages import print_lines, replay_command, sibling_directory
+from pytest_dura.plugin.messages import counted, print_lines, replay_command, sibling_directory
 from pytest_dura.plugin.roles import defined_in_conftest
-from pytest_dura.plugin.terminal_tables import counted
 
 if TYPE_CHECKING:
     import pytest

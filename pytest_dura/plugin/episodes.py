@@ -1,6 +1,7 @@
-"""Episodes that the processes of a session share, and the repetition of one episode per case.
+"""Who simulates the episodes of this process, how processes share them, and their repetition.
 
-Sharing covers what ``--dura-resume`` and ``--dura-reuse`` take over from earlier sessions.
+One episode per case is repeated. Sharing covers what ``--dura-resume`` and ``--dura-reuse`` take
+over from earlier sessions.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ import hashlib
 import shutil
 import tempfile
 import uuid
+from collections import Counter
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,7 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pytest_dura.core.errors import ConfigurationError, describe_error
-from pytest_dura.plugin.messages import safe_lines, typed_path
+from pytest_dura.plugin.messages import counted, safe_lines, typed_path
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, MutableMapping
@@ -26,11 +28,121 @@ if TYPE_CHECKING:
 
     from pytest_dura.evidence.model import SessionRecord
     from pytest_dura.execution.cache import EpisodeCache
+    from pytest_dura.execution.executors import Execution
     from pytest_dura.execution.store import EpisodeStore
     from pytest_dura.execution.task import EpisodeTask
     from pytest_dura.library.cases import Case
     from pytest_dura.plugin.session import DuraSession
     from pytest_dura.requirements.verdicts.episodes import JudgedEpisode
+
+
+_SIMULATED_HERE_KEY = "dura_simulated_here"
+"""Key of what a worker of pytest-xdist tells the controller at its end."""
+
+
+class SessionExecutor:
+    """Who simulates the episodes of this process.
+
+    Args:
+        session: The session of this process.
+    """
+
+    def __init__(self, session: DuraSession) -> None:
+        self.session = session
+        self._execution: Execution | ConfigurationError | None = None
+        self._noted: Counter[tuple[str, str]] = Counter()
+
+    def execution(self) -> Execution:
+        """What simulates, made at the first call.
+
+        Raises:
+            ConfigurationError: If it cannot be used; the same one at every call.
+        """
+        if self._execution is None:
+            from pytest_dura.execution.executors import Execution
+
+            choice = self.session.options.executor
+            try:
+                self._execution = Execution() if choice is None else choice.execution()
+            except ConfigurationError as error:
+                self._execution = error
+        if isinstance(self._execution, ConfigurationError):
+            raise self._execution.with_traceback(None)
+        return self._execution
+
+    def knock(self) -> None:
+        """Find out before anything is collected or written whether a cluster is there.
+
+        Raises:
+            ConfigurationError: If it is not.
+        """
+        choice = self.session.options.executor
+        if choice is not None and not self.session.is_worker:
+            choice.knock()
+
+    def begin(self) -> None:
+        """Have what simulates, once all is collected: processes find what is imported by then.
+
+        Raises:
+            ConfigurationError: If it cannot be used.
+        """
+        idle = self.session.is_worker or self.session.config.option.collectonly
+        if self.session.options.executor is not None and not idle:
+            self.execution()
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether whoever simulates is gone, so that no further test can tell anything."""
+        found = self._execution
+        return not (found is None or isinstance(found, ConfigurationError)) and found.is_lost
+
+    def close(self) -> None:
+        """Give up what is under way, and end the processes that simulate."""
+        found, self._execution = self._execution, None
+        if found is not None and not isinstance(found, ConfigurationError):
+            self._noted += found.here
+            found.close()
+
+    def to_json(self) -> dict[str, Any]:
+        """What the record says of it."""
+        choice = self.session.options.executor
+        if choice is None:
+            return {"executor": "in-process", "processes": None}
+        return {"executor": choice.kind, "processes": choice.processes}
+
+    def header(self) -> list[str]:
+        """A line, if another process simulates."""
+        choice = self.session.options.executor
+        if choice is None:
+            return []
+        if choice.processes is not None:
+            return [f"dura: episodes are simulated in {choice.processes} processes"]
+        return [f"dura: episodes are simulated by Dask, scheduler at {choice.address}"]
+
+    def notes(self) -> list[str]:
+        """Lines on episodes that were simulated here, though others were to simulate."""
+        return [
+            f"{counted(number, 'episode')} of {component} simulated in pytest's own process: {why}"
+            for (component, why), number in sorted(self._counts().items())
+        ]
+
+    def _counts(self) -> Counter[tuple[str, str]]:
+        """Of this process, and of the workers that are done."""
+        found = self._execution
+        if found is None or isinstance(found, ConfigurationError):
+            return self._noted
+        return self._noted + found.here
+
+    def tell_controller(self, workeroutput: MutableMapping[str, Any]) -> None:
+        """Tell the controller what this worker has simulated itself."""
+        workeroutput[_SIMULATED_HERE_KEY] = [
+            [*key, number] for key, number in self._counts().items()
+        ]
+
+    def hear_worker(self, workeroutput: MutableMapping[str, Any]) -> None:
+        """Take in what a worker tells at its end."""
+        for component, why, number in workeroutput.get(_SIMULATED_HERE_KEY, ()):
+            self._noted[component, why] += number
 
 
 EPISODES_FOLDER = ".episodes"  # as `KEPT` of pytest_dura.evidence.bundle

@@ -143,6 +143,11 @@ def indent_if_reserved(text: str) -> str:
     return f" {text}" if text.startswith(("|", "#", "gate:")) else text
 
 
+def counted(number: int, noun: str) -> str:
+    """``1 run``, ``2 runs``."""
+    return f"{number} {noun}" + ("" if number == 1 else "s")
+
+
 def print_lines(lines: Iterable[str]) -> None:
     """Print these lines."""
     for line in lines:

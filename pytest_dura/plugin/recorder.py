@@ -75,7 +75,6 @@ def _without_none(spread: dict[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in spread.items() if value is not None}
 
 
-Level = Literal["summary", "violations", "all"]
 Reason = Literal["all", "sample", "missing", "violation"]
 
 _RANK: dict[Reason, int] = {"all": 0, "sample": 1, "missing": 2, "violation": 3}

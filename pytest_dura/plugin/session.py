@@ -19,9 +19,8 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.plugin.episodes import Repeats, SharedEpisodes
+from pytest_dura.plugin.episodes import Repeats, SessionExecutor, SharedEpisodes
 from pytest_dura.plugin.evidence import SessionEvidence
-from pytest_dura.plugin.executor import SessionExecutor
 from pytest_dura.plugin.language_models import LanguageModels
 from pytest_dura.plugin.messages import error_text
 from pytest_dura.plugin.options import Options

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Generator, Iterator, Mapping, MutableMapping, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -17,6 +16,7 @@ from pytest_dura.core.errors import ConfigurationError
 if TYPE_CHECKING:
     from xdist.workermanage import WorkerController
 
+    from pytest_dura.plugin.options import Shard
     from pytest_dura.plugin.session import DuraSession
 
 
@@ -106,9 +106,6 @@ class Selection:
         ]
 
 
-SHARD_OPTION = "--dura-shard"
-MOST_SHARDS = 10_000
-_LONGEST = len(f"{MOST_SHARDS}/{MOST_SHARDS}")
 _SHARD_KEY = "dura_shard"
 """Key of what a worker tells the controller, which does not collect."""
 _LOST_ITEMS_KEY = "dura_shard_lost"
@@ -135,78 +132,6 @@ _DISPLAY_SETTINGS = (
     "dura_progress",
 )
 """How settings begin that ``-o`` may change in one shard alone."""
-
-
-@dataclass(frozen=True)
-class Shard:
-    """Which part of a session this is.
-
-    Args:
-        index: Its number, from 1.
-        count: How many there are.
-    """
-
-    index: int
-    count: int
-
-    @classmethod
-    def read(cls, text: str | None) -> Shard | None:
-        """From the option's value, such as ``2/5``; ``None`` without one.
-
-        Raises:
-            ConfigurationError: If it is none.
-        """
-        if text is None:
-            return None
-        first, _, last = text.partition("/")
-        digits = f"{first}{last}"
-        if first and last and digits.isascii() and digits.isdecimal() and len(text) <= _LONGEST:
-            found = cls(int(first), int(last))
-            if 1 <= found.index <= found.count <= MOST_SHARDS:
-                return found
-        raise ConfigurationError(
-            f"{SHARD_OPTION} takes the number of a shard and how many there are",
-            key=SHARD_OPTION,
-            found=text,
-            expected=f"K/N with 1 <= K <= N <= {MOST_SHARDS}",
-            remedy=f"for example {SHARD_OPTION}=2/5 for the second of five shards",
-        )
-
-    def __str__(self) -> str:
-        return f"shard {self.index} of {self.count}"
-
-
-_EXCLUDED_OPTIONS = {
-    "dura_list": "it lists the whole session",
-    "dura_replay": "it runs an episode of the evidence",
-    "dura_reduce": "it runs an episode of the evidence",
-    "dura_baseline": "a baseline is that of a whole session: give it to the merge of the shards",
-}
-"""What makes no sense with a part of a session, and why."""
-
-
-def shard_of(config: pytest.Config) -> Shard | None:
-    """The shard that the options name, if they do.
-
-    Raises:
-        ConfigurationError: For one that cannot be used, and options that exclude it.
-    """
-    found = Shard.read(config.getoption("dura_shard"))
-    if found is None:
-        return None
-    conflicts = [(name, why) for name, why in _EXCLUDED_OPTIONS.items() if config.getoption(name)]
-    if config.getoption("dura_llm") == "record":
-        conflicts.append(("dura_llm", "each shard would record a cassette of its own"))
-    for name, why in conflicts:
-        other = f"--{name.replace('_', '-')}"
-        raise ConfigurationError(
-            f"{SHARD_OPTION} and {other} exclude each other: {why}",
-            key=SHARD_OPTION,
-            found=f"{found.index}/{found.count}",
-            expected=f"one of {SHARD_OPTION} and {other}",
-            remedy=f"leave one of them out; {SHARD_OPTION} is for the jobs of a CI",
-        )
-    return found
 
 
 class ShardHooks:

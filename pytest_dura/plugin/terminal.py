@@ -11,7 +11,13 @@ from typing import TYPE_CHECKING, Any
 from pytest_dura.evidence.conclude import RECOVERY_ROLE
 from pytest_dura.evidence.text import name, one_line
 from pytest_dura.plugin.episodes import show_repeats
-from pytest_dura.plugin.messages import SafeTerminal, indent_if_reserved, safe_lines, typed_path
+from pytest_dura.plugin.messages import (
+    SafeTerminal,
+    counted,
+    indent_if_reserved,
+    safe_lines,
+    typed_path,
+)
 from pytest_dura.plugin.roles import (
     none_in_root_conftest,
     overrides_deeper_down,
@@ -24,7 +30,6 @@ from pytest_dura.plugin.terminal_tables import (
     Data,
     attack_table,
     case_table,
-    counted,
     effectiveness_lines,
     failure_mode_table,
     fault_table,

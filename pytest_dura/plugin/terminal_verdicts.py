@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from pytest_dura.evidence.gate import OBJECTIONABLE_OUTCOMES, outcome_status
 from pytest_dura.evidence.text import name, one_line
-from pytest_dura.plugin.messages import replay_command, rerun_command
+from pytest_dura.plugin.messages import counted, replay_command, rerun_command
 from pytest_dura.plugin.terminal_tables import (
     MOST_ROWS,
     VERDICT_RANK,
@@ -18,7 +18,6 @@ from pytest_dura.plugin.terminal_tables import (
     Data,
     aligned,
     chain_line,
-    counted,
     keep_worst,
     left_out_lines,
 )
