@@ -15,7 +15,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.plugin.messages import counted, print_lines, replay_command, sibling_directory
+from pytest_dura.plugin.messages import (
+    counted,
+    print_lines,
+    replay_command,
+    sibling_directory,
+    usage_errors,
+)
 from pytest_dura.plugin.roles import defined_in_conftest
 
 if TYPE_CHECKING:
@@ -28,6 +34,23 @@ if TYPE_CHECKING:
     from pytest_dura.plugin.options import Options
     from pytest_dura.plugin.session import DuraSession
     from pytest_dura.requirements.model import Requirement
+
+
+def run_command(session: DuraSession) -> int:
+    """Run what the options name that runs no tests, and return the exit code.
+
+    Raises:
+        pytest.UsageError: For options and files that cannot be used.
+    """
+    options = session.options
+    session.reach_project()
+    with usage_errors():
+        if options.replay is None and options.reduce is None:
+            session.roles.check()
+            session.make_plan()
+            return show_list(session)
+        with session.models:
+            return reduce(session) if options.replay is None else replay(session)
 
 
 def _fault_line(name: str) -> str:

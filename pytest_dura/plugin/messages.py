@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.plugin.options import DEFAULT_EVIDENCE
 
 if TYPE_CHECKING:
@@ -124,6 +125,18 @@ def error_text(error: Exception) -> str:
     from pytest_dura.evidence.text import visible
 
     return visible(str(error), LONGEST_MESSAGE)
+
+
+class usage_errors:  # noqa: N801 - reads like a statement
+    """Context in which a configuration error becomes a usage error: one message, exit code 4."""
+
+    def __enter__(self) -> None:
+        """Nothing to prepare."""
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        """Translate."""
+        if isinstance(error, ConfigurationError):
+            raise pytest.UsageError(error_text(error)) from None
 
 
 def safe_lines(text: str) -> Iterator[str]:

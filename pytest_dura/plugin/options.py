@@ -260,6 +260,11 @@ class Options:
     given: tuple[tuple[str, str], ...]
     any_given: bool
 
+    @property
+    def is_command(self) -> bool:
+        """Whether the session lists, replays or reduces, and so runs no tests."""
+        return self.list_only or self.replay is not None or self.reduce is not None
+
     @classmethod
     def of(cls, config: pytest.Config) -> Options:
         """The options of a session.

@@ -22,7 +22,7 @@ from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.plugin.episodes import Repeats, SessionExecutor, SharedEpisodes
 from pytest_dura.plugin.evidence import SessionEvidence
 from pytest_dura.plugin.language_models import LanguageModels
-from pytest_dura.plugin.messages import error_text
+from pytest_dura.plugin.messages import usage_errors
 from pytest_dura.plugin.options import Options
 from pytest_dura.plugin.property_tests import PropertyTests
 from pytest_dura.plugin.recorder import ItemRecorder
@@ -277,30 +277,6 @@ class DuraSession:
             if str(folder) not in sys.path:
                 sys.path.append(str(folder))
 
-    def run_command(self) -> int | None:
-        """The exit code of ``--dura-list``, ``--dura-replay`` or ``--dura-reduce``, if given."""
-        options = self.options
-        if options.list_only or options.replay is not None or options.reduce is not None:
-            self.reach_project()
-        if self.options.replay is not None:
-            from pytest_dura.plugin.commands import replay
-
-            with usage_errors(), self.models:
-                return replay(self)
-        if self.options.reduce is not None:
-            from pytest_dura.plugin.commands import reduce
-
-            with usage_errors(), self.models:
-                return reduce(self)
-        if self.options.list_only:
-            from pytest_dura.plugin.commands import show_list
-
-            with usage_errors():
-                self.roles.check()
-                self._make_plan()
-                return show_list(self)
-        return None
-
     def start(self) -> None:
         """Check everything that can be checked before something runs, and plan.
 
@@ -312,7 +288,7 @@ class DuraSession:
         with usage_errors():
             self.models.begin()
             self.roles.check()
-            self._make_plan()
+            self.make_plan()
             self.models.settle()
             self.evidence.given.read()
             if self.active:
@@ -421,7 +397,12 @@ class DuraSession:
             resolver=self.resolver,
         )
 
-    def _make_plan(self) -> None:
+    def make_plan(self) -> None:
+        """Plan what the arguments name.
+
+        Raises:
+            ConfigurationError: For arguments and scenarios that cannot be used.
+        """
         chosen = scenario_arguments(self)
         self._own_arguments = set(chosen)
         if self.options.scenarios or self.options.list_only or chosen:
@@ -455,18 +436,6 @@ class DuraSession:
                 expected="--dura-scenarios, or a case among the arguments",
                 remedy="add --dura-scenarios; a test function names its faults in the marker dura",
             )
-
-
-class usage_errors:  # noqa: N801 - reads like a statement
-    """Context in which a configuration error becomes a usage error: one message, exit code 4."""
-
-    def __enter__(self) -> None:
-        """Nothing to prepare."""
-
-    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        """Translate."""
-        if isinstance(error, ConfigurationError):
-            raise pytest.UsageError(error_text(error)) from None
 
 
 _STASH_KEY = pytest.StashKey[DuraSession]()
