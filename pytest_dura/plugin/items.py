@@ -16,7 +16,6 @@ from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.evidence.sessions import ShardUnit
 from pytest_dura.plugin.markers import Target
 from pytest_dura.plugin.messages import replay_command, rerun_command
-from pytest_dura.plugin.session import session_of
 
 if TYPE_CHECKING:
     import os
@@ -36,14 +35,15 @@ class ScenarioCases(pytest.Collector):
     It is no file: ``--lf`` would pass over it.
     """
 
+    context: DuraSession
+
     def collect(self) -> Iterator[pytest.Item]:
         """The items of each case in the order of the plan."""
-        session = session_of(self.config)
-        for planned in session.plan:
+        for planned in self.context.plan:
             name = planned.case.id
             # The root's path lets the root conftest apply, wherever the scenario file lies.
             case: ScenarioCase = ScenarioCase.from_parent(
-                self.session, name=name, nodeid=name, path=session.config.rootpath
+                self.session, name=name, nodeid=name, path=self.config.rootpath
             )
             case.planned, case.cases = planned, self
             yield from case.collect()
@@ -57,8 +57,8 @@ class ScenarioCases(pytest.Collector):
     @cached_property
     def markers(self) -> dict[str, pytest.MarkDecorator]:
         """The markers of the items, by their requirement."""
-        known = session_of(self.config).library().requirements
-        names = {name for planned in session_of(self.config).plan for name in planned.requirements}
+        known = self.context.library().requirements
+        names = {name for planned in self.context.plan for name in planned.requirements}
         return {name: pytest.mark.requirement(name, text=known[name].text) for name in names}
 
 
@@ -74,7 +74,7 @@ class ScenarioCase(pytest.Collector):
             item = ScenarioItem.from_parent(
                 self, name=name, callobj=_judge, fixtureinfo=self.cases.fixtures
             )
-            item.planned = self.planned
+            item.context, item.planned = self.cases.context, self.planned
             item.add_marker(self.cases.markers[name])
             yield item
 
@@ -82,6 +82,7 @@ class ScenarioCase(pytest.Collector):
 class ScenarioItem(pytest.Function):
     """Judges one requirement on all episodes of a case."""
 
+    context: DuraSession
     planned: Planned
 
     def reportinfo(self) -> tuple[os.PathLike[str] | str, int | None, str]:
@@ -96,6 +97,7 @@ def scenario_items(session: DuraSession, root: pytest.Session) -> list[pytest.It
     cases = ScenarioCases.from_parent(
         root, name=COLLECTOR, nodeid=COLLECTOR, path=session.config.rootpath
     )
+    cases.context = session
     return list(root.genitems(cases))
 
 
@@ -105,14 +107,14 @@ def _judge(request: pytest.FixtureRequest, _dura_roles: None, orchestrator: Runn
     from pytest_dura.plugin.junit import ending_events
     from pytest_dura.plugin.outcomes import ItemResult
 
-    session, planned = session_of(request.config), request.node.planned
+    session, planned = request.node.context, request.node.planned
     requirement = session.library().requirements[request.node.name]
     campaign = orchestrator.campaign(planned.case, requirement=requirement)
     try:
         verdict = campaign.judge(requirement)
     except ConfigurationError as error:
         raise pytest.fail.Exception(str(error), pytrace=False) from None
-    session.reporter.verdict_reached(verdict, requirement)
+    session.bench.on_verdict(verdict, requirement)
     if verdict.verdict == "supported":
         return
     lines = explain_verdict(verdict, requirement, campaign.failures)
