@@ -15,13 +15,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.plugin.messages import (
-    counted,
-    print_lines,
-    replay_command,
-    sibling_directory,
-    usage_errors,
-)
+from pytest_dura.plugin.context import replay_command
+from pytest_dura.plugin.messages import counted, print_lines, sibling_directory, usage_errors
 from pytest_dura.plugin.roles import defined_in_conftest
 
 if TYPE_CHECKING:

@@ -22,7 +22,7 @@ from pytest_dura.core.errors import ConfigurationError, describe_error
 from pytest_dura.plugin.messages import counted, safe_lines, typed_path
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, MutableMapping
+    from collections.abc import Collection, Iterator, Mapping, MutableMapping
 
     import pytest
 
@@ -32,7 +32,8 @@ if TYPE_CHECKING:
     from pytest_dura.execution.store import EpisodeStore
     from pytest_dura.execution.task import EpisodeTask
     from pytest_dura.library.cases import Case
-    from pytest_dura.plugin.session import DuraSession
+    from pytest_dura.plugin.context import SessionContext
+    from pytest_dura.plugin.language_models import LanguageModels
     from pytest_dura.requirements.verdicts.episodes import JudgedEpisode
 
 
@@ -44,11 +45,11 @@ class SessionExecutor:
     """Who simulates the episodes of this process.
 
     Args:
-        session: The session of this process.
+        context: The session's context.
     """
 
-    def __init__(self, session: DuraSession) -> None:
-        self.session = session
+    def __init__(self, context: SessionContext) -> None:
+        self.context = context
         self._execution: Execution | ConfigurationError | None = None
         self._noted: Counter[tuple[str, str]] = Counter()
 
@@ -61,7 +62,7 @@ class SessionExecutor:
         if self._execution is None:
             from pytest_dura.execution.executors import Execution
 
-            choice = self.session.options.executor
+            choice = self.context.options.executor
             try:
                 self._execution = Execution() if choice is None else choice.execution()
             except ConfigurationError as error:
@@ -76,8 +77,8 @@ class SessionExecutor:
         Raises:
             ConfigurationError: If it is not.
         """
-        choice = self.session.options.executor
-        if choice is not None and not self.session.is_worker:
+        choice = self.context.options.executor
+        if choice is not None and not self.context.is_worker:
             choice.knock()
 
     def begin(self) -> None:
@@ -86,8 +87,8 @@ class SessionExecutor:
         Raises:
             ConfigurationError: If it cannot be used.
         """
-        idle = self.session.is_worker or self.session.config.option.collectonly
-        if self.session.options.executor is not None and not idle:
+        idle = self.context.is_worker or self.context.config.option.collectonly
+        if self.context.options.executor is not None and not idle:
             self.execution()
 
     @property
@@ -105,14 +106,14 @@ class SessionExecutor:
 
     def to_json(self) -> dict[str, Any]:
         """What the record says of it."""
-        choice = self.session.options.executor
+        choice = self.context.options.executor
         if choice is None:
             return {"executor": "in-process", "processes": None}
         return {"executor": choice.kind, "processes": choice.processes}
 
     def header(self) -> list[str]:
         """A line, if another process simulates."""
-        choice = self.session.options.executor
+        choice = self.context.options.executor
         if choice is None:
             return []
         if choice.processes is not None:
@@ -156,11 +157,13 @@ class SharedEpisodes:
     """The episodes that all processes of a session share, and what is taken over from earlier ones.
 
     Args:
-        session: The session of this process.
+        context: The session's context.
+        executor: Who simulates.
     """
 
-    def __init__(self, session: DuraSession) -> None:
-        self.session = session
+    def __init__(self, context: SessionContext, executor: SessionExecutor) -> None:
+        self.context = context
+        self._executor = executor
         self.lines: list[str] = []
         """What the terminal says before anything runs."""
         self._store: EpisodeStore | None = None
@@ -172,7 +175,7 @@ class SharedEpisodes:
     @cached_property
     def id(self) -> str:
         """Of the session, the same in all of its processes."""
-        given = getattr(self.session.config, "workerinput", {}).get(_SESSION_KEY)
+        given = self.context.worker_input.get(_SESSION_KEY)
         return str(given or uuid.uuid4().hex)
 
     @cached_property
@@ -180,14 +183,14 @@ class SharedEpisodes:
         """Where the episodes are."""
         from pytest_dura.execution.cache import EpisodeCache
 
-        options = self.session.options
-        directory = options.reuse or self.session.evidence_directory / EPISODES_FOLDER
+        options = self.context.options
+        directory = options.reuse or self.context.evidence_directory / EPISODES_FOLDER
         return EpisodeCache(directory, self.id, earlier=options.resume or options.reuse is not None)
 
     @property
     def mode(self) -> str:
         """What is taken over: ``none``, ``resume`` or ``reuse``, as the record has it."""
-        options = self.session.options
+        options = self.context.options
         return "resume" if options.resume else "none" if options.reuse is None else "reuse"
 
     def to_json(self) -> dict[str, Any]:
@@ -198,7 +201,7 @@ class SharedEpisodes:
         """What the bench of this process asks for episodes."""
         from pytest_dura.execution.store import EpisodeStore
 
-        self._store = EpisodeStore(self.shelf, self.session.simulating.execution())
+        self._store = EpisodeStore(self.shelf, self._executor.execution())
         return self._store
 
     @property
@@ -223,7 +226,7 @@ class SharedEpisodes:
 
     def first_to_repeat(self, case: str, component: str) -> bool:
         """Whether this process is the first of the session that repeats an episode of a case."""
-        if not self.session.is_worker:
+        if not self.context.is_worker:
             return True
         name = hashlib.sha256(f"{case}\n{component}".encode()).hexdigest()
         with suppress(OSError):
@@ -251,13 +254,13 @@ class SharedEpisodes:
         Raises:
             ConfigurationError: If there is nothing to resume, or something cannot be removed.
         """
-        options = self.session.options
+        options = self.context.options
         left = self.shelf.count()
         kept = f"{left} episode{'' if left == 1 else 's'}"
         # Removed once a session is whole, so that a session which was not has left it.
         begun = self.shelf.directory.is_dir()
         if options.reuse is not None:
-            place = typed_path(options.reuse, self.session.config.invocation_params.dir)
+            place = typed_path(options.reuse, self.context.config.invocation_params.dir)
             self.lines = [f"reusing: {kept} of earlier sessions in {place}"]
             return
         # Reading a great record takes its time, and after most sessions there is nothing left.
@@ -292,7 +295,7 @@ class SharedEpisodes:
         shutil.rmtree(self._marks, ignore_errors=True)
         lost = self._lost or self._lost_here or record["totals"]["missing"]
         self.is_whole = written and record["status"] == "complete" and not lost
-        if self.session.options.reuse is not None:
+        if self.context.options.reuse is not None:
             return
         # What cannot be removed is in nobody's way: the next session does it, or tells why not.
         with suppress(OSError):
@@ -324,7 +327,7 @@ class SharedEpisodes:
         """
         from pytest_dura.evidence.bundle import RECORD_FILE, read_session_record
 
-        options = self.session.options
+        options = self.context.options
         file = options.evidence / RECORD_FILE
         if begun and not file.exists():
             return "a session that was interrupted before it wrote a record"
@@ -369,11 +372,21 @@ class Repeats:
     Of the processes of a session one simulates the repetition.
 
     Args:
-        session: The session of this process.
+        context: The session's context.
+        models: Whose counts leave repetitions out.
+        shared: Which process repeats a case.
+        executor: Who simulates.
     """
 
-    def __init__(self, session: DuraSession) -> None:
-        self.session = session
+    def __init__(
+        self,
+        context: SessionContext,
+        models: LanguageModels,
+        shared: SharedEpisodes,
+        executor: SessionExecutor,
+    ) -> None:
+        self.context = context
+        self._models, self._shared, self._executor = models, shared, executor
         self._due: dict[tuple[str, str], _DueRepetition] = {}
         self._done: set[tuple[str, str]] = set()
 
@@ -384,16 +397,22 @@ class Repeats:
             return
         from pytest_dura.execution.address import model_answers
 
-        task = self.session.bench.task(case, episode.spec.run)
+        task = self.context.bench.task(case, episode.spec.run)
         answers = model_answers(task)
         live = answers is not None and not answers.startswith("replay ")
         why_not = "a live language model answers" if live else None
         self._due[key] = _DueRepetition(task, episode.digest, why_not)
 
-    def item_ends(self, item: pytest.Item, nextitem: pytest.Item | None) -> None:
-        """Repeat what is due, unless the next item is on the same case."""
+    def item_ends(
+        self, item: pytest.Item, nextitem: pytest.Item | None
+    ) -> Iterator[dict[str, Any]]:
+        """Repeat what is due, unless the next item is on the same case.
+
+        Yields:
+            What came of each repetition, as the record has it.
+        """
         stopped = bool(item.session.shouldstop or item.session.shouldfail)
-        if stopped or self.session.simulating.is_lost:
+        if stopped or self._executor.is_lost:
             self._due.clear()
         if not self._due or (
             nextitem is not None and _case_id_of(nextitem) == _case_id_of(item) != ""
@@ -404,18 +423,18 @@ class Repeats:
             self._done.add((case, component))
             if found is not None:
                 told = {"case": case, "component": component, "episode": due.task.spec.id}
-                self.session.reporter.case_repeated({**told, "digest": due.digest, **found})
+                yield {**told, "digest": due.digest, **found}
         self._due.clear()
 
     def _repeated(self, due: _DueRepetition) -> Mapping[str, Any] | None:
         """What came of it; ``None`` if another process finds that out."""
         if due.why_not is not None:
             return {"result": "skipped", "repeated_digest": None, "detail": due.why_not}
-        if not self.session.shared.first_to_repeat(due.task.spec.case, due.task.spec.component):
+        if not self._shared.first_to_repeat(due.task.spec.case, due.task.spec.component):
             return None
         try:
-            with self.session.models.uncounted():
-                again = self.session.bench.store.repeat(due.task)
+            with self._models.uncounted():
+                again = self.context.bench.store.repeat(due.task)
         except Exception as error:  # whatever user code raises: the first time it did not
             return {
                 "result": "failed",
@@ -437,11 +456,11 @@ def _case_id_of(item: pytest.Item) -> str:
     return "" if planned is None else str(planned.case.id)
 
 
-def show_repeats(session: DuraSession, terminal: Any, record: SessionRecord) -> None:
+def show_repeats(terminal: Any, record: SessionRecord, objections: Collection[str]) -> None:
     """The cases that are not repeatable, unless the gate says so anyway."""
     from pytest_dura.evidence.gate import not_repeatable_lines
 
     for line in not_repeatable_lines(record["cases"]):
-        if line not in session.evidence.objections:
+        if line not in objections:
             for part in safe_lines(line):
                 terminal.line(part, yellow=True)

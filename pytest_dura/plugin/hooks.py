@@ -177,7 +177,8 @@ class SessionHooks:
     def pytest_runtest_teardown(self, item: pytest.Item, nextitem: pytest.Item | None) -> None:
         """Repeat an episode of a case after the last item on it, while its roles are there."""
         if uses_bench(item):
-            self.session.repeats.item_ends(item, nextitem)
+            for repeat in self.session.repeats.item_ends(item, nextitem):
+                self.session.reporter.case_repeated(repeat)
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_protocol(

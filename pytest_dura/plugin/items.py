@@ -14,14 +14,14 @@ import pytest
 
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.evidence.sessions import ShardUnit
+from pytest_dura.plugin.context import replay_command, rerun_command
 from pytest_dura.plugin.markers import Target
-from pytest_dura.plugin.messages import replay_command, rerun_command
 
 if TYPE_CHECKING:
     import os
 
     from pytest_dura.library.cases import Case
-    from pytest_dura.plugin.session import DuraSession, Planned
+    from pytest_dura.plugin.context import Planned, SessionContext
     from pytest_dura.runner import Runner
 
 
@@ -35,7 +35,7 @@ class ScenarioCases(pytest.Collector):
     It is no file: ``--lf`` would pass over it.
     """
 
-    context: DuraSession
+    context: SessionContext
 
     def collect(self) -> Iterator[pytest.Item]:
         """The items of each case in the order of the plan."""
@@ -82,7 +82,7 @@ class ScenarioCase(pytest.Collector):
 class ScenarioItem(pytest.Function):
     """Judges one requirement on all episodes of a case."""
 
-    context: DuraSession
+    context: SessionContext
     planned: Planned
 
     def reportinfo(self) -> tuple[os.PathLike[str] | str, int | None, str]:
@@ -92,12 +92,12 @@ class ScenarioItem(pytest.Function):
         return scenario.file, line - 1, self.nodeid
 
 
-def scenario_items(session: DuraSession, root: pytest.Session) -> list[pytest.Item]:
+def scenario_items(context: SessionContext, root: pytest.Session) -> list[pytest.Item]:
     """The items of all planned cases."""
     cases = ScenarioCases.from_parent(
-        root, name=COLLECTOR, nodeid=COLLECTOR, path=session.config.rootpath
+        root, name=COLLECTOR, nodeid=COLLECTOR, path=context.config.rootpath
     )
-    cases.context = session
+    cases.context = context
     return list(root.genitems(cases))
 
 
@@ -107,30 +107,30 @@ def _judge(request: pytest.FixtureRequest, _dura_roles: None, orchestrator: Runn
     from pytest_dura.plugin.junit import ending_events
     from pytest_dura.plugin.outcomes import ItemResult
 
-    session, planned = request.node.context, request.node.planned
-    requirement = session.library().requirements[request.node.name]
+    context, planned = request.node.context, request.node.planned
+    requirement = context.library().requirements[request.node.name]
     campaign = orchestrator.campaign(planned.case, requirement=requirement)
     try:
         verdict = campaign.judge(requirement)
     except ConfigurationError as error:
         raise pytest.fail.Exception(str(error), pytrace=False) from None
-    session.bench.on_verdict(verdict, requirement)
+    context.bench.on_verdict(verdict, requirement)
     if verdict.verdict == "supported":
         return
     lines = explain_verdict(verdict, requirement, campaign.failures)
     if verdict.counterexamples:
         found = ItemResult(requirement, planned.case, verdict=verdict.to_json())
-        lines += [f"event:    {line}" for line in ending_events(session, found)]
-        lines.append("replay:   " + replay_command(session, verdict.counterexamples[0].episode))
-    lines.append("rerun:    " + rerun_command(session, f"{planned.case.id}::{requirement.id}"))
+        lines += [f"event:    {line}" for line in ending_events(context, found)]
+        lines.append("replay:   " + replay_command(context, verdict.counterexamples[0].episode))
+    lines.append("rerun:    " + rerun_command(context, f"{planned.case.id}::{requirement.id}"))
     message = "\n".join(lines)
-    if verdict.verdict == "undecided" and session.options.warn_undecided:
+    if verdict.verdict == "undecided" and context.options.warn_undecided:
         pytest.skip(message)
     pytest.fail(message, pytrace=False)
 
 
 def units_of(
-    session: DuraSession, items: Sequence[pytest.Item]
+    context: SessionContext, items: Sequence[pytest.Item]
 ) -> dict[ShardUnit, list[pytest.Item]]:
     """The items in units, all of one case in one, and so those of cases that share episodes.
 
@@ -139,14 +139,14 @@ def units_of(
     two shards ran that way is told by both, and has to be the same one.
 
     Args:
-        session: The session of this process.
+        context: The session's context.
         items: Those that the whole session would run.
     """
     groups = _Groups()
     tests: dict[str, list[pytest.Item]] = defaultdict(list)
     of_cases: list[tuple[str, pytest.Item]] = []
     for item in items:
-        found = _planned_case_of(session, item)
+        found = _planned_case_of(context, item)
         if found is None:
             tests[item.nodeid].append(item)
             continue
@@ -175,26 +175,26 @@ def units_of(
     return units
 
 
-def _planned_case_of(session: DuraSession, item: pytest.Item) -> tuple[Case, int, bool] | None:
+def _planned_case_of(context: SessionContext, item: pytest.Item) -> tuple[Case, int, bool] | None:
     """An item's case, its planned runs, and whether it compares them with runs without faults."""
     if isinstance(item, ScenarioItem):
         case, names = item.planned.case, item.planned.requirements
-        runs = session.options.runs or case.scenario.planned
-        return case, runs, _pairs(session, case, names)
+        runs = context.options.runs or case.scenario.planned
+        return case, runs, _pairs(context, case, names)
     parameters = getattr(getattr(item, "callspec", None), "params", {})
     for fixture in ("episode", "campaign"):
         target = parameters.get(fixture)
         if isinstance(target, Target):
             asked = () if target.requirement is None else (target.requirement.id,)
-            return target.case, target.planned, _pairs(session, target.case, asked)
+            return target.case, target.planned, _pairs(context, target.case, asked)
     return None
 
 
-def _pairs(session: DuraSession, case: Case, names: Iterable[str]) -> bool:
+def _pairs(context: SessionContext, case: Case, names: Iterable[str]) -> bool:
     """Whether one of these requirements compares runs with their twins without faults."""
     from pytest_dura.requirements.model import FAULTS
 
-    known = session.library().requirements
+    known = context.library().requirements
     paired = [known[name].paired for name in names if name in known]
     return bool(case.faults) and any(one is not None and one.without == FAULTS for one in paired)
 

@@ -16,8 +16,8 @@ from pytest_dura.core.errors import ConfigurationError
 if TYPE_CHECKING:
     from xdist.workermanage import WorkerController
 
+    from pytest_dura.plugin.context import SessionContext
     from pytest_dura.plugin.options import Shard
-    from pytest_dura.plugin.session import DuraSession
 
 
 MOST_LISTED = 20
@@ -33,11 +33,11 @@ class Selection:
     would come to.
 
     Args:
-        session: The session of this process.
+        context: The session's context.
     """
 
-    def __init__(self, session: DuraSession) -> None:
-        self.session = session
+    def __init__(self, context: SessionContext) -> None:
+        self.context = context
         self._planned: dict[str, int] = {}
         """Runs that are declared for each verdict."""
         self._told: dict[str, Any] = {
@@ -52,7 +52,7 @@ class Selection:
         """Note what is left of them."""
         asked = dict(self._verdicts(items))
         left_out = [name for name in self._planned if name not in asked]
-        runs = self.session.options.runs
+        runs = self.context.options.runs
         fewer = {one for one in asked.values() if runs is not None and runs < one}
         self._told = {
             "planned": len(self._planned | asked),
@@ -98,7 +98,7 @@ class Selection:
         if decides_nothing(item):
             return []
         try:
-            names = [one.id for one in marked_requirements(self.session, item)]
+            names = [one.id for one in marked_requirements(self.context, item)]
         except ConfigurationError:  # the test's own error says so
             names = []
         return [f"{name} on {case} by {test}" for name in dict.fromkeys(names)] or [
@@ -141,12 +141,12 @@ class ShardHooks:
     ``--lf``. Shards whose choice differed have different plans, and are never merged.
 
     Args:
-        session: The session of this process.
+        context: The session's context.
         shard: Which part it is to run.
     """
 
-    def __init__(self, session: DuraSession, shard: Shard) -> None:
-        self.session, self.shard = session, shard
+    def __init__(self, context: SessionContext, shard: Shard) -> None:
+        self.context, self.shard = context, shard
         self._told: dict[str, Any] | None = None
         """Plan, units and what this shard holds, once items were collected."""
         self.lost: str | None = None
@@ -156,7 +156,7 @@ class ShardHooks:
     def to_json(self) -> dict[str, Any]:
         """The record's key ``shard``."""
         told = self._told or {"plan": None, "units": None, "holds": []}
-        return {**vars(self.shard), "options": _compared_options(self.session.config), **told}
+        return {**vars(self.shard), "options": _compared_options(self.context.config), **told}
 
     @property
     def is_empty(self) -> bool:
@@ -172,21 +172,19 @@ class ShardHooks:
         from pytest_dura.plugin.items import units_of
 
         result = yield
-        units = units_of(self.session, items)
+        units = units_of(self.context, items)
         holds = split_units(units, self.shard.count)[self.shard.index - 1]
         kept = {id(item) for unit in holds for item in units[unit]}
         left = [item for item in items if id(item) not in kept]
         self._kept = items[:] = [item for item in items if id(item) in kept]
         if left:
             config.hook.pytest_deselected(items=left)
-        self._take(
-            {
-                "plan": plan_digest(units),
-                "units": len(units),
-                "holds": [unit.to_json() for unit in holds],
-            }
-        )
-        if self.session.is_worker:
+        self._told = {
+            "plan": plan_digest(units),
+            "units": len(units),
+            "holds": [unit.to_json() for unit in holds],
+        }
+        if self.context.is_worker:
             config.workeroutput[_SHARD_KEY] = json.dumps(self._told)  # type: ignore[attr-defined]
         return result
 
@@ -201,7 +199,7 @@ class ShardHooks:
                 f"split, the first of them {lost[0]}: no shard runs them; let it choose in "
                 "pytest_collection_modifyitems"
             )
-        if self.session.is_worker:
+        if self.context.is_worker:
             session.config.workeroutput[_LOST_ITEMS_KEY] = self.lost  # type: ignore[attr-defined]
 
     def pytest_report_collectionfinish(self) -> list[str]:
@@ -218,14 +216,8 @@ class ShardHooks:
         """Take over from a worker what it collected."""
         told = getattr(node, "workeroutput", {}).get(_SHARD_KEY)
         if told is not None:
-            self._take(json.loads(told))
+            self._told = json.loads(told)
         self.lost = getattr(node, "workeroutput", {}).get(_LOST_ITEMS_KEY) or self.lost
-
-    def _take(self, told: dict[str, Any]) -> None:
-        self._told = told
-        record = self.session.evidence.record
-        if record is not None:
-            record.header["shard"] = self.to_json()
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_sessionfinish(self, session: pytest.Session) -> None:

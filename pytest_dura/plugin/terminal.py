@@ -298,7 +298,7 @@ def summary(session: DuraSession, terminal: Any) -> None:
     show_searches(session, terminal, record)
     for line in searched_lines(record):
         terminal.line(line)
-    show_repeats(session, terminal, record)
+    show_repeats(terminal, record, session.evidence.objections)
     show_baseline(terminal, record)
     for note in session.simulating.notes():
         terminal.line(note)

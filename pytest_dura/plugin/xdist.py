@@ -21,22 +21,22 @@ if TYPE_CHECKING:
     from xdist.workermanage import WorkerController
 
     from pytest_dura.campaign.campaign import Campaign
-    from pytest_dura.plugin.session import DuraSession
+    from pytest_dura.plugin.context import SessionContext
     from pytest_dura.requirements.model import Requirement
     from pytest_dura.runner import Runner
 
 
-def steal_work(session: DuraSession, last: pytest.Item) -> None:
+def steal_work(context: SessionContext, last: pytest.Item) -> None:
     """Help at the campaigns that other workers may still be at.
 
     Args:
-        session: The session of this worker.
+        context: The context of this worker's session.
         last: Its last item, which has come to its end.
     """
-    if not isinstance(last, ScenarioItem) or not _may_steal(session, last.session):
+    if not isinstance(last, ScenarioItem) or not _may_steal(context, last.session):
         return
-    bench, known = _silenced(session.bench), session.library().requirements
-    workers = int(vars(session.config)["workerinput"]["workercount"])
+    bench, known = _silenced(context.bench), context.library().requirements
+    workers = int(vars(context.config)["workerinput"]["workercount"])
     for item in _last_items(last.session.items, known, workers):
         requirement = known[item.name]
         campaign = bench.campaign(item.planned.case, requirement=requirement)
@@ -50,11 +50,11 @@ def steal_work(session: DuraSession, last: pytest.Item) -> None:
             return
 
 
-def _may_steal(session: DuraSession, run: pytest.Session) -> bool:
+def _may_steal(context: SessionContext, run: pytest.Session) -> bool:
     """Whether nothing else is to be done, and all items are to be run to their end."""
-    patient = not session.config.getoption("maxfail", 0)
+    patient = not context.config.getoption("maxfail", 0)
     stopped = bool(run.shouldstop or run.shouldfail)
-    return patient and not stopped and session.bench.store.execution.inside
+    return patient and not stopped and context.bench.store.execution.inside
 
 
 def _silenced(bench: Runner) -> Runner:

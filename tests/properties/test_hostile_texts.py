@@ -308,7 +308,7 @@ def check_terminal(bundle):
         invocation_params=SimpleNamespace(dir=bundle.root),
     )  # fmt: skip
     session = SimpleNamespace(
-        config=config, active=True, models=SimpleNamespace(replay_options=list),
+        config=config, active=True, cassette=None,
         simulating=SimpleNamespace(notes=list), shared=SimpleNamespace(is_whole=True),
         options=SimpleNamespace(runs=None, given=()),
         evidence=SimpleNamespace(
