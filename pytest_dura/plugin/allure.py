@@ -52,7 +52,7 @@ def wanted(config: pytest.Config) -> bool:
 
 
 def mark_item(context: SessionContext, item: pytest.Item) -> None:
-    """Give an item that uses the bench its labels and links; the test's own ones come first."""
+    """Give an item that uses the runner its labels and links; the test's own ones come first."""
     from pytest_dura.plugin.markers import marked_requirements
 
     own = {one.kwargs.get("label_type") for one in item.iter_markers("allure_label")}
@@ -104,7 +104,7 @@ def report_item(context: SessionContext, item: pytest.Item, results: Sequence[It
 
     Args:
         context: The session's context.
-        item: An item that uses the bench, whose result is not written yet.
+        item: An item that uses the runner, whose result is not written yet.
         results: What it came to.
     """
     from allure_commons import plugin_manager
@@ -236,7 +236,7 @@ def _episode(context: SessionContext, result: ItemResult) -> Episode | None:
     spoilt = verdict.get("spoilt")
     shown = [*verdict["counterexamples"][:1], *([] if spoilt is None else [spoilt])]
     run = int(shown[0]["episode"].rpartition("#")[2]) if shown else 0
-    return context.bench.again(result.case, run)
+    return context.runner.again(result.case, run)
 
 
 def _judged(result: ItemResult, episode: Episode) -> EpisodeVerdict | None:

@@ -313,7 +313,7 @@ def replay(session: DuraSession) -> int:
         trace = Trace.of(episode).without_secrets(session.redact)
         same, lines = _compared(one, episode, trace, options.evidence)
         equal &= same
-        lines += [] if same else session.models.asked_anew()
+        lines += [] if same else session.models.replay_warning()
         print_lines([*lines, f"  player: {_write_player(one, episode, trace, options.evidence)}"])
     return 0 if equal else 1
 

@@ -60,7 +60,7 @@ class SessionContext(ABC):
 
     @property
     @abstractmethod
-    def bench(self) -> Runner:
+    def runner(self) -> Runner:
         """What runs episodes. Its roles follow the fixtures that the current item sees."""
 
     @cached_property

@@ -71,7 +71,7 @@ class SessionExecutor:
             raise self._execution.with_traceback(None)
         return self._execution
 
-    def knock(self) -> None:
+    def connect(self) -> None:
         """Find out before anything is collected or written whether a cluster is there.
 
         Raises:
@@ -81,7 +81,7 @@ class SessionExecutor:
         if choice is not None and not self.context.is_worker:
             choice.knock()
 
-    def begin(self) -> None:
+    def start(self) -> None:
         """Have what simulates, once all is collected: processes find what is imported by then.
 
         Raises:
@@ -134,13 +134,13 @@ class SessionExecutor:
             return self._noted
         return self._noted + found.here
 
-    def tell_controller(self, workeroutput: MutableMapping[str, Any]) -> None:
+    def send_to_controller(self, workeroutput: MutableMapping[str, Any]) -> None:
         """Tell the controller what this worker has simulated itself."""
         workeroutput[_SIMULATED_HERE_KEY] = [
             [*key, number] for key, number in self._counts().items()
         ]
 
-    def hear_worker(self, workeroutput: MutableMapping[str, Any]) -> None:
+    def receive_from_worker(self, workeroutput: MutableMapping[str, Any]) -> None:
         """Take in what a worker tells at its end."""
         for component, why, number in workeroutput.get(_SIMULATED_HERE_KEY, ()):
             self._noted[component, why] += number
@@ -179,7 +179,7 @@ class SharedEpisodes:
         return str(given or uuid.uuid4().hex)
 
     @cached_property
-    def shelf(self) -> EpisodeCache:
+    def cache(self) -> EpisodeCache:
         """Where the episodes are."""
         from pytest_dura.execution.cache import EpisodeCache
 
@@ -198,10 +198,10 @@ class SharedEpisodes:
         return {"mode": self.mode, "session": self.id}
 
     def store(self) -> EpisodeStore:
-        """What the bench of this process asks for episodes."""
+        """What the runner of this process asks for episodes."""
         from pytest_dura.execution.store import EpisodeStore
 
-        self._store = EpisodeStore(self.shelf, self._executor.execution())
+        self._store = EpisodeStore(self.cache, self._executor.execution())
         return self._store
 
     @property
@@ -242,7 +242,7 @@ class SharedEpisodes:
         """Where workers note what they repeat, as long as the session runs."""
         return Path(tempfile.gettempdir()) / f"pytest-dura-{self.id}"
 
-    def tell_worker(self, workerinput: MutableMapping[str, Any]) -> None:
+    def send_to_worker(self, workerinput: MutableMapping[str, Any]) -> None:
         """Tell a worker which session it is of."""
         workerinput[_SESSION_KEY] = self.id
 
@@ -255,10 +255,10 @@ class SharedEpisodes:
             ConfigurationError: If there is nothing to resume, or something cannot be removed.
         """
         options = self.context.options
-        left = self.shelf.count()
+        left = self.cache.count()
         kept = f"{left} episode{'' if left == 1 else 's'}"
         # Removed once a session is whole, so that a session which was not has left it.
-        begun = self.shelf.directory.is_dir()
+        begun = self.cache.directory.is_dir()
         if options.reuse is not None:
             place = typed_path(options.reuse, self.context.config.invocation_params.dir)
             self.lines = [f"reusing: {kept} of earlier sessions in {place}"]
@@ -277,11 +277,11 @@ class SharedEpisodes:
     def _lost_here(self) -> bool:
         return self._store is not None and self._store.lost
 
-    def tell_controller(self, workeroutput: MutableMapping[str, Any]) -> None:
+    def send_to_controller(self, workeroutput: MutableMapping[str, Any]) -> None:
         """Tell the controller whether this worker lost an episode with whoever simulated it."""
         workeroutput[_LOST_KEY] = self._lost_here
 
-    def hear_worker(self, workeroutput: Mapping[str, Any], error: object) -> None:
+    def receive_from_worker(self, workeroutput: Mapping[str, Any], error: object) -> None:
         """Take in what a worker tells at its end, and whether it came to its end at all."""
         self._lost |= bool(error) or bool(workeroutput.get(_LOST_KEY))
 
@@ -300,18 +300,18 @@ class SharedEpisodes:
         # What cannot be removed is in nobody's way: the next session does it, or tells why not.
         with suppress(OSError):
             if self.is_whole:
-                self.shelf.clear()
+                self.cache.clear()
             else:  # so that it can be resumed, also if nothing was simulated
-                self.shelf.directory.mkdir(exist_ok=True)
+                self.cache.directory.mkdir(exist_ok=True)
 
     def _clear(self) -> None:
         try:
-            self.shelf.clear()
+            self.cache.clear()
         except OSError as error:
             raise ConfigurationError(
                 f"the episodes of an earlier session cannot be removed: {error.strerror or error}",
                 key="--dura-evidence",
-                found=str(error.filename or self.shelf.directory),
+                found=str(error.filename or self.cache.directory),
                 expected="a directory whose files can be removed",
                 remedy="remove it, or choose another directory",
             ) from None
@@ -397,7 +397,7 @@ class Repeats:
             return
         from pytest_dura.execution.address import model_answers
 
-        task = self.context.bench.task(case, episode.spec.run)
+        task = self.context.runner.task(case, episode.spec.run)
         answers = model_answers(task)
         live = answers is not None and not answers.startswith("replay ")
         why_not = "a live language model answers" if live else None
@@ -434,7 +434,7 @@ class Repeats:
             return None
         try:
             with self._models.uncounted():
-                again = self.context.bench.store.repeat(due.task)
+                again = self.context.runner.store.repeat(due.task)
         except Exception as error:  # whatever user code raises: the first time it did not
             return {
                 "result": "failed",

@@ -299,7 +299,7 @@ class SessionEvidence:
         """Note the tests that will run, and their files, as near as can be to when they were read.
 
         Args:
-            items: Node ids of tests that use the bench.
+            items: Node ids of tests that use the runner.
             telling: Those of them whose reports carry what they are to decide.
         """
         if self.record is not None:
@@ -339,7 +339,7 @@ class SessionEvidence:
             return
         try:
             self.record.add(told)
-            self._sources().heard(told)
+            self._sources().add_report(told)
         except ConfigurationError as error:
             # Without its episodes there is nothing that the session could still show.
             pytest.exit(error_text(error))

@@ -66,7 +66,7 @@ class SessionInputs:
         self.inputs.add("test", file)
         self._conftests(file.parent)
 
-    def heard(self, report: Data) -> None:
+    def add_report(self, report: Data) -> None:
         """What an item told, of :class:`pytest_dura.evidence.gather.ItemReport`."""
         self.item(report["item"])
         for component in report["components"]:

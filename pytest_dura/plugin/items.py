@@ -114,7 +114,7 @@ def _judge(request: pytest.FixtureRequest, _dura_roles: None, orchestrator: Runn
         verdict = campaign.judge(requirement)
     except ConfigurationError as error:
         raise pytest.fail.Exception(str(error), pytrace=False) from None
-    context.bench.on_verdict(verdict, requirement)
+    context.runner.on_verdict(verdict, requirement)
     if verdict.verdict == "supported":
         return
     lines = explain_verdict(verdict, requirement, campaign.failures)
@@ -135,7 +135,7 @@ def units_of(
     """The items in units, all of one case in one, and so those of cases that share episodes.
 
     A campaign that is compared with runs without faults runs those of another case, so that both
-    are one unit. What a test asks of a bench itself is not known before it runs: an episode that
+    are one unit. What a test asks of a runner itself is not known before it runs: an episode that
     two shards ran that way is told by both, and has to be the same one.
 
     Args:

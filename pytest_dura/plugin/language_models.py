@@ -51,7 +51,7 @@ class LanguageModels:
         self._to_tell: set[tuple[Any, ...]] = set()
         self._replayed: list[ModelDescription] = []
 
-    def tell_worker(self, told: dict[str, Any]) -> None:
+    def send_to_worker(self, told: dict[str, Any]) -> None:
         """Add what a worker has to know to its input."""
         if self.context.cassette is not None:
             told["dura_cassette"] = str(self.context.cassette.absolute())
@@ -117,7 +117,7 @@ class LanguageModels:
         found: ModelSession | None = None if module is None else module.in_use()
         return found
 
-    def settle(self) -> None:
+    def resolve_parameters(self) -> None:
         """Settle the components that are known before anything runs, so that it fails here or not.
 
         Raises:
@@ -188,7 +188,7 @@ class LanguageModels:
             for model in models:
                 current().describe(model)
 
-    def asked_anew(self) -> list[str]:
+    def replay_warning(self) -> list[str]:
         """A line, if a server was asked in this process, that its answers may be others now."""
         session = self._in_use
         counts = {} if session is None else session.counts

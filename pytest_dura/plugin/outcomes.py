@@ -57,11 +57,11 @@ class UsedEpisodes:
         if episode.failure is not None:
             self.failure = self.failure or f"{episode.failure} (in {name})"
 
-    def again(self, bench: Runner, name: str) -> JudgedEpisode | None:
+    def again(self, runner: Runner, name: str) -> JudgedEpisode | None:
         """The episode of this id that the item looked at last, if it looked at one."""
         if name not in self._seeds:
             return None
-        return bench.again(self.case, int(name.rpartition("#")[2]), self._seeds[name])
+        return runner.again(self.case, int(name.rpartition("#")[2]), self._seeds[name])
 
     @property
     def doubt(self) -> str | None:
@@ -125,7 +125,7 @@ def item_results(
 
     Args:
         context: The session's context.
-        item: An item that uses the bench.
+        item: An item that uses the runner.
         told: What it told when it ran.
 
     Returns:
@@ -236,7 +236,7 @@ def _case_of_result(context: SessionContext, item: pytest.Item, name: str) -> Ca
         case: Case = target.case
         return case
     try:
-        return context.bench.case(name)
+        return context.runner.case(name)
     except ConfigurationError:  # faults of the test's own making: no name leads to them
         return None
 

@@ -135,7 +135,7 @@ class PropertyTests:
             self._cases.clear()
             self._failed.clear()
 
-    def tell(self, report: pytest.TestReport) -> None:
+    def add_section(self, report: pytest.TestReport) -> None:
         """Say in the report of a test what was kept."""
         if report.when == "call" and self._lines:
             report.sections.append(("dura", "\n".join(self._lines)))
@@ -149,13 +149,13 @@ class PropertyTests:
         environment = dict(header["environment"])
         return {**header, "environment": environment | ({"hypothesis": found} if found else {})}
 
-    def tell_controller(self, workeroutput: MutableMapping[str, Any]) -> None:
+    def send_to_controller(self, workeroutput: MutableMapping[str, Any]) -> None:
         """Tell the controller, which reads no tests, under which profile this worker ran them."""
         from pytest_dura.provenance import describe_hypothesis
 
         workeroutput[_PROFILE_KEY] = describe_hypothesis()
 
-    def hear_worker(self, workeroutput: Mapping[str, Any]) -> None:
+    def receive_from_worker(self, workeroutput: Mapping[str, Any]) -> None:
         """Take in what a worker tells at its end."""
         self._settings = workeroutput.get(_PROFILE_KEY) or self._settings
 
@@ -199,10 +199,10 @@ class PropertyTests:
         from pytest_dura.plugin.markers import marked_requirements
         from pytest_dura.search.trials import Objective
 
-        bench = self.context.bench
+        runner = self.context.runner
         named = {one.id: one for one in marked_requirements(self.context, item)}
-        named |= {one.id: one for one in bench.requirements_of(case) if one.id not in named}
-        episode = bench.searched(case)
+        named |= {one.id: one for one in runner.requirements_of(case) if one.id not in named}
+        episode = runner.searched(case)
         for one in named.values():
             asked = Objective(one)
             if one.check and not one.paired and asked.judge(episode).word == "violated":
@@ -218,9 +218,9 @@ class PropertyTests:
         from pytest_dura.search.space import SearchSpace
         from pytest_dura.search.trials import Trials
 
-        bench, name = self.context.bench, asked.requirement.id
-        original = bench.case(case.scenario.name)
-        trials = Trials(bench, SearchSpace(original, (), original.scenario.world), [asked])
+        runner, name = self.context.runner, asked.requirement.id
+        original = runner.case(case.scenario.name)
+        trials = Trials(runner, SearchSpace(original, (), original.scenario.world), [asked])
         confirmed = confirm_violation(trials, asked, case, 0)
         repeats = confirmed.found.repeats
         if not repeats.confirmed:

@@ -209,7 +209,7 @@ class ItemRecorder:
         self._models, self._properties, self._repeats = models, properties, repeats
         self._shared, self._executor, self._take = shared, executor, take
         self._pending: ItemReport | None = None
-        self._told: set[tuple[EpisodeKey, bool]] = set()
+        self._recorded: set[tuple[EpisodeKey, bool]] = set()
         self._used: dict[str, UsedEpisodes] = {}
         self._decided: set[tuple[str, str]] = set()
         self._components: dict[tuple[str, bytes, bool], dict[str, Any]] = {}
@@ -226,11 +226,11 @@ class ItemRecorder:
         generator = episode.spec.roles["generator"]
         self._case_used(case, generator, planned)
         self._models.used(episode.spec)
-        own = self.context.bench.key(episode)
+        own = self.context.runner.key(episode)
         key = own, planned > 0
-        if key not in self._told:
-            self._told.add(key)
-            origin = self.context.bench.store.earlier.origin(own)
+        if key not in self._recorded:
+            self._recorded.add(key)
+            origin = self.context.runner.store.earlier.origin(own)
             told = episode_record(episode, planned=planned > 0, origin=origin)
             self._report.episodes.append(told)
             self._relieve()
@@ -250,7 +250,7 @@ class ItemRecorder:
         """A campaign was judged, and what its episodes are worth along with it."""
         used = self._used.pop(verdict.case, None)
         for counterexample in verdict.counterexamples:
-            episode = used and used.again(self.context.bench, counterexample.episode)
+            episode = used and used.again(self.context.runner, counterexample.episode)
             if episode:
                 self.traces.violated(episode)
         self._used.pop((verdict.pairs or {}).get("case", verdict.case), None)
@@ -271,7 +271,7 @@ class ItemRecorder:
         from pytest_dura.evidence.model import plain_data
         from pytest_dura.requirements.model import Requirement
 
-        spec = self.context.bench.task(case).spec
+        spec = self.context.runner.task(case).spec
         self._component_used(spec.roles["generator"])
         self._models.used(spec)
         library = self.context.library().requirements
@@ -405,7 +405,7 @@ class ItemRecorder:
     def _case_used(self, case: Case, generator: RoleSpec, planned: int) -> None:
         report, component = self._report, self._component_used(generator)
         if not any((one["id"], one["component"]) == (case.id, component) for one in report.cases):
-            off = case.roles_off(self.context.bench.roles)
+            off = case.roles_off(self.context.runner.roles)
             runs = self.context.options.runs
             report.cases.append(case_record(case, component, planned, runs, off))
             known = self.context.library().requirements
@@ -457,7 +457,7 @@ class ItemRecorder:
 
         component = getattr(campaign, "component", None) or UNKNOWN_COMPONENT
         override = self.context.options.runs
-        off = target.case.roles_off(self.context.bench.roles)
+        off = target.case.roles_off(self.context.runner.roles)
         case = case_record(target.case, component, target.planned, override, off)
         for requirement in marked_requirements(self.context, item):
             self._requirement_used(requirement)
@@ -487,7 +487,7 @@ class ItemRecorder:
         )
         for requirement in marked_requirements(self.context, item):
             self._requirement_used(requirement)
-            of_case = self.context.bench.requirements_of(target.case)
+            of_case = self.context.runner.requirements_of(target.case)
             told = outcome_of_test(requirement, of_case, episode, error, failed)
             if told["verdict"] == "violated":
                 self.traces.violated(episode)

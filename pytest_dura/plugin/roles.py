@@ -148,7 +148,7 @@ class SessionRoles:
         return {"generator": self.default("generator")}
 
     def use(self, given: dict[str, Any]) -> None:
-        """Let the bench run what the role fixtures of an item returned.
+        """Let the runner run what the role fixtures of an item returned.
 
         Raises:
             ConfigurationError: For something that is no such role, and for a generator that is
@@ -163,8 +163,8 @@ class SessionRoles:
         }
         if "generator" in overridden and self.context.options.generator is not None:
             raise _given_twice("a fixture")
-        self.context.bench.simulator = overridden.pop("simulator", None)
-        self.context.bench.roles = self.chosen() | overridden
+        self.context.runner.simulator = overridden.pop("simulator", None)
+        self.context.runner.roles = self.chosen() | overridden
 
     def check(self) -> None:
         """Check the generator that is given.

@@ -75,12 +75,12 @@ def _case_name(context: SessionContext, path: str) -> str | None:
     relative = os.path.relpath(absolute, context.config.rootpath).replace(os.sep, "/")
     for name in (path, relative):
         if re.split(r"[+~]", name, maxsplit=1)[0] in library.scenarios:
-            return context.bench.case(name).id
+            return context.runner.case(name).id
     return None
 
 
 def _requirement_name(context: SessionContext, name: str, requirement: str) -> str:
-    known = context.bench.case(name).requirements
+    known = context.runner.case(name).requirements
     if requirement and requirement not in known:
         from pytest_dura.core.error_messages import did_you_mean
 
@@ -108,7 +108,7 @@ def make_plan(context: SessionContext, chosen: Mapping[str, Chosen]) -> list[Pla
     options, library, plan = context.options, context.library(), []
     if chosen:
         # A case of our own arguments may have other faults than its scenario.
-        named = {name: context.bench.case(name) for name, _ in chosen.values()}
+        named = {name: context.runner.case(name) for name, _ in chosen.values()}
         found = select_cases(list(named.values()), options.select)
     else:
         found = expand_cases(library.scenarios, options.faults, options.select, library.faults)
@@ -157,7 +157,7 @@ def expect_progress(context: SessionContext) -> None:
 
 
 def progress_listener(context: SessionContext) -> Callable[[RunningCampaign], None]:
-    """What a bench tells its progress."""
+    """What a runner reports its progress to."""
     if context.is_worker:
         file = progress_file(context)
         return _show_nothing if file is None else file.tell
@@ -206,10 +206,10 @@ class DuraSession(SessionContext):
     def __init__(self, config: pytest.Config) -> None:
         super().__init__(config)
         self.roles = SessionRoles(self)
-        self.simulating = SessionExecutor(self)
+        self.executor = SessionExecutor(self)
         self.models = LanguageModels(self, self.roles)
-        self.shared = SharedEpisodes(self, self.simulating)
-        self.repeats = Repeats(self, self.models, self.shared, self.simulating)
+        self.shared = SharedEpisodes(self, self.executor)
+        self.repeats = Repeats(self, self.models, self.shared, self.executor)
         self.properties = PropertyTests(self)
         self.selection = Selection(self)
         self.evidence = SessionEvidence(
@@ -219,16 +219,16 @@ class DuraSession(SessionContext):
             properties=self.properties,
             selection=self.selection,
             shared=self.shared,
-            executor=self.simulating,
+            executor=self.executor,
             shard=lambda: self.shard,
         )
-        self.reporter = ItemRecorder(
+        self.recorder = ItemRecorder(
             self,
             models=self.models,
             properties=self.properties,
             repeats=self.repeats,
             shared=self.shared,
-            executor=self.simulating,
+            executor=self.executor,
             take=self.evidence.take,
         )
         self._own_arguments: set[str] = set()
@@ -255,10 +255,10 @@ class DuraSession(SessionContext):
             self.models.begin()
             self.roles.check()
             self.make_plan()
-            self.models.settle()
+            self.models.resolve_parameters()
             self.evidence.given.read()
             if self.active:
-                self.simulating.knock()
+                self.executor.connect()
                 self.evidence.start()
 
     def begin_evidence(self) -> None:
@@ -270,7 +270,7 @@ class DuraSession(SessionContext):
         self.reach_project()
         with usage_errors():
             self.evidence.start()
-            self.simulating.begin()
+            self.executor.start()
 
     def check_argument(self) -> None:
         """Check the user's argument against what was collected.
@@ -290,7 +290,7 @@ class DuraSession(SessionContext):
             config.args = []
 
     @cached_property
-    def bench(self) -> Runner:
+    def runner(self) -> Runner:
         """What runs episodes. Its roles follow the fixtures that the current item sees."""
         from pytest_dura.plugin.property_tests import counterexample_store
         from pytest_dura.runner import Runner
@@ -303,13 +303,13 @@ class DuraSession(SessionContext):
             faults=self.options.faults,
             time_budget=self.options.time_budget,
             end_when_decided=self.options.end_when_decided,
-            on_episode=self.reporter.episode_used,
+            on_episode=self.recorder.episode_used,
             on_progress=progress_listener(self),
-            on_verdict=self.reporter.verdict_reached,
-            on_monitors=self.reporter.monitors_judged,
-            on_chains=self.reporter.faults_followed,
-            on_search=lambda case, found: self.reporter.search_ended(case, found.to_json()),
-            on_searched=self.reporter.searched_used,
+            on_verdict=self.recorder.verdict_reached,
+            on_monitors=self.recorder.monitors_judged,
+            on_chains=self.recorder.faults_followed,
+            on_search=lambda case, found: self.recorder.search_ended(case, found.to_json()),
+            on_searched=self.recorder.searched_used,
             keep=counterexample_store(self),
             twins=self.options.twins,
             recorded=self.options.evidence_level != "summary",

@@ -66,11 +66,11 @@ class Selection:
         """The record's key ``selection``."""
         return self._told
 
-    def tell_controller(self, workeroutput: MutableMapping[str, Any]) -> None:
+    def send_to_controller(self, workeroutput: MutableMapping[str, Any]) -> None:
         """Tell the controller what this worker collected."""
         workeroutput[_SELECTION_KEY] = json.dumps(self._told)
 
-    def hear_worker(self, workeroutput: Mapping[str, Any]) -> None:
+    def receive_from_worker(self, workeroutput: Mapping[str, Any]) -> None:
         """Take over from a worker what it collected; each collects the same."""
         if _SELECTION_KEY in workeroutput:
             self._told = json.loads(workeroutput[_SELECTION_KEY])

@@ -85,7 +85,7 @@ def _reuse_sentences(
 
 def resume_lines(session: DuraSession) -> Iterator[str]:
     """How a session that was not whole goes on, if anything of it was kept."""
-    if session.shared.is_whole or not session.shared.shelf.count():
+    if session.shared.is_whole or not session.shared.cache.count():
         return
     if session.shared.mode == "reuse":
         yield "to go on, give the same command again: its episodes are kept"
@@ -239,7 +239,7 @@ def header(session: DuraSession) -> list[str]:
     if options.shard is not None:
         lines.append(f"dura: {options.shard} of that; the others run elsewhere")
     lines += [f"dura: {role} is OFF: {where}" for role, where in _switched_off(session)]
-    lines += session.simulating.header()
+    lines += session.executor.header()
     lines += [f"dura: {one}" for one in session.shared.lines]
     lines += session.models.header()
     lines += baseline_header(session.evidence.given.baseline)
@@ -300,7 +300,7 @@ def summary(session: DuraSession, terminal: Any) -> None:
         terminal.line(line)
     show_repeats(terminal, record, session.evidence.objections)
     show_baseline(terminal, record)
-    for note in session.simulating.notes():
+    for note in session.executor.notes():
         terminal.line(note)
     _show_objections(terminal, session.evidence.objections)
     terminal.line("")

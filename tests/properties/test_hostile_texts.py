@@ -309,7 +309,7 @@ def check_terminal(bundle):
     )  # fmt: skip
     session = SimpleNamespace(
         config=config, active=True, cassette=None,
-        simulating=SimpleNamespace(notes=list), shared=SimpleNamespace(is_whole=True),
+        executor=SimpleNamespace(notes=list), shared=SimpleNamespace(is_whole=True),
         options=SimpleNamespace(runs=None, given=()),
         evidence=SimpleNamespace(
             final=bundle.record, objections=bundle.record["gate"]["reasons"],
