@@ -1,12 +1,14 @@
 """Which part of the plan a session runs: what ``-k`` and the like left of it, and shards.
 
-``--dura-shard=2/5`` runs the second of five parts of a session, for jobs of a CI.
+``--dura-shard=2/5`` runs the second of five parts of a session, for jobs of a CI. It is split
+into units: items that share episodes, and so run in one shard.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Generator, Iterator, Mapping, MutableMapping, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Generator, Iterable, Iterator, Mapping, MutableMapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -16,6 +18,8 @@ from pytest_dura.core.errors import ConfigurationError
 if TYPE_CHECKING:
     from xdist.workermanage import WorkerController
 
+    from pytest_dura.evidence.sessions import ShardUnit
+    from pytest_dura.library.cases import Case
     from pytest_dura.plugin.context import SessionContext
     from pytest_dura.plugin.options import Shard
 
@@ -169,7 +173,6 @@ class ShardHooks:
     ) -> Generator[None, Any, Any]:
         """Leave the items of this shard."""
         from pytest_dura.evidence.sessions import plan_digest, split_units
-        from pytest_dura.plugin.items import units_of
 
         result = yield
         units = units_of(self.context, items)
@@ -238,3 +241,107 @@ def _compared_options(config: pytest.Config) -> dict[str, str]:
         for name, value in sorted(given.items())
         if value not in (None, False) and value != []
     }
+
+
+def units_of(
+    context: SessionContext, items: Sequence[pytest.Item]
+) -> dict[ShardUnit, list[pytest.Item]]:
+    """The items in units, all of one case in one, and so those of cases that share episodes.
+
+    A campaign that is compared with runs without faults runs those of another case, so that both
+    are one unit. What a test asks of a runner itself is not known before it runs: an episode that
+    two shards ran that way is told by both, and has to be the same one.
+
+    Args:
+        context: The session's context.
+        items: Those that the whole session would run.
+    """
+    from pytest_dura.evidence.sessions import ShardUnit
+
+    groups = _Groups()
+    tests: dict[str, list[pytest.Item]] = defaultdict(list)
+    of_cases: list[tuple[str, pytest.Item]] = []
+    for item in items:
+        found = _planned_case_of(context, item)
+        if found is None:
+            tests[item.nodeid].append(item)
+            continue
+        case, planned, faults_left_out = found
+        groups.add(case.id, planned)
+        if faults_left_out:
+            twin = case.without_faults().id
+            groups.add(twin, planned)
+            groups.join(case.id, twin)
+        of_cases.append((case.id, item))
+    members: dict[str, list[pytest.Item]] = defaultdict(list)
+    names: dict[str, str] = {}
+    for name, item in of_cases:
+        root = groups.root(name)
+        members[root].append(item)
+        names[root] = min(names.get(root, name), name)
+    episodes = groups.episodes()
+    units: dict[ShardUnit, list[pytest.Item]] = {}
+    for root, own in members.items():
+        ids = [item.nodeid for item in own]
+        units[ShardUnit.of("case", names[root], ids, episodes[root])] = own
+    for name, own in tests.items():
+        # One that chooses its episodes itself has at least one, for all that is known.
+        runs = any("dura_metrics" in getattr(item, "fixturenames", ()) for item in own)
+        units[ShardUnit.of("test", name, [name] * len(own), int(runs))] = own
+    return units
+
+
+def _planned_case_of(context: SessionContext, item: pytest.Item) -> tuple[Case, int, bool] | None:
+    """An item's case, its planned runs, and whether it compares them with runs without faults."""
+    from pytest_dura.plugin.items import ScenarioItem
+    from pytest_dura.plugin.markers import Target
+
+    if isinstance(item, ScenarioItem):
+        case, names = item.planned.case, item.planned.requirements
+        runs = context.options.runs or case.scenario.planned
+        return case, runs, _pairs(context, case, names)
+    parameters = getattr(getattr(item, "callspec", None), "params", {})
+    for fixture in ("episode", "campaign"):
+        target = parameters.get(fixture)
+        if isinstance(target, Target):
+            asked = () if target.requirement is None else (target.requirement.id,)
+            return target.case, target.planned, _pairs(context, target.case, asked)
+    return None
+
+
+def _pairs(context: SessionContext, case: Case, names: Iterable[str]) -> bool:
+    """Whether one of these requirements compares runs with their twins without faults."""
+    from pytest_dura.requirements.model import FAULTS
+
+    known = context.library().requirements
+    paired = [known[name].paired for name in names if name in known]
+    return bool(case.faults) and any(one is not None and one.without == FAULTS for one in paired)
+
+
+class _Groups:
+    """Cases that hang together, and how many episodes they come to."""
+
+    def __init__(self) -> None:
+        self._above: dict[str, str] = {}
+        self._planned: dict[str, int] = {}
+
+    def add(self, case: str, planned: int) -> None:
+        self._above.setdefault(case, case)
+        self._planned[case] = max(planned, self._planned.get(case, 0))
+
+    def root(self, case: str) -> str:
+        while self._above[case] != case:
+            self._above[case] = self._above[self._above[case]]
+            case = self._above[case]
+        return case
+
+    def join(self, one: str, other: str) -> None:
+        first, second = sorted((self.root(one), self.root(other)))
+        self._above[second] = first
+
+    def episodes(self) -> Counter[str]:
+        """Of each group, by its root."""
+        found: Counter[str] = Counter()
+        for case, planned in self._planned.items():
+            found[self.root(case)] += planned
+        return found
