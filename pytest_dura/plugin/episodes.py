@@ -167,7 +167,7 @@ class SharedEpisodes:
         self.lines: list[str] = []
         """What the terminal says before anything runs."""
         self._store: EpisodeStore | None = None
-        self._told = self._told_searched = 0
+        self._problems_reported = self._searches_reported = 0
         self._lost = False
         self.is_whole = False
         """Whether the session came to its end, lost nothing, and left all of its evidence."""
@@ -212,7 +212,7 @@ class SharedEpisodes:
     def take_problems(self) -> list[str]:
         """Why episodes could not be shared, as far as it was not told yet."""
         known = [] if self._store is None else self._store.problems
-        found, self._told = known[self._told :], len(known)
+        found, self._problems_reported = known[self._problems_reported :], len(known)
         return found
 
     def take_searched(self) -> list[dict[str, Any]]:
@@ -220,8 +220,8 @@ class SharedEpisodes:
         if self._store is None:
             return []
         earlier = self._store.earlier
-        found = list(islice(earlier.searched, self._told_searched, None))
-        self._told_searched += len(found)
+        found = list(islice(earlier.searched, self._searches_reported, None))
+        self._searches_reported += len(found)
         return [{"run": f"{key[0]} {key[1]}", "origin": earlier.origin(key)} for key in found]
 
     def first_to_repeat(self, case: str, component: str) -> bool:

@@ -229,10 +229,10 @@ class SessionEvidence:
         self._spent = 0.0
         self.interrupted = False
         """Whether a key or ``pytest.exit`` ended it, whatever the exit code."""
-        self._heard = False
+        self._any_report = False
         self._due: set[str] = set()
         """Items of ours that have not reported yet, where this process runs them."""
-        self._telling: set[str] = set()
+        self._claiming: set[str] = set()
         self._failed: set[str] = set()
         self._inputs: SessionInputs | None = None
         self._expected: list[str] = []
@@ -295,16 +295,16 @@ class SessionEvidence:
         for one in self.context.redact(expected):  # as the items themselves will tell it
             self.record.expect(*one)
 
-    def read_from(self, items: list[str], telling: Iterable[str] = ()) -> None:
+    def read_from(self, items: list[str], claiming: Iterable[str] = ()) -> None:
         """Note the tests that will run, and their files, as near as can be to when they were read.
 
         Args:
             items: Node ids of tests that use the runner.
-            telling: Those of them whose reports carry what they are to decide.
+            claiming: Those of them whose reports carry what they are to decide.
         """
         if self.record is not None:
             self._due.update(items)
-            self._telling.update(telling)
+            self._claiming.update(claiming)
             for item in items:
                 self._sources().item(item)
 
@@ -312,10 +312,10 @@ class SessionEvidence:
         """Take in what an item told."""
         if self.context.is_worker:
             return
-        begun, self._heard = perf_counter(), True
+        begun, self._any_report = perf_counter(), True
         # Terminal and others keep the reports of all items.
         told = vars(report).pop(REPORT_ATTRIBUTE, None)
-        if told is not None or report.nodeid not in self._telling:
+        if told is not None or report.nodeid not in self._claiming:
             self._due.discard(report.nodeid)
         if report.failed:
             self._failed.add(report.nodeid)
@@ -381,14 +381,14 @@ class SessionEvidence:
             )
             session.exitstatus = code
 
-    def _unheard(self, session: pytest.Session) -> list[str]:
+    def _missing_reports(self, session: pytest.Session) -> list[str]:
         """What other plugins kept from running, in a session that they let end as a success."""
         shard = self._shard()
         if shard is not None and shard.lost is not None:
             return [shard.lost]
         if shard is not None and shard.is_empty:
             return []
-        if session.exitstatus == pytest.ExitCode.OK and not self._heard:
+        if session.exitstatus == pytest.ExitCode.OK and not self._any_report:
             return ["no test was run"]
         return [f"{name} never told what it came to" for name in sorted(self._due)]
 
@@ -414,7 +414,7 @@ class SessionEvidence:
 
             self.objections += repeat_objections(record["cases"])
         if not interrupted:
-            self.objections += self._unheard(session)
+            self.objections += self._missing_reports(session)
         gate = Gate.of(
             record["verdicts"],
             self.objections,

@@ -48,7 +48,7 @@ class LanguageModels:
         self._used: dict[tuple[Any, ...], Data] = {}
         self._latest: dict[tuple[str, str], tuple[Any, ...]] = {}
         self._counted: Counter[tuple[str, str, str]] = Counter()
-        self._to_tell: set[tuple[Any, ...]] = set()
+        self._unsent: set[tuple[Any, ...]] = set()
         self._replayed: list[ModelDescription] = []
 
     def send_to_worker(self, told: dict[str, Any]) -> None:
@@ -224,10 +224,10 @@ class LanguageModels:
             key = self._latest.get((model, fingerprint), (None, model, fingerprint, None))
             self._note(key)
             self._used[key][deed] += count
-            self._to_tell.add(key)
+            self._unsent.add(key)
         self._counted = now
-        found = [self._told(session, key) for key in sorted(self._to_tell, key=str)]
-        self._to_tell.clear()
+        found = [self._entry(session, key) for key in sorted(self._unsent, key=str)]
+        self._unsent.clear()
         return found
 
     @contextmanager
@@ -243,9 +243,9 @@ class LanguageModels:
     def _note(self, key: tuple[Any, ...]) -> None:
         if key not in self._used:
             self._used[key] = dict.fromkeys(DEEDS, 0)
-            self._to_tell.add(key)
+            self._unsent.add(key)
 
-    def _told(self, session: ModelSession, key: tuple[Any, ...]) -> Data:
+    def _entry(self, session: ModelSession, key: tuple[Any, ...]) -> Data:
         component, model, fingerprint, prompts = key
         known = session.known(model, fingerprint)
         return {

@@ -100,7 +100,7 @@ class TraceKeeper:
         self.context = context
         self._kept: dict[tuple[Any, ...], tuple[Reason, dict[str, Any] | None]] = {}
         self._samples: set[tuple[str, str, str]] = set()
-        self._told_problem = False
+        self._problem_reported = False
         self.traces: list[dict[str, Any]] = []
         """``{id, component, digest, trace}`` of what was written and not yet taken."""
         self.problems: list[str] = []
@@ -159,8 +159,8 @@ class TraceKeeper:
             trace = Trace.of(episode).without_secrets(self.context.redact)
             return {"file": path, **write_trace(directory / path, trace)}
         except Exception as error:  # whatever it is, the verdicts do not need the trace
-            if not self._told_problem:
-                self._told_problem = True
+            if not self._problem_reported:
+                self._problem_reported = True
                 why = error.strerror if isinstance(error, OSError) and error.strerror else None
                 self.problems.append(
                     f"infrastructure: the trace of {episode.id} cannot be written: "

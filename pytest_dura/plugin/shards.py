@@ -44,7 +44,7 @@ class Selection:
         self.context = context
         self._planned: dict[str, int] = {}
         """Runs that are declared for each verdict."""
-        self._told: dict[str, Any] = {
+        self._left: dict[str, Any] = {
             "planned": 0, "asked": 0, "left_out": [], "runs": None, "declared_runs": [],
         }  # fmt: skip
 
@@ -58,7 +58,7 @@ class Selection:
         left_out = [name for name in self._planned if name not in asked]
         runs = self.context.options.runs
         fewer = {one for one in asked.values() if runs is not None and runs < one}
-        self._told = {
+        self._left = {
             "planned": len(self._planned | asked),
             "asked": len(asked),
             "left_out": sorted(left_out)[:MOST_LISTED],
@@ -68,16 +68,16 @@ class Selection:
 
     def to_json(self) -> dict[str, Any]:
         """The record's key ``selection``."""
-        return self._told
+        return self._left
 
     def send_to_controller(self, workeroutput: MutableMapping[str, Any]) -> None:
         """Tell the controller what this worker collected."""
-        workeroutput[_SELECTION_KEY] = json.dumps(self._told)
+        workeroutput[_SELECTION_KEY] = json.dumps(self._left)
 
     def receive_from_worker(self, workeroutput: Mapping[str, Any]) -> None:
         """Take over from a worker what it collected; each collects the same."""
         if _SELECTION_KEY in workeroutput:
-            self._told = json.loads(workeroutput[_SELECTION_KEY])
+            self._left = json.loads(workeroutput[_SELECTION_KEY])
 
     def _verdicts(self, items: Sequence[pytest.Item]) -> Iterator[tuple[str, int]]:
         """The verdicts that items would come to, each with the runs that are declared for it."""
@@ -151,7 +151,7 @@ class ShardHooks:
 
     def __init__(self, context: SessionContext, shard: Shard) -> None:
         self.context, self.shard = context, shard
-        self._told: dict[str, Any] | None = None
+        self._split: dict[str, Any] | None = None
         """Plan, units and what this shard holds, once items were collected."""
         self.lost: str | None = None
         """What stands against the shard: items that it holds and that do not run."""
@@ -159,13 +159,13 @@ class ShardHooks:
 
     def to_json(self) -> dict[str, Any]:
         """The record's key ``shard``."""
-        told = self._told or {"plan": None, "units": None, "holds": []}
-        return {**vars(self.shard), "options": _compared_options(self.context.config), **told}
+        split = self._split or {"plan": None, "units": None, "holds": []}
+        return {**vars(self.shard), "options": _compared_options(self.context.config), **split}
 
     @property
     def is_empty(self) -> bool:
         """Whether there is something to run, and by right none of it here."""
-        return self._told is not None and self._told["units"] > 0 and not self._told["holds"]
+        return self._split is not None and self._split["units"] > 0 and not self._split["holds"]
 
     @pytest.hookimpl(wrapper=True, tryfirst=True)
     def pytest_collection_modifyitems(
@@ -182,13 +182,13 @@ class ShardHooks:
         self._kept = items[:] = [item for item in items if id(item) in kept]
         if left:
             config.hook.pytest_deselected(items=left)
-        self._told = {
+        self._split = {
             "plan": plan_digest(units),
             "units": len(units),
             "holds": [unit.to_json() for unit in holds],
         }
         if self.context.is_worker:
-            config.workeroutput[_SHARD_KEY] = json.dumps(self._told)  # type: ignore[attr-defined]
+            config.workeroutput[_SHARD_KEY] = json.dumps(self._split)  # type: ignore[attr-defined]
         return result
 
     @pytest.hookimpl(tryfirst=True)
@@ -207,19 +207,19 @@ class ShardHooks:
 
     def pytest_report_collectionfinish(self) -> list[str]:
         """Say what this shard holds."""
-        if self._told is None:
+        if self._split is None:
             return []
-        held = self._told["holds"]
+        held = self._split["holds"]
         episodes, items = (sum(one[key] for one in held) for key in ("episodes", "items"))
-        told = f"{len(held)} of {self._told['units']} units, {items} items, {episodes} episodes"
-        return [f"dura: {self.shard} holds {told}"]
+        text = f"{len(held)} of {self._split['units']} units, {items} items, {episodes} episodes"
+        return [f"dura: {self.shard} holds {text}"]
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_testnodedown(self, node: WorkerController) -> None:
         """Take over from a worker what it collected."""
-        told = getattr(node, "workeroutput", {}).get(_SHARD_KEY)
-        if told is not None:
-            self._told = json.loads(told)
+        split = getattr(node, "workeroutput", {}).get(_SHARD_KEY)
+        if split is not None:
+            self._split = json.loads(split)
         self.lost = getattr(node, "workeroutput", {}).get(_LOST_ITEMS_KEY) or self.lost
 
     @pytest.hookimpl(tryfirst=True)
