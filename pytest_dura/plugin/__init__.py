@@ -66,11 +66,16 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_cmdline_main(config: pytest.Config) -> int | None:
-    """Answer ``--dura-list`` and ``--dura-replay``, which run no tests."""
+    """Answer the options that run no tests, such as ``--dura-list``."""
     # Hypothesis looks for its profile in `pytest_configure`, which comes later.
     register_profile(config)
     apply_code_places(config)
-    return session_of(config).run_command()
+    session = session_of(config)
+    if not session.options.is_command:
+        return None
+    from pytest_dura.plugin.commands import run_command
+
+    return run_command(session)
 
 
 def pytest_configure(config: pytest.Config) -> None:

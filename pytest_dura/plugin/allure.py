@@ -18,15 +18,15 @@ from uuid import uuid4
 import pytest
 
 from pytest_dura.evidence.text import markdown, name, one_line, visible
+from pytest_dura.plugin.context import replay_command
 from pytest_dura.plugin.junit import ending_events
-from pytest_dura.plugin.messages import replay_command
 from pytest_dura.plugin.outcomes import ItemResult, episode_of, target_of
 
 if TYPE_CHECKING:
     from pytest_dura.core.episode import Episode
     from pytest_dura.evidence.traces import Trace
     from pytest_dura.library.cases import Case
-    from pytest_dura.plugin.session import DuraSession
+    from pytest_dura.plugin.context import SessionContext
     from pytest_dura.requirements.model import Requirement
     from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict
 
@@ -51,18 +51,18 @@ def wanted(config: pytest.Config) -> bool:
     return any(config.getoption(one, None) for one in options)
 
 
-def mark_item(session: DuraSession, item: pytest.Item) -> None:
-    """Give an item that uses the bench its labels and links; the test's own ones come first."""
+def mark_item(context: SessionContext, item: pytest.Item) -> None:
+    """Give an item that uses the runner its labels and links; the test's own ones come first."""
     from pytest_dura.plugin.markers import marked_requirements
 
     own = {one.kwargs.get("label_type") for one in item.iter_markers("allure_label")}
-    requirements = list({one.id: one for one in marked_requirements(session, item)}.values())
+    requirements = list({one.id: one for one in marked_requirements(context, item)}.values())
     target = target_of(item)
     for kind, value in _labels(requirements, None if target is None else target.case):
         if not (kind in _OWN_CHOICE and kind in own):
             item.add_marker(pytest.mark.allure_label(value, label_type=kind))
     for one in requirements:
-        url = _url(session.config, one.id)
+        url = _url(context.config, one.id)
         item.add_marker(pytest.mark.allure_link(url, link_type=LINK_TYPE, name=name(one.id)))
 
 
@@ -99,12 +99,12 @@ COUNTEREXAMPLES = 100
 """As many stand in the attached verdict."""
 
 
-def report_item(session: DuraSession, item: pytest.Item, results: Sequence[ItemResult]) -> None:
+def report_item(context: SessionContext, item: pytest.Item, results: Sequence[ItemResult]) -> None:
     """Tell the open Allure result what an item came to.
 
     Args:
-        session: The session.
-        item: An item that uses the bench, whose result is not written yet.
+        context: The session's context.
+        item: An item that uses the runner, whose result is not written yet.
         results: What it came to.
     """
     from allure_commons import plugin_manager
@@ -114,10 +114,10 @@ def report_item(session: DuraSession, item: pytest.Item, results: Sequence[ItemR
     allure.add_label(label_type="component", labels=tuple(components))
     for one in results:
         prefix = f"{one_line(one.requirement.id, 100)}: " if len(results) > 1 else ""
-        for parameter, value in _parameters(session, one).items():
+        for parameter, value in _parameters(context, one).items():
             # A result must not make another test of this one in Allure's history.
             allure.add_parameter(name=prefix + parameter, value=value, excluded=True, mode=None)
-    described = _description(session, item, results)
+    described = _description(context, item, results)
     if described:
         allure.add_description(test_description=described)
     if hasattr(item, "planned") and results:
@@ -128,11 +128,11 @@ def report_item(session: DuraSession, item: pytest.Item, results: Sequence[ItemR
         found = one.verdict or one.outcome
         if found is not None:
             _attach(_json(found), f"verdict {one.requirement.id}", "JSON")
-    if session.options.evidence_level != "summary":
-        _show_worst(session, item, results)
+    if context.options.evidence_level != "summary":
+        _show_worst(context, item, results)
 
 
-def _parameters(session: DuraSession, result: ItemResult) -> dict[str, Any]:
+def _parameters(context: SessionContext, result: ItemResult) -> dict[str, Any]:
     verdict, outcome = result.verdict or {}, result.outcome or {}
     bound = verdict.get("bound") or {}
     found = {
@@ -145,7 +145,7 @@ def _parameters(session: DuraSession, result: ItemResult) -> dict[str, Any]:
         "bound": bound.get("upper"),
         "confidence": bound.get("confidence") if bound.get("upper") is not None else None,
         "at most": bound.get("at_most", outcome.get("at_most")),
-        "base seed": session.options.seed,
+        "base seed": context.options.seed,
     }
     return {
         name: one_line(value, 200) if isinstance(value, str) else value
@@ -154,7 +154,7 @@ def _parameters(session: DuraSession, result: ItemResult) -> dict[str, Any]:
     }
 
 
-def _description(session: DuraSession, item: pytest.Item, results: Sequence[ItemResult]) -> str:
+def _description(context: SessionContext, item: pytest.Item, results: Sequence[ItemResult]) -> str:
     """Markdown: the test's own words, then each requirement with its source and the verdict."""
     given = item.get_closest_marker("allure_description")
     own = given.args[0] if given else getattr(getattr(item, "function", None), "__doc__", None)
@@ -166,7 +166,7 @@ def _description(session: DuraSession, item: pytest.Item, results: Sequence[Item
             ("Source", asked.source),
             ("Why this bound", asked.reason),
             ("Verdict", f"{one.word or 'none'}. {found.get('reason', found.get('detail', ''))}"),
-            ("Event", "; ".join(ending_events(session, one))),
+            ("Event", "; ".join(ending_events(context, one))),
             ("By assertion", _looked_at(found)),
         ):
             if text:
@@ -183,13 +183,13 @@ def _looked_at(found: Mapping[str, Any]) -> str:
     return f"the test looked at {', '.join(told['observed']) or 'nothing'}{false}"
 
 
-def _show_worst(session: DuraSession, item: pytest.Item, results: Sequence[ItemResult]) -> None:
+def _show_worst(context: SessionContext, item: pytest.Item, results: Sequence[ItemResult]) -> None:
     """One episode: the worst violation, one that says nothing, or else the first as a sample."""
     from pytest_dura.evidence.traces import Trace
 
     result = next((one for one in results if one.word == "violated"), None)
     result = result or next(iter(results), None)
-    episode = episode_of(item) or (None if result is None else _episode(session, result))
+    episode = episode_of(item) or (None if result is None else _episode(context, result))
     if episode is None:
         return
     judged = None if result is None else _judged(result, episode)
@@ -203,9 +203,9 @@ def _show_worst(session: DuraSession, item: pytest.Item, results: Sequence[ItemR
         kind = episode.validity.capitalize()
         problem = episode.failure or episode.invalid_reason
     # Attachments leave the machine as the bundle does.
-    redact = session.redact
+    redact = context.redact
     title = one_line(redact(f"{kind} {episode.id}, seed {episode.spec.seed}"), 200)
-    replay = one_line(redact(replay_command(session, episode.id)))
+    replay = one_line(redact(replay_command(context, episode.id)))
     told = {"replay": replay, "digest": episode.digest}
     trace = Trace.of(episode).without_secrets(redact)
     with _step(title, told, None if problem is None else one_line(redact(problem))):
@@ -229,14 +229,14 @@ def _check(result: ItemResult | None) -> str:
     return str((result.verdict or {}).get("check") or result.requirement.check)
 
 
-def _episode(session: DuraSession, result: ItemResult) -> Episode | None:
+def _episode(context: SessionContext, result: ItemResult) -> Episode | None:
     verdict = result.verdict
     if verdict is None or result.case is None or not verdict["run"]:
         return None
     spoilt = verdict.get("spoilt")
     shown = [*verdict["counterexamples"][:1], *([] if spoilt is None else [spoilt])]
     run = int(shown[0]["episode"].rpartition("#")[2]) if shown else 0
-    return session.bench.again(result.case, run)
+    return context.runner.again(result.case, run)
 
 
 def _judged(result: ItemResult, episode: Episode) -> EpisodeVerdict | None:

@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.plugin.messages import print_lines, replay_command, sibling_directory
+from pytest_dura.plugin.context import replay_command
+from pytest_dura.plugin.messages import counted, print_lines, sibling_directory, usage_errors
 from pytest_dura.plugin.roles import defined_in_conftest
-from pytest_dura.plugin.terminal_tables import counted
 
 if TYPE_CHECKING:
     import pytest
@@ -29,6 +29,23 @@ if TYPE_CHECKING:
     from pytest_dura.plugin.options import Options
     from pytest_dura.plugin.session import DuraSession
     from pytest_dura.requirements.model import Requirement
+
+
+def run_command(session: DuraSession) -> int:
+    """Run what the options name that runs no tests, and return the exit code.
+
+    Raises:
+        pytest.UsageError: For options and files that cannot be used.
+    """
+    options = session.options
+    session.reach_project()
+    with usage_errors():
+        if options.replay is None and options.reduce is None:
+            session.roles.check()
+            session.make_plan()
+            return show_list(session)
+        with session.models:
+            return reduce(session) if options.replay is None else replay(session)
 
 
 def _fault_line(name: str) -> str:
@@ -296,7 +313,7 @@ def replay(session: DuraSession) -> int:
         trace = Trace.of(episode).without_secrets(session.redact)
         same, lines = _compared(one, episode, trace, options.evidence)
         equal &= same
-        lines += [] if same else session.models.asked_anew()
+        lines += [] if same else session.models.replay_warning()
         print_lines([*lines, f"  player: {_write_player(one, episode, trace, options.evidence)}"])
     return 0 if equal else 1
 

@@ -1,6 +1,7 @@
-"""Episodes that the processes of a session share, and the repetition of one episode per case.
+"""Who simulates the episodes of this process, how processes share them, and their repetition.
 
-Sharing covers what ``--dura-resume`` and ``--dura-reuse`` take over from earlier sessions.
+One episode per case is repeated. Sharing covers what ``--dura-resume`` and ``--dura-reuse`` take
+over from earlier sessions.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ import hashlib
 import shutil
 import tempfile
 import uuid
+from collections import Counter
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,20 +19,131 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pytest_dura.core.errors import ConfigurationError, describe_error
-from pytest_dura.plugin.messages import safe_lines, typed_path
+from pytest_dura.plugin.messages import counted, safe_lines, typed_path
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, MutableMapping
+    from collections.abc import Collection, Iterator, Mapping, MutableMapping
 
     import pytest
 
     from pytest_dura.evidence.model import SessionRecord
     from pytest_dura.execution.cache import EpisodeCache
+    from pytest_dura.execution.executors import Execution
     from pytest_dura.execution.store import EpisodeStore
     from pytest_dura.execution.task import EpisodeTask
     from pytest_dura.library.cases import Case
-    from pytest_dura.plugin.session import DuraSession
+    from pytest_dura.plugin.context import SessionContext
+    from pytest_dura.plugin.language_models import LanguageModels
     from pytest_dura.requirements.verdicts.episodes import JudgedEpisode
+
+
+_SIMULATED_HERE_KEY = "dura_simulated_here"
+"""Key of what a worker of pytest-xdist tells the controller at its end."""
+
+
+class SessionExecutor:
+    """Who simulates the episodes of this process.
+
+    Args:
+        context: The session's context.
+    """
+
+    def __init__(self, context: SessionContext) -> None:
+        self.context = context
+        self._execution: Execution | ConfigurationError | None = None
+        self._noted: Counter[tuple[str, str]] = Counter()
+
+    def execution(self) -> Execution:
+        """What simulates, made at the first call.
+
+        Raises:
+            ConfigurationError: If it cannot be used; the same one at every call.
+        """
+        if self._execution is None:
+            from pytest_dura.execution.executors import Execution
+
+            choice = self.context.options.executor
+            try:
+                self._execution = Execution() if choice is None else choice.execution()
+            except ConfigurationError as error:
+                self._execution = error
+        if isinstance(self._execution, ConfigurationError):
+            raise self._execution.with_traceback(None)
+        return self._execution
+
+    def connect(self) -> None:
+        """Find out before anything is collected or written whether a cluster is there.
+
+        Raises:
+            ConfigurationError: If it is not.
+        """
+        choice = self.context.options.executor
+        if choice is not None and not self.context.is_worker:
+            choice.knock()
+
+    def start(self) -> None:
+        """Have what simulates, once all is collected: processes find what is imported by then.
+
+        Raises:
+            ConfigurationError: If it cannot be used.
+        """
+        idle = self.context.is_worker or self.context.config.option.collectonly
+        if self.context.options.executor is not None and not idle:
+            self.execution()
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether whoever simulates is gone, so that no further test can tell anything."""
+        found = self._execution
+        return not (found is None or isinstance(found, ConfigurationError)) and found.is_lost
+
+    def close(self) -> None:
+        """Give up what is under way, and end the processes that simulate."""
+        found, self._execution = self._execution, None
+        if found is not None and not isinstance(found, ConfigurationError):
+            self._noted += found.here
+            found.close()
+
+    def to_json(self) -> dict[str, Any]:
+        """What the record says of it."""
+        choice = self.context.options.executor
+        if choice is None:
+            return {"executor": "in-process", "processes": None}
+        return {"executor": choice.kind, "processes": choice.processes}
+
+    def header(self) -> list[str]:
+        """A line, if another process simulates."""
+        choice = self.context.options.executor
+        if choice is None:
+            return []
+        if choice.processes is not None:
+            return [f"dura: episodes are simulated in {choice.processes} processes"]
+        return [f"dura: episodes are simulated by Dask, scheduler at {choice.address}"]
+
+    def notes(self) -> list[str]:
+        """Lines on episodes that were simulated here, though others were to simulate."""
+        return [
+            f"{counted(number, 'episode')} of {component} simulated in pytest's own process: {why}"
+            for (component, why), number in sorted(self._counts().items())
+        ]
+
+    def _counts(self) -> Counter[tuple[str, str]]:
+        """Of this process, and of the workers that are done."""
+        found = self._execution
+        if found is None or isinstance(found, ConfigurationError):
+            return self._noted
+        return self._noted + found.here
+
+    def send_to_controller(self, workeroutput: MutableMapping[str, Any]) -> None:
+        """Tell the controller what this worker has simulated itself."""
+        workeroutput[_SIMULATED_HERE_KEY] = [
+            [*key, number] for key, number in self._counts().items()
+        ]
+
+    def receive_from_worker(self, workeroutput: MutableMapping[str, Any]) -> None:
+        """Take in what a worker tells at its end."""
+        for component, why, number in workeroutput.get(_SIMULATED_HERE_KEY, ()):
+            self._noted[component, why] += number
 
 
 EPISODES_FOLDER = ".episodes"  # as `KEPT` of pytest_dura.evidence.bundle
@@ -44,15 +157,17 @@ class SharedEpisodes:
     """The episodes that all processes of a session share, and what is taken over from earlier ones.
 
     Args:
-        session: The session of this process.
+        context: The session's context.
+        executor: Who simulates.
     """
 
-    def __init__(self, session: DuraSession) -> None:
-        self.session = session
+    def __init__(self, context: SessionContext, executor: SessionExecutor) -> None:
+        self.context = context
+        self._executor = executor
         self.lines: list[str] = []
         """What the terminal says before anything runs."""
         self._store: EpisodeStore | None = None
-        self._told = self._told_searched = 0
+        self._problems_reported = self._searches_reported = 0
         self._lost = False
         self.is_whole = False
         """Whether the session came to its end, lost nothing, and left all of its evidence."""
@@ -60,22 +175,22 @@ class SharedEpisodes:
     @cached_property
     def id(self) -> str:
         """Of the session, the same in all of its processes."""
-        given = getattr(self.session.config, "workerinput", {}).get(_SESSION_KEY)
+        given = self.context.worker_input.get(_SESSION_KEY)
         return str(given or uuid.uuid4().hex)
 
     @cached_property
-    def shelf(self) -> EpisodeCache:
+    def cache(self) -> EpisodeCache:
         """Where the episodes are."""
         from pytest_dura.execution.cache import EpisodeCache
 
-        options = self.session.options
-        directory = options.reuse or self.session.evidence_directory / EPISODES_FOLDER
+        options = self.context.options
+        directory = options.reuse or self.context.evidence_directory / EPISODES_FOLDER
         return EpisodeCache(directory, self.id, earlier=options.resume or options.reuse is not None)
 
     @property
     def mode(self) -> str:
         """What is taken over: ``none``, ``resume`` or ``reuse``, as the record has it."""
-        options = self.session.options
+        options = self.context.options
         return "resume" if options.resume else "none" if options.reuse is None else "reuse"
 
     def to_json(self) -> dict[str, Any]:
@@ -83,10 +198,10 @@ class SharedEpisodes:
         return {"mode": self.mode, "session": self.id}
 
     def store(self) -> EpisodeStore:
-        """What the bench of this process asks for episodes."""
+        """What the runner of this process asks for episodes."""
         from pytest_dura.execution.store import EpisodeStore
 
-        self._store = EpisodeStore(self.shelf, self.session.simulating.execution())
+        self._store = EpisodeStore(self.cache, self._executor.execution())
         return self._store
 
     @property
@@ -97,7 +212,7 @@ class SharedEpisodes:
     def take_problems(self) -> list[str]:
         """Why episodes could not be shared, as far as it was not told yet."""
         known = [] if self._store is None else self._store.problems
-        found, self._told = known[self._told :], len(known)
+        found, self._problems_reported = known[self._problems_reported :], len(known)
         return found
 
     def take_searched(self) -> list[dict[str, Any]]:
@@ -105,13 +220,13 @@ class SharedEpisodes:
         if self._store is None:
             return []
         earlier = self._store.earlier
-        found = list(islice(earlier.searched, self._told_searched, None))
-        self._told_searched += len(found)
+        found = list(islice(earlier.searched, self._searches_reported, None))
+        self._searches_reported += len(found)
         return [{"run": f"{key[0]} {key[1]}", "origin": earlier.origin(key)} for key in found]
 
     def first_to_repeat(self, case: str, component: str) -> bool:
         """Whether this process is the first of the session that repeats an episode of a case."""
-        if not self.session.is_worker:
+        if not self.context.is_worker:
             return True
         name = hashlib.sha256(f"{case}\n{component}".encode()).hexdigest()
         with suppress(OSError):
@@ -127,7 +242,7 @@ class SharedEpisodes:
         """Where workers note what they repeat, as long as the session runs."""
         return Path(tempfile.gettempdir()) / f"pytest-dura-{self.id}"
 
-    def tell_worker(self, workerinput: MutableMapping[str, Any]) -> None:
+    def send_to_worker(self, workerinput: MutableMapping[str, Any]) -> None:
         """Tell a worker which session it is of."""
         workerinput[_SESSION_KEY] = self.id
 
@@ -139,13 +254,13 @@ class SharedEpisodes:
         Raises:
             ConfigurationError: If there is nothing to resume, or something cannot be removed.
         """
-        options = self.session.options
-        left = self.shelf.count()
+        options = self.context.options
+        left = self.cache.count()
         kept = f"{left} episode{'' if left == 1 else 's'}"
         # Removed once a session is whole, so that a session which was not has left it.
-        begun = self.shelf.directory.is_dir()
+        begun = self.cache.directory.is_dir()
         if options.reuse is not None:
-            place = typed_path(options.reuse, self.session.config.invocation_params.dir)
+            place = typed_path(options.reuse, self.context.config.invocation_params.dir)
             self.lines = [f"reusing: {kept} of earlier sessions in {place}"]
             return
         # Reading a great record takes its time, and after most sessions there is nothing left.
@@ -162,11 +277,11 @@ class SharedEpisodes:
     def _lost_here(self) -> bool:
         return self._store is not None and self._store.lost
 
-    def tell_controller(self, workeroutput: MutableMapping[str, Any]) -> None:
+    def send_to_controller(self, workeroutput: MutableMapping[str, Any]) -> None:
         """Tell the controller whether this worker lost an episode with whoever simulated it."""
         workeroutput[_LOST_KEY] = self._lost_here
 
-    def hear_worker(self, workeroutput: Mapping[str, Any], error: object) -> None:
+    def receive_from_worker(self, workeroutput: Mapping[str, Any], error: object) -> None:
         """Take in what a worker tells at its end, and whether it came to its end at all."""
         self._lost |= bool(error) or bool(workeroutput.get(_LOST_KEY))
 
@@ -180,23 +295,23 @@ class SharedEpisodes:
         shutil.rmtree(self._marks, ignore_errors=True)
         lost = self._lost or self._lost_here or record["totals"]["missing"]
         self.is_whole = written and record["status"] == "complete" and not lost
-        if self.session.options.reuse is not None:
+        if self.context.options.reuse is not None:
             return
         # What cannot be removed is in nobody's way: the next session does it, or tells why not.
         with suppress(OSError):
             if self.is_whole:
-                self.shelf.clear()
+                self.cache.clear()
             else:  # so that it can be resumed, also if nothing was simulated
-                self.shelf.directory.mkdir(exist_ok=True)
+                self.cache.directory.mkdir(exist_ok=True)
 
     def _clear(self) -> None:
         try:
-            self.shelf.clear()
+            self.cache.clear()
         except OSError as error:
             raise ConfigurationError(
                 f"the episodes of an earlier session cannot be removed: {error.strerror or error}",
                 key="--dura-evidence",
-                found=str(error.filename or self.shelf.directory),
+                found=str(error.filename or self.cache.directory),
                 expected="a directory whose files can be removed",
                 remedy="remove it, or choose another directory",
             ) from None
@@ -212,7 +327,7 @@ class SharedEpisodes:
         """
         from pytest_dura.evidence.bundle import RECORD_FILE, read_session_record
 
-        options = self.session.options
+        options = self.context.options
         file = options.evidence / RECORD_FILE
         if begun and not file.exists():
             return "a session that was interrupted before it wrote a record"
@@ -257,11 +372,21 @@ class Repeats:
     Of the processes of a session one simulates the repetition.
 
     Args:
-        session: The session of this process.
+        context: The session's context.
+        models: Whose counts leave repetitions out.
+        shared: Which process repeats a case.
+        executor: Who simulates.
     """
 
-    def __init__(self, session: DuraSession) -> None:
-        self.session = session
+    def __init__(
+        self,
+        context: SessionContext,
+        models: LanguageModels,
+        shared: SharedEpisodes,
+        executor: SessionExecutor,
+    ) -> None:
+        self.context = context
+        self._models, self._shared, self._executor = models, shared, executor
         self._due: dict[tuple[str, str], _DueRepetition] = {}
         self._done: set[tuple[str, str]] = set()
 
@@ -272,16 +397,22 @@ class Repeats:
             return
         from pytest_dura.execution.address import model_answers
 
-        task = self.session.bench.task(case, episode.spec.run)
+        task = self.context.runner.task(case, episode.spec.run)
         answers = model_answers(task)
         live = answers is not None and not answers.startswith("replay ")
         why_not = "a live language model answers" if live else None
         self._due[key] = _DueRepetition(task, episode.digest, why_not)
 
-    def item_ends(self, item: pytest.Item, nextitem: pytest.Item | None) -> None:
-        """Repeat what is due, unless the next item is on the same case."""
+    def item_ends(
+        self, item: pytest.Item, nextitem: pytest.Item | None
+    ) -> Iterator[dict[str, Any]]:
+        """Repeat what is due, unless the next item is on the same case.
+
+        Yields:
+            What came of each repetition, as the record has it.
+        """
         stopped = bool(item.session.shouldstop or item.session.shouldfail)
-        if stopped or self.session.simulating.is_lost:
+        if stopped or self._executor.is_lost:
             self._due.clear()
         if not self._due or (
             nextitem is not None and _case_id_of(nextitem) == _case_id_of(item) != ""
@@ -292,18 +423,18 @@ class Repeats:
             self._done.add((case, component))
             if found is not None:
                 told = {"case": case, "component": component, "episode": due.task.spec.id}
-                self.session.reporter.case_repeated({**told, "digest": due.digest, **found})
+                yield {**told, "digest": due.digest, **found}
         self._due.clear()
 
     def _repeated(self, due: _DueRepetition) -> Mapping[str, Any] | None:
         """What came of it; ``None`` if another process finds that out."""
         if due.why_not is not None:
             return {"result": "skipped", "repeated_digest": None, "detail": due.why_not}
-        if not self.session.shared.first_to_repeat(due.task.spec.case, due.task.spec.component):
+        if not self._shared.first_to_repeat(due.task.spec.case, due.task.spec.component):
             return None
         try:
-            with self.session.models.uncounted():
-                again = self.session.bench.store.repeat(due.task)
+            with self._models.uncounted():
+                again = self.context.runner.store.repeat(due.task)
         except Exception as error:  # whatever user code raises: the first time it did not
             return {
                 "result": "failed",
@@ -325,11 +456,11 @@ def _case_id_of(item: pytest.Item) -> str:
     return "" if planned is None else str(planned.case.id)
 
 
-def show_repeats(session: DuraSession, terminal: Any, record: SessionRecord) -> None:
+def show_repeats(terminal: Any, record: SessionRecord, objections: Collection[str]) -> None:
     """The cases that are not repeatable, unless the gate says so anyway."""
     from pytest_dura.evidence.gate import not_repeatable_lines
 
     for line in not_repeatable_lines(record["cases"]):
-        if line not in session.evidence.objections:
+        if line not in objections:
             for part in safe_lines(line):
                 terminal.line(part, yellow=True)

@@ -25,13 +25,20 @@ from pytest_dura.plugin.recorder import REPORT_ATTRIBUTE, case_record
 from pytest_dura.plugin.roles import root_conftest_with
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from pytest_dura.evidence.baseline import Baseline
     from pytest_dura.evidence.files import DirectoryLock
     from pytest_dura.evidence.gather import RecordBuilder, Status
     from pytest_dura.evidence.model import SessionRecord
     from pytest_dura.library.cases import Case
+    from pytest_dura.plugin.context import SessionContext
+    from pytest_dura.plugin.episodes import SessionExecutor, SharedEpisodes
     from pytest_dura.plugin.inputs import SessionInputs
-    from pytest_dura.plugin.session import DuraSession
+    from pytest_dura.plugin.language_models import LanguageModels
+    from pytest_dura.plugin.property_tests import PropertyTests
+    from pytest_dura.plugin.roles import SessionRoles
+    from pytest_dura.plugin.shards import Selection, ShardHooks
 
 
 REGULAR_EXIT_CODES = (
@@ -59,11 +66,11 @@ class GivenFiles:
     """Read once, by the controller.
 
     Args:
-        session: The session of this process.
+        context: The session's context.
     """
 
-    def __init__(self, session: DuraSession) -> None:
-        self.session = session
+    def __init__(self, context: SessionContext) -> None:
+        self.context = context
         self.baseline: Baseline | None = None
         """What the session is compared with."""
         self.argument: dict[str, Any] | None = None
@@ -75,17 +82,17 @@ class GivenFiles:
         Raises:
             ConfigurationError: If one cannot be used.
         """
-        if not self.session.is_worker:
+        if not self.context.is_worker:
             self._read_baseline()
             self._read_argument()
 
     def _read_argument(self) -> None:
-        given = self.session.options.argument
+        given = self.context.options.argument
         if given is not None:
             from pytest_dura.provenance import recorded_path
             from pytest_dura.reports.gsn.user_argument import read_user_argument
 
-            name = recorded_path(given, self.session.config.rootpath)
+            name = recorded_path(given, self.context.config.rootpath)
             self.argument = {**read_user_argument(given), "path": name}
 
     def check_argument(self) -> None:
@@ -98,19 +105,19 @@ class GivenFiles:
             return
         from pytest_dura.reports.gsn.user_argument import check_requirements
 
-        known = set(self.session.named_requirements)
-        known.update(name for planned in self.session.plan for name in planned.requirements)
-        if self.session.config.getoption("numprocesses", None):
+        known = set(self.context.named_requirements)
+        known.update(name for planned in self.context.plan for name in planned.requirements)
+        if self.context.config.getoption("numprocesses", None):
             # Which of them the tests claim is known to the workers.
-            known.update(self.session.library().requirements)
+            known.update(self.context.library().requirements)
         check_requirements(self.argument, known - {""})
 
     def _read_baseline(self) -> None:
-        given = self.session.options.baseline
+        given = self.context.options.baseline
         if given is not None:
             from pytest_dura.evidence.baseline import Baseline
 
-            self.baseline = Baseline.read(given, self.session.config.invocation_params.dir)
+            self.baseline = Baseline.read(given, self.context.config.invocation_params.dir)
 
     def compared(self, record: SessionRecord) -> SessionRecord:
         """The record beside the baseline."""
@@ -120,7 +127,7 @@ class GivenFiles:
 
     def worse(self, record: SessionRecord) -> list[str]:
         """What ``--dura-baseline-worse=fail`` does not let pass."""
-        if not self.session.options.fail_worse:
+        if not self.context.options.fail_worse:
             return []
         from pytest_dura.evidence.baseline import regression_objections
 
@@ -130,30 +137,33 @@ class GivenFiles:
 Expected = tuple[str, dict[str, Any], dict[str, Any]]
 
 
-def expected_items(session: DuraSession, chosen: Iterable[str]) -> list[Expected]:
+def expected_items(
+    context: SessionContext, roles: SessionRoles, chosen: Iterable[str]
+) -> list[Expected]:
     """Node id, requirement and case of each chosen scenario item, as the evidence holds them.
 
     There may be tens of thousands of cases: what many of them share is looked up once.
 
     Args:
-        session: The session, with its plan.
+        context: The session's context, with its plan.
+        roles: The roles of the session.
         chosen: Node ids of what will run, also of other tests.
     """
-    if not session.plan:
+    if not context.plan:
         return []
-    wanted, requirements = set(chosen), session.library().requirements
-    names = {name for planned in session.plan for name in planned.requirements}
+    wanted, requirements = set(chosen), context.library().requirements
+    names = {name for planned in context.plan for name in planned.requirements}
     told = {name: requirements[name].to_json() for name in sorted(names)}
-    component_of = _Components(session)
+    component_of = _Components(context, roles)
     found: list[Expected] = []
-    for planned in session.plan:
+    for planned in context.plan:
         case = planned.case
         items = [(f"{case.id}::{name}", told[name]) for name in planned.requirements]
         items = [one for one in items if one[0] in wanted]
         if items:
-            runs = session.options.runs or case.scenario.planned
-            off = case.roles_off(session.roles.chosen())
-            record = case_record(case, component_of(case), runs, session.options.runs, off)
+            runs = context.options.runs or case.scenario.planned
+            off = case.roles_off(roles.chosen())
+            record = case_record(case, component_of(case), runs, context.options.runs, off)
             found += [(item, requirement, record) for item, requirement in items]
     return found
 
@@ -161,9 +171,9 @@ def expected_items(session: DuraSession, chosen: Iterable[str]) -> list[Expected
 class _Components:
     """The names of the components under test, as far as they are known before anything runs."""
 
-    def __init__(self, session: DuraSession) -> None:
-        self._overrides = session.roles.chosen()
-        self._in_conftest = root_conftest_with(session.config, "generator") is not None
+    def __init__(self, context: SessionContext, roles: SessionRoles) -> None:
+        self._overrides = roles.chosen()
+        self._in_conftest = root_conftest_with(context.config, "generator") is not None
         self._known: dict[tuple[str, tuple[str, ...]], str] = {}
 
     def __call__(self, case: Case) -> str:
@@ -182,15 +192,36 @@ class SessionEvidence:
     """Gathers the reports of all items, writes the bundle, and lets the gate fail closed.
 
     Args:
-        session: The session of this process.
+        context: The session's context.
+        roles: The roles of the session.
+        models: The language models that it asks.
+        properties: Its property tests.
+        selection: What was left of its plan.
+        shared: Its episodes.
+        executor: Who simulates them.
+        shard: Which part of a session it is, if it is one, once options are read.
     """
 
-    def __init__(self, session: DuraSession) -> None:
-        self.session = session
+    def __init__(
+        self,
+        context: SessionContext,
+        *,
+        roles: SessionRoles,
+        models: LanguageModels,
+        properties: PropertyTests,
+        selection: Selection,
+        shared: SharedEpisodes,
+        executor: SessionExecutor,
+        shard: Callable[[], ShardHooks | None],
+    ) -> None:
+        self.context = context
+        self._roles, self._models, self._properties = roles, models, properties
+        self._selection, self._shared, self._executor = selection, shared, executor
+        self._shard = shard
         self.record: RecordBuilder | None = None
         self.file: Path | None = None
         self.final: SessionRecord | None = None
-        self.given = GivenFiles(session)
+        self.given = GivenFiles(context)
         self.objections: list[str] = []
         """What the terminal says against the session beside its verdicts."""
         self._lock: DirectoryLock | None = None
@@ -198,10 +229,10 @@ class SessionEvidence:
         self._spent = 0.0
         self.interrupted = False
         """Whether a key or ``pytest.exit`` ended it, whatever the exit code."""
-        self._heard = False
+        self._any_report = False
         self._due: set[str] = set()
         """Items of ours that have not reported yet, where this process runs them."""
-        self._telling: set[str] = set()
+        self._claiming: set[str] = set()
         self._failed: set[str] = set()
         self._inputs: SessionInputs | None = None
         self._expected: list[str] = []
@@ -215,15 +246,15 @@ class SessionEvidence:
         Raises:
             ConfigurationError: If it cannot be written.
         """
-        config = self.session.config
-        if self.record is not None or self.session.is_worker or config.option.collectonly:
+        config = self.context.config
+        if self.record is not None or self.context.is_worker or config.option.collectonly:
             return
         from pytest_dura.evidence.bundle import begin_bundle, check_directory
         from pytest_dura.evidence.files import DirectoryLock
         from pytest_dura.evidence.gather import RecordBuilder
         from pytest_dura.provenance import describe_environment, describe_tool
 
-        options = self.session.options
+        options = self.context.options
         check_directory(options.evidence)
         self._lock = DirectoryLock(options.evidence)
         try:
@@ -236,17 +267,17 @@ class SessionEvidence:
                     "evidence_level": options.evidence_level,
                     "require_repeatable": options.require_repeatable,
                     "environment": describe_environment(config.rootpath, options.evidence),
-                    "execution": self.session.simulating.to_json(),
+                    "execution": self._executor.to_json(),
                     "argument": self.given.argument,
-                    "reuse": self.session.shared.to_json(),
-                    "shard": self.session.shard and self.session.shard.to_json(),
+                    "reuse": self._shared.to_json(),
+                    "shard": self._shard_json(),
                     "merged_from": None,
-                    "selection": self.session.selection.to_json(),
+                    "selection": self._selection.to_json(),
                 },
                 options.evidence,
             )
             if not late:
-                self.session.shared.begin()
+                self._shared.begin()
             gate = Gate.running(warn_undecided=options.warn_undecided)
             begin_bundle(self._concluded("running", gate), traces=not late)
         except BaseException:  # also on ctrl-C the next session may write here; it is raised again
@@ -260,31 +291,31 @@ class SessionEvidence:
             return
 
         self._expected = items
-        expected = expected_items(self.session, items)
-        for one in self.session.redact(expected):  # as the items themselves will tell it
+        expected = expected_items(self.context, self._roles, items)
+        for one in self.context.redact(expected):  # as the items themselves will tell it
             self.record.expect(*one)
 
-    def read_from(self, items: list[str], telling: Iterable[str] = ()) -> None:
+    def read_from(self, items: list[str], claiming: Iterable[str] = ()) -> None:
         """Note the tests that will run, and their files, as near as can be to when they were read.
 
         Args:
-            items: Node ids of tests that use the bench.
-            telling: Those of them whose reports carry what they are to decide.
+            items: Node ids of tests that use the runner.
+            claiming: Those of them whose reports carry what they are to decide.
         """
         if self.record is not None:
             self._due.update(items)
-            self._telling.update(telling)
+            self._claiming.update(claiming)
             for item in items:
                 self._sources().item(item)
 
     def gather(self, report: pytest.TestReport) -> None:
         """Take in what an item told."""
-        if self.session.is_worker:
+        if self.context.is_worker:
             return
-        begun, self._heard = perf_counter(), True
+        begun, self._any_report = perf_counter(), True
         # Terminal and others keep the reports of all items.
         told = vars(report).pop(REPORT_ATTRIBUTE, None)
-        if told is not None or report.nodeid not in self._telling:
+        if told is not None or report.nodeid not in self._claiming:
             self._due.discard(report.nodeid)
         if report.failed:
             self._failed.add(report.nodeid)
@@ -308,7 +339,7 @@ class SessionEvidence:
             return
         try:
             self.record.add(told)
-            self._sources().heard(told)
+            self._sources().add_report(told)
         except ConfigurationError as error:
             # Without its episodes there is nothing that the session could still show.
             pytest.exit(error_text(error))
@@ -323,7 +354,7 @@ class SessionEvidence:
             gate, self.final = self._judged(session)
             self.final = write_bundle(self.final)
             whole = len(self.final["gate"]["reasons"]) == len(gate.reasons)
-            self.session.shared.end(self.final, written=whole)
+            self._shared.end(self.final, written=whole)
             self.file = self.final.directory / "evidence.json"
         except ConfigurationError as error:
             self.objections += error_text(error).splitlines()
@@ -350,14 +381,14 @@ class SessionEvidence:
             )
             session.exitstatus = code
 
-    def _unheard(self, session: pytest.Session) -> list[str]:
+    def _missing_reports(self, session: pytest.Session) -> list[str]:
         """What other plugins kept from running, in a session that they let end as a success."""
-        shard = self.session.shard
+        shard = self._shard()
         if shard is not None and shard.lost is not None:
             return [shard.lost]
         if shard is not None and shard.is_empty:
             return []
-        if session.exitstatus == pytest.ExitCode.OK and not self._heard:
+        if session.exitstatus == pytest.ExitCode.OK and not self._any_report:
             return ["no test was run"]
         return [f"{name} never told what it came to" for name in sorted(self._due)]
 
@@ -368,18 +399,22 @@ class SessionEvidence:
         stopped = self.interrupted or bool(session.shouldstop or session.shouldfail)
         interrupted = stopped or session.exitstatus not in REGULAR_EXIT_CODES
         status: Status = "interrupted" if interrupted else "complete"
-        warn_undecided = self.session.options.warn_undecided
-        header = {**self.record.header, "selection": self.session.selection.to_json()}
-        self.record.header = self.session.properties.described(header)
+        warn_undecided = self.context.options.warn_undecided
+        header = {
+            **self.record.header,
+            "selection": self._selection.to_json(),
+            "shard": self._shard_json(),
+        }
+        self.record.header = self._properties.described(header)
         record = self.given.compared(self.record.record(status))
         told = [*self.record.problems, *self.record.objections]
         self.objections = [*told, *self.given.worse(record)]
-        if self.session.options.require_repeatable:
+        if self.context.options.require_repeatable:
             from pytest_dura.evidence.gate import repeat_objections
 
             self.objections += repeat_objections(record["cases"])
         if not interrupted:
-            self.objections += self._unheard(session)
+            self.objections += self._missing_reports(session)
         gate = Gate.of(
             record["verdicts"],
             self.objections,
@@ -411,7 +446,7 @@ class SessionEvidence:
         if record is None:
             record = self.given.compared(self.record.record(status))
         if status != "running":
-            record = self.session.models.completed(record, self._sources())
+            record = self._models.completed(record, self._sources())
         return conclude_record(
             record,
             finished=None if status == "running" else _now(),
@@ -419,8 +454,12 @@ class SessionEvidence:
             inputs=self._sources().to_json(),
             wall_seconds=perf_counter() - self._begun,
             evidence_seconds=self._spent,
-            redact=self.session.redact,
+            redact=self.context.redact,
         )
+
+    def _shard_json(self) -> dict[str, Any] | None:
+        shard = self._shard()
+        return None if shard is None else shard.to_json()
 
     def _unlock(self) -> None:
         if self._lock is not None:
@@ -432,7 +471,7 @@ class SessionEvidence:
         if self._inputs is None:
             from pytest_dura.plugin.inputs import SessionInputs
 
-            self._inputs = SessionInputs(self.session)
+            self._inputs = SessionInputs(self.context, self.given.baseline)
             self._inputs.begin()
         return self._inputs
 
@@ -440,7 +479,7 @@ class SessionEvidence:
         assert self.record is not None
         waiver = waiver_of(report)
         if waiver is not None:
-            self.record.waive(*self.session.redact([report.nodeid, *waiver]))
+            self.record.waive(*self.context.redact([report.nodeid, *waiver]))
 
 
 def _now() -> str:

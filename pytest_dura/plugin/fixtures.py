@@ -79,9 +79,9 @@ def _dura_roles(  # noqa: PLR0917 - pytest passes them by name
     fault_injector: Any,
     recovery_planner: Any,
 ) -> None:
-    """Let the bench run the roles that this item sees.
+    """Let the runner run the roles that this item sees.
 
-    The bench itself is session-scoped, so that Hypothesis may use it; a conftest deeper down may
+    The runner itself is session-scoped, so that Hypothesis may use it; a conftest deeper down may
     override a role for its own tests all the same.
     """
     given = {
@@ -104,9 +104,9 @@ def orchestrator(
     request: pytest.FixtureRequest, dura_metrics: Mapping[str, Callable[[Episode], float]]
 ) -> Runner:
     """Runs episodes and campaigns by name: ``orchestrator.run("intersection/nominal", seed=7)``."""
-    bench = session_of(request.config).bench
-    bench.metrics = dura_metrics
-    return bench
+    runner = session_of(request.config).runner
+    runner.metrics = dura_metrics
+    return runner
 
 
 @pytest.fixture(scope="session")

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from pytest_dura.plugin.session import DuraSession
 
 
-def uses_bench(item: pytest.Item | pytest.Metafunc | pytest.FixtureRequest) -> bool:
+def uses_runner(item: pytest.Item | pytest.Metafunc | pytest.FixtureRequest) -> bool:
     """Whether the item runs episodes: our ``orchestrator`` alone asks for ``dura_metrics``.
 
     Names such as ``episode`` or ``generator`` may be fixtures of other people's own.
@@ -74,7 +74,7 @@ class SessionHooks:
     def pytest_generate_tests(self, metafunc: pytest.Metafunc) -> None:
         """Make one test per case and run."""
         marker = metafunc.definition.get_closest_marker("dura")
-        if uses_bench(metafunc):
+        if uses_runner(metafunc):
             from pytest_dura.plugin.markers import check_spelling
 
             check_spelling(metafunc.definition)
@@ -82,14 +82,14 @@ class SessionHooks:
             from pytest_dura.plugin.markers import parametrize
 
             parametrize(self.session, metafunc, marker)
-        elif uses_bench(metafunc) or metafunc.definition.get_closest_marker("falsify"):
+        elif uses_runner(metafunc) or metafunc.definition.get_closest_marker("falsify"):
             from pytest_dura.plugin.markers import check_markers
 
             check_markers(self.session, metafunc.definition)
 
     def pytest_itemcollected(self, item: pytest.Item) -> None:
-        """Let the bench follow the role fixtures that the item sees, before any other fixture."""
-        ours = uses_bench(item)
+        """Let the runner follow the role fixtures that the item sees, before any other fixture."""
+        ours = uses_runner(item)
         # One pass, and no iterator of pytest's own: there may be tens of thousands of items.
         node: pytest.Item | pytest.Collector | None = item
         while node is not None:
@@ -117,14 +117,14 @@ class SessionHooks:
 
             items += scenario_items(self.session, session)
         self._label(items)
-        self.session.selection.plan(list(filter(uses_bench, items)))
+        self.session.selection.plan(list(filter(uses_runner, items)))
         result = yield
-        self.session.selection.ask(list(filter(uses_bench, items)))
+        self.session.selection.ask(list(filter(uses_runner, items)))
         return result
 
     def _label(self, items: list[pytest.Item]) -> None:
         """Label what Allure reports or selects, before it selects."""
-        own = list(filter(uses_bench, items))
+        own = list(filter(uses_runner, items))
         if not own:
             return
         from pytest_dura.plugin.allure import mark_item, wanted
@@ -135,19 +135,19 @@ class SessionHooks:
 
     def pytest_collection_finish(self, session: pytest.Session) -> None:
         """Note what will run, in a record that takes the place of an earlier session's."""
-        benched = list(filter(uses_bench, session.items))
+        ours = list(filter(uses_runner, session.items))
         if self.session.shard is None:  # which leaves out what other shards run
-            self.session.selection.ask(benched)
-        own = [item.nodeid for item in benched]
+            self.session.selection.ask(ours)
+        own = [item.nodeid for item in ours]
         if own:
             self._begin_guard()
         # The record of an earlier session must not be taken for that of this one, whatever it runs.
         earlier = bool(own) and (self.session.evidence_directory / "evidence.json").exists()
-        if earlier or not all(map(lacks_case, benched)):
+        if earlier or not all(map(lacks_case, ours)):
             self.session.begin_evidence()
             expect_progress(self.session)
         if self.session.evidence.record is not None:
-            marked = [one.nodeid for one in benched if one.get_closest_marker("dura")]
+            marked = [one.nodeid for one in ours if one.get_closest_marker("dura")]
             self.session.evidence.read_from(own, marked)
         self.session.check_argument()
         self.session.evidence.expect([item.nodeid for item in session.items])
@@ -176,8 +176,9 @@ class SessionHooks:
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_teardown(self, item: pytest.Item, nextitem: pytest.Item | None) -> None:
         """Repeat an episode of a case after the last item on it, while its roles are there."""
-        if uses_bench(item):
-            self.session.repeats.item_ends(item, nextitem)
+        if uses_runner(item):
+            for repeat in self.session.repeats.item_ends(item, nextitem):
+                self.session.recorder.case_repeated(repeat)
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_protocol(
@@ -197,7 +198,7 @@ class SessionHooks:
         try:
             return (yield)
         except BaseException as error:  # also of `pytest.skip`; it is raised again
-            if uses_bench(request):
+            if uses_runner(request):
                 from pytest_dura.plugin.messages import escape_error
 
                 escape_error(error)
@@ -212,12 +213,12 @@ class SessionHooks:
             with self.session.properties.watching(pyfuncitem):
                 result = yield
         except DuraError as error:
-            outcome = self.session.reporter.outcome_of(error)
+            outcome = self.session.recorder.outcome_of(error)
             raise outcome.with_traceback(error.__traceback__) from None
         finally:
-            self.session.reporter.body_ended(pyfuncitem)
-        if uses_bench(pyfuncitem):
-            self.session.reporter.body_passed(pyfuncitem)
+            self.session.recorder.body_ended(pyfuncitem)
+        if uses_runner(pyfuncitem):
+            self.session.recorder.body_passed(pyfuncitem)
         return result
 
     @pytest.hookimpl(wrapper=True)
@@ -225,15 +226,15 @@ class SessionHooks:
         self, item: pytest.Item, call: pytest.CallInfo[None]
     ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
         """Attach what the item told to its report, which crosses processes."""
-        if call.excinfo is not None and uses_bench(item):
+        if call.excinfo is not None and uses_runner(item):
             from pytest_dura.plugin.messages import escape_error
 
             escape_error(call.excinfo.value)
         report = yield
-        self.session.properties.tell(report)
-        told = self.session.reporter.attach(item, call, report)
+        self.session.properties.add_section(report)
+        told = self.session.recorder.attach(item, call, report)
         # A test that could not be set up is not called.
-        if uses_bench(item) and (call.when == "call" or (call.when == "setup" and call.excinfo)):
+        if uses_runner(item) and (call.when == "call" or (call.when == "setup" and call.excinfo)):
             from pytest_dura.plugin.junit import add_properties
             from pytest_dura.plugin.outcomes import item_results
 
@@ -255,13 +256,13 @@ class SessionHooks:
         """Write the evidence."""
         self._end_copy()
         # Whatever is still under way must not come in once the episodes are cleared away.
-        self.session.simulating.close()
+        self.session.executor.close()
         if self.session.is_worker:
             workeroutput = vars(session.config)["workeroutput"]
-            self.session.simulating.tell_controller(workeroutput)
-            self.session.properties.tell_controller(workeroutput)
-            self.session.selection.tell_controller(workeroutput)
-            self.session.shared.tell_controller(workeroutput)
+            self.session.executor.send_to_controller(workeroutput)
+            self.session.properties.send_to_controller(workeroutput)
+            self.session.selection.send_to_controller(workeroutput)
+            self.session.shared.send_to_controller(workeroutput)
         self.session.evidence.finish(session)
 
     def pytest_keyboard_interrupt(self) -> None:
@@ -276,7 +277,7 @@ class SessionHooks:
             self._guard.close()
         if self._pytest_session is not None:
             self.session.evidence.insist(self._pytest_session)
-        self.session.simulating.close()
+        self.session.executor.close()
         self.session.models.end()
 
     def _begin_guard(self) -> None:
@@ -301,17 +302,17 @@ class SessionHooks:
     def pytest_configure_node(self, node: WorkerController) -> None:
         """Tell a worker where the evidence goes: it writes the traces of its episodes itself."""
         node.workerinput["dura_evidence"] = str(self.session.options.evidence.absolute())
-        self.session.shared.tell_worker(node.workerinput)
-        self.session.models.tell_worker(node.workerinput)
+        self.session.shared.send_to_worker(node.workerinput)
+        self.session.models.send_to_worker(node.workerinput)
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_testnodedown(self, node: WorkerController, error: object) -> None:
         """Hear what a worker has simulated itself, or that it ended in the middle."""
         workeroutput = getattr(node, "workeroutput", {})
-        self.session.simulating.hear_worker(workeroutput)
-        self.session.properties.hear_worker(workeroutput)
-        self.session.selection.hear_worker(workeroutput)
-        self.session.shared.hear_worker(workeroutput, error)
+        self.session.executor.receive_from_worker(workeroutput)
+        self.session.properties.receive_from_worker(workeroutput)
+        self.session.selection.receive_from_worker(workeroutput)
+        self.session.shared.receive_from_worker(workeroutput, error)
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_xdist_make_scheduler(

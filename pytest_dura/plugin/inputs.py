@@ -11,7 +11,8 @@ from pytest_dura.evidence.files import InputFiles, InputKind
 from pytest_dura.provenance import MAX_LISTED_FILES, is_installed, user_code
 
 if TYPE_CHECKING:
-    from pytest_dura.plugin.session import DuraSession
+    from pytest_dura.evidence.baseline import Baseline
+    from pytest_dura.plugin.context import SessionContext
 
 
 Data = Mapping[str, Any]
@@ -23,19 +24,21 @@ class SessionInputs:
     """The inputs of one session; for the controller.
 
     Args:
-        session: The session.
+        context: The session's context.
+        baseline: What the session is compared with, if it is.
     """
 
-    def __init__(self, session: DuraSession) -> None:
+    def __init__(self, context: SessionContext, baseline: Baseline | None) -> None:
         from pytest_dura.library.loading import builtin_paths
 
-        self.session = session
-        self.inputs = InputFiles(session.config.rootpath, dict.fromkeys(builtin_paths(), BUILTIN))
+        self.context = context
+        self.inputs = InputFiles(context.config.rootpath, dict.fromkeys(builtin_paths(), BUILTIN))
+        self._compared = baseline
         self._seen: set[tuple[str, str]] = set()
 
     def begin(self) -> None:
         """What options and settings name, and what the planned scenarios rest on."""
-        config, options = self.session.config, self.session.options
+        config, options = self.context.config, self.context.options
         here = config.invocation_params.dir
         if config.inipath is not None:
             self.inputs.add("configuration", config.inipath)
@@ -47,7 +50,7 @@ class SessionInputs:
         if options.llm == "replay" and options.cassette is not None:
             self.inputs.add("cassette", options.cassette)
         self._baseline(here)
-        for planned in self.session.plan:
+        for planned in self.context.plan:
             self._scenario(planned.case.scenario.name)
             for requirement in planned.requirements:
                 self._requirement(requirement)
@@ -57,13 +60,13 @@ class SessionInputs:
         path = item.partition("::")[0]
         if not path.endswith(".py") or not self._new("item", path):
             # A scenario item sees the root's alone.
-            self._conftests(self.session.config.rootpath)
+            self._conftests(self.context.config.rootpath)
             return
-        file = self.session.config.rootpath / path
+        file = self.context.config.rootpath / path
         self.inputs.add("test", file)
         self._conftests(file.parent)
 
-    def heard(self, report: Data) -> None:
+    def add_report(self, report: Data) -> None:
         """What an item told, of :class:`pytest_dura.evidence.gather.ItemReport`."""
         self.item(report["item"])
         for component in report["components"]:
@@ -95,7 +98,7 @@ class SessionInputs:
         return self.inputs.to_json()
 
     def _baseline(self, here: Path) -> None:
-        baseline = self.session.evidence.given.baseline
+        baseline = self._compared
         if baseline is not None:
             from pytest_dura.evidence.bundle import RECORD_FILE
 
@@ -105,7 +108,7 @@ class SessionInputs:
 
     def _scenario(self, name: str) -> None:
         if self._new("scenario", name):
-            scenario = self.session.library().scenarios.get(name)
+            scenario = self.context.library().scenarios.get(name)
             if scenario is not None and scenario.file:
                 self.inputs.add("scenario", Path(scenario.file))
                 for requirement in scenario.requirements:
@@ -114,7 +117,7 @@ class SessionInputs:
     def _requirement(self, name: str, told: Data | None = None) -> None:
         if not self._new("requirement", name):
             return
-        library = self.session.library()
+        library = self.context.library()
         file = library.defined_in.get(name)
         if file is not None:
             self.inputs.add("requirements", Path(file))
@@ -131,7 +134,7 @@ class SessionInputs:
         if module.startswith("pytest_dura.") or not module or not self._new(kind, module):
             return
         if module.endswith(".py"):
-            self.inputs.add(kind, self.session.config.rootpath / module)
+            self.inputs.add(kind, self.context.config.rootpath / module)
         elif is_function_path(path):
             file = _file_of(module)
             if file is not None and not is_installed(file):
@@ -143,7 +146,7 @@ class SessionInputs:
         if not self._new(f"{kind} imports", module) or module.startswith("pytest_dura."):
             return
         if module.endswith(".py"):
-            file: Path | None = self.session.config.rootpath / module
+            file: Path | None = self.context.config.rootpath / module
             module = Path(module).stem
         else:
             file = _file_of(module)
@@ -156,7 +159,7 @@ class SessionInputs:
     def _conftests(self, folder: Path) -> None:
         if not self._new("folder", str(folder)):
             return
-        root = self.session.config.rootpath
+        root = self.context.config.rootpath
         for one in (folder, *folder.parents):
             if not one.is_relative_to(root):
                 break

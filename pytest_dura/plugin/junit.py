@@ -13,13 +13,13 @@ import pytest
 
 from pytest_dura.evidence.junit import junit_name
 from pytest_dura.evidence.text import one_line
-from pytest_dura.plugin.messages import replay_command
+from pytest_dura.plugin.context import replay_command
 from pytest_dura.plugin.outcomes import ItemResult, episode_of, target_of
 from pytest_dura.reports.wording import event_text
 
 if TYPE_CHECKING:
     from pytest_dura.core.episode import Episode
-    from pytest_dura.plugin.session import DuraSession
+    from pytest_dura.plugin.context import SessionContext
 
 
 Properties = list[tuple[str, str]]
@@ -30,7 +30,7 @@ _OURS = pytest.StashKey[Properties]()
 
 
 def add_properties(
-    session: DuraSession,
+    context: SessionContext,
     item: pytest.Item,
     report: pytest.TestReport,
     results: Sequence[ItemResult],
@@ -38,22 +38,22 @@ def add_properties(
     """Put what an item came to among its properties; they cross processes with its reports."""
     before = item.stash.get(_OURS, [])  # of an earlier attempt
     others = [one for one in item.user_properties if one not in before]
-    ours = _properties(session, item, results)
+    ours = _properties(context, item, results)
     item.stash[_OURS] = ours
     item.user_properties[:] = [*others, *ours]
     report.user_properties = list(item.user_properties)
 
 
 def _properties(
-    session: DuraSession, item: pytest.Item, results: Sequence[ItemResult]
+    context: SessionContext, item: pytest.Item, results: Sequence[ItemResult]
 ) -> Properties:
     told: list[tuple[str, Any]] = [
         ("item", item.nodeid),
-        ("base_seed", session.options.seed),
-        *_episode(session, item),
+        ("base_seed", context.options.seed),
+        *_episode(context, item),
     ]
     for one in results:
-        told += _group(session, one)
+        told += _group(context, one)
     return [(name, _value(name, value)) for name, value in told if value not in (None, "")]
 
 
@@ -63,7 +63,7 @@ def _value(name: str, value: Any) -> str:
     return junit_name(shown) if name in _NAMES else one_line(shown)
 
 
-def _episode(session: DuraSession, item: pytest.Item) -> Iterator[tuple[str, Any]]:
+def _episode(context: SessionContext, item: pytest.Item) -> Iterator[tuple[str, Any]]:
     episode = episode_of(item)
     if episode is None:
         return
@@ -72,10 +72,10 @@ def _episode(session: DuraSession, item: pytest.Item) -> Iterator[tuple[str, Any
     yield "digest", episode.digest
     yield "validity", episode.validity
     if target_of(item) is not None:  # by its id alone another session finds no other episode
-        yield "replay", replay_command(session, episode.id)
+        yield "replay", replay_command(context, episode.id)
 
 
-def _group(session: DuraSession, result: ItemResult) -> Iterator[tuple[str, Any]]:
+def _group(context: SessionContext, result: ItemResult) -> Iterator[tuple[str, Any]]:
     requirement = result.requirement
     yield "requirement", requirement.id
     yield "kind", requirement.kind
@@ -83,10 +83,10 @@ def _group(session: DuraSession, result: ItemResult) -> Iterator[tuple[str, Any]
     yield "component", result.component
     if result.outcome is not None:
         yield from _of_episode(result.outcome)
-        for event in ending_events(session, result):
+        for event in ending_events(context, result):
             yield "event", event
     if result.verdict is not None:
-        yield from _of_campaign(session, result)
+        yield from _of_campaign(context, result)
 
 
 def _of_episode(outcome: Any) -> Iterator[tuple[str, Any]]:
@@ -103,7 +103,7 @@ def _of_episode(outcome: Any) -> Iterator[tuple[str, Any]]:
         yield "false_check", check
 
 
-def _of_campaign(session: DuraSession, result: ItemResult) -> Iterator[tuple[str, Any]]:
+def _of_campaign(context: SessionContext, result: ItemResult) -> Iterator[tuple[str, Any]]:
     verdict = result.verdict
     assert verdict is not None
     yield "verdict", verdict["verdict"]
@@ -121,13 +121,13 @@ def _of_campaign(session: DuraSession, result: ItemResult) -> Iterator[tuple[str
     if verdict["counterexamples"]:
         episode = verdict["counterexamples"][0]["episode"]
         yield "counterexample", episode
-        yield "counterexample_seed", seed_of(session, result, episode)
-        for event in ending_events(session, result):
+        yield "counterexample_seed", seed_of(context, result, episode)
+        for event in ending_events(context, result):
             yield "event", event
-        yield "replay", replay_command(session, episode)
+        yield "replay", replay_command(context, episode)
 
 
-def ending_events(session: DuraSession, result: ItemResult) -> list[str]:
+def ending_events(context: SessionContext, result: ItemResult) -> list[str]:
     """What ended the violating episode that stands for a result, in the terminal's words."""
     if result.word != "violated":
         return []
@@ -135,18 +135,18 @@ def ending_events(session: DuraSession, result: ItemResult) -> list[str]:
     shown = (result.verdict or {}).get("counterexamples")
     if episode is None and shown and result.case is not None:
         run = int(shown[0]["episode"].rpartition("#")[2])
-        episode = session.bench.again(result.case, run)
+        episode = context.runner.again(result.case, run)
     if episode is None:
         return []
     return [
-        session.redact(event_text(event.to_json()))
+        context.redact(event_text(event.to_json()))
         for event in episode.events
         if event.kind == "critical"
     ]
 
 
-def seed_of(session: DuraSession, result: ItemResult, episode: str) -> int | None:
+def seed_of(context: SessionContext, result: ItemResult, episode: str) -> int | None:
     """The seed of an episode of the result's case."""
     if result.case is None:
         return None
-    return result.case.seed(int(episode.rpartition("#")[2]), session.options.seed)
+    return result.case.seed(int(episode.rpartition("#")[2]), context.options.seed)

@@ -8,10 +8,9 @@ from __future__ import annotations
 import os
 import sys
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pytest_dura.plugin.roles import root_conftest_with
@@ -21,8 +20,9 @@ if TYPE_CHECKING:
     from pytest_dura.core.role_spec import RoleSpec
     from pytest_dura.evidence.model import SessionRecord
     from pytest_dura.llm.session import ModelDescription, ModelSession
+    from pytest_dura.plugin.context import SessionContext
     from pytest_dura.plugin.inputs import SessionInputs
-    from pytest_dura.plugin.session import DuraSession
+    from pytest_dura.plugin.roles import SessionRoles
 
 
 Data = dict[str, Any]
@@ -36,35 +36,25 @@ class LanguageModels:
     """What one process knows of language models.
 
     Args:
-        session: The session of this process.
+        context: The session's context.
+        roles: The roles of the session.
     """
 
-    def __init__(self, session: DuraSession) -> None:
-        self.session = session
+    def __init__(self, context: SessionContext, roles: SessionRoles) -> None:
+        self.context = context
+        self._roles = roles
         self._begun = False
         self._before: ModelSession | None = None
         self._used: dict[tuple[Any, ...], Data] = {}
         self._latest: dict[tuple[str, str], tuple[Any, ...]] = {}
         self._counted: Counter[tuple[str, str, str]] = Counter()
-        self._to_tell: set[tuple[Any, ...]] = set()
+        self._unsent: set[tuple[Any, ...]] = set()
         self._replayed: list[ModelDescription] = []
 
-    @property
-    def _input(self) -> Mapping[str, Any]:
-        """What the controller told this process, if it is a worker."""
-        found: Mapping[str, Any] = getattr(self.session.config, "workerinput", {})
-        return found
-
-    @property
-    def file(self) -> Path | None:
-        """The cassette, where the mode has one: the controller's, also in a worker."""
-        given = self._input.get("dura_cassette")
-        return self.session.options.cassette if given is None else Path(given)
-
-    def tell_worker(self, told: dict[str, Any]) -> None:
+    def send_to_worker(self, told: dict[str, Any]) -> None:
         """Add what a worker has to know to its input."""
-        if self.file is not None:
-            told["dura_cassette"] = str(self.file.absolute())
+        if self.context.cassette is not None:
+            told["dura_cassette"] = str(self.context.cassette.absolute())
             told["dura_llm_session"] = self._name
         elif self._in_use is not None:
             # Each worker's own probe might come to something else, and so to another component.
@@ -80,21 +70,21 @@ class LanguageModels:
             return
         self._begun = True
         self._before = self._put_to_use(None)
-        self._name = self._input.get("dura_llm_session") or os.urandom(8).hex()
-        options = self.session.options
+        self._name = self.context.worker_input.get("dura_llm_session") or os.urandom(8).hex()
+        options = self.context.options
         if options.llm != "live":
             from pytest_dura.llm.session import ModelSession
 
             made = ModelSession(
-                options.llm, self.file, session=self._name, scrub=self.session.redact
+                options.llm, self.context.cassette, session=self._name, scrub=self.context.redact
             )
             self._replayed = made.replayed
             self._put_to_use(made)
-        elif self._input.get("dura_llm_described"):
+        elif self.context.worker_input.get("dura_llm_described"):
             from pytest_dura.llm.session import ModelSession
 
             made = ModelSession(session=self._name)
-            made.know(self._input["dura_llm_described"])
+            made.know(self.context.worker_input["dura_llm_described"])
             self._put_to_use(made)
 
     def __enter__(self) -> None:
@@ -127,26 +117,26 @@ class LanguageModels:
         found: ModelSession | None = None if module is None else module.in_use()
         return found
 
-    def settle(self) -> None:
+    def resolve_parameters(self) -> None:
         """Settle the components that are known before anything runs, so that it fails here or not.
 
         Raises:
             ConfigurationError: If one cannot be settled, such as for a server that does not answer.
         """
-        config = self.session.config
-        if self.session.is_worker or config.option.collectonly:
+        config = self.context.config
+        if self.context.is_worker or config.option.collectonly:
             return
         for spec in self._components():
-            self.session.resolver.resolve(spec)
+            self.context.resolver.resolve(spec)
 
     def _components(self) -> list[RoleSpec]:
-        session = self.session
-        if session.options.generator is not None:
-            return [session.roles.default("generator")]
-        if not session.plan or root_conftest_with(session.config, "generator") is not None:
+        context = self.context
+        if context.options.generator is not None:
+            return [self._roles.default("generator")]
+        if not context.plan or root_conftest_with(context.config, "generator") is not None:
             return []
         found: list[RoleSpec] = []
-        for planned in session.plan:
+        for planned in context.plan:
             spec = planned.case.roles({})["generator"]
             if spec not in found:
                 found.append(spec)
@@ -154,14 +144,14 @@ class LanguageModels:
 
     def replayed(self) -> list[str]:
         """A line on who spoke, where a cassette answers, whatever component will ask it."""
-        if self.file is None or not self._replayed:
+        if self.context.cassette is None or not self._replayed:
             return []
         from pytest_dura.provenance import recorded_path
 
         spoke = [f"{each.spoken_of}, recorded {each.created[:10]}" for each in self._replayed]
         if len(spoke) > MOST_MODELS:
             spoke[MOST_MODELS:] = [f"and {len(spoke) - MOST_MODELS} more models"]
-        file = recorded_path(self.file, self.session.config.rootpath)
+        file = recorded_path(self.context.cassette, self.context.config.rootpath)
         return [f"dura: answers replayed from {file}: {'; '.join(spoke)}"]
 
     def header(self) -> list[str]:
@@ -177,19 +167,11 @@ class LanguageModels:
             )
             lines.append(
                 f"dura: language model {one.model} at {one.base_url} "
-                f"({self.session.options.llm}), structured output {level}"
+                f"({self.context.options.llm}), structured output {level}"
                 f"{'' if level == 'none' else kept}, {abilities}"
                 f"{f'; {one.about}' if one.about else ''}"
             )
         return lines
-
-    def replay_options(self) -> list[str]:
-        """The options with which the cassette answers again, whatever the mode of this session."""
-        if self.file is None:
-            return []
-        given = [f"{name}={value}" for name, value in self.session.options.given
-                 if name == "--dura-cassette"]  # fmt: skip
-        return ["--dura-llm=replay", *given]
 
     def prepare(self, spec: EpisodeSpec) -> None:
         """Find the servers of an episode that is run again, before the component's time runs.
@@ -200,13 +182,13 @@ class LanguageModels:
         from pytest_dura.execution.task import stated_model
 
         models = [stated[0] for role in spec.roles.values() if (stated := stated_model(role))]
-        if models and self.session.options.llm != "replay":
+        if models and self.context.options.llm != "replay":
             from pytest_dura.llm.session import current
 
             for model in models:
                 current().describe(model)
 
-    def asked_anew(self) -> list[str]:
+    def replay_warning(self) -> list[str]:
         """A line, if a server was asked in this process, that its answers may be others now."""
         session = self._in_use
         counts = {} if session is None else session.counts
@@ -242,10 +224,10 @@ class LanguageModels:
             key = self._latest.get((model, fingerprint), (None, model, fingerprint, None))
             self._note(key)
             self._used[key][deed] += count
-            self._to_tell.add(key)
+            self._unsent.add(key)
         self._counted = now
-        found = [self._told(session, key) for key in sorted(self._to_tell, key=str)]
-        self._to_tell.clear()
+        found = [self._entry(session, key) for key in sorted(self._unsent, key=str)]
+        self._unsent.clear()
         return found
 
     @contextmanager
@@ -261,9 +243,9 @@ class LanguageModels:
     def _note(self, key: tuple[Any, ...]) -> None:
         if key not in self._used:
             self._used[key] = dict.fromkeys(DEEDS, 0)
-            self._to_tell.add(key)
+            self._unsent.add(key)
 
-    def _told(self, session: ModelSession, key: tuple[Any, ...]) -> Data:
+    def _entry(self, session: ModelSession, key: tuple[Any, ...]) -> Data:
         component, model, fingerprint, prompts = key
         known = session.known(model, fingerprint)
         return {
@@ -275,13 +257,13 @@ class LanguageModels:
             "fingerprint": fingerprint,
             "capabilities": None if known is None else dict(known.capabilities),
             "prompts": prompts if isinstance(prompts, str) else None,
-            "process": str(self._input.get("workerid", "main")),
+            "process": str(self.context.worker_input.get("workerid", "main")),
             **self._used[key],
         }
 
     def completed(self, record: SessionRecord, inputs: SessionInputs) -> SessionRecord:
         """The record of a session that is over, with the cassette as it is now."""
-        session, file = self._in_use, self.file
+        session, file = self._in_use, self.context.cassette
         if file is None or session is None or session.cassette is None:
             return record
         from pytest_dura.evidence.files import sha256_of
@@ -292,7 +274,7 @@ class LanguageModels:
             # The session itself has changed it.
             inputs.inputs.add("cassette", file, sha256)
         cassette = {
-            "file": recorded_path(file, self.session.config.rootpath),
+            "file": recorded_path(file, self.context.config.rootpath),
             "sha256": sha256,
             "exchanges": len(session.cassette),
         }

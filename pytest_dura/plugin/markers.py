@@ -17,20 +17,20 @@ from pytest_dura.plugin.messages import error_text
 
 if TYPE_CHECKING:
     from pytest_dura.library.cases import Case
-    from pytest_dura.plugin.session import DuraSession
+    from pytest_dura.plugin.context import SessionContext
     from pytest_dura.requirements.model import Requirement
 
 
-def marked_requirements(session: DuraSession, node: pytest.Item) -> list[Requirement]:
+def marked_requirements(context: SessionContext, node: pytest.Item) -> list[Requirement]:
     """The requirements that a test's markers name, the closest first.
 
     Raises:
         ConfigurationError: For a marker that cannot be used, and a requirement without a text.
     """
-    return [_requirement(session, marker) for marker in node.iter_markers("requirement")]
+    return [_requirement(context, marker) for marker in node.iter_markers("requirement")]
 
 
-def _requirement(session: DuraSession, marker: pytest.Mark) -> Requirement:
+def _requirement(context: SessionContext, marker: pytest.Mark) -> Requirement:
     from pytest_dura.core.error_messages import did_you_mean
     from pytest_dura.requirements.model import Kind, Requirement
 
@@ -44,7 +44,7 @@ def _requirement(session: DuraSession, marker: pytest.Mark) -> Requirement:
             expected='an id such as "SAF-1"',
             remedy="correct the id; several requirements take one marker each",
         )
-    known = session.library().requirements
+    known = context.library().requirements
     if name in known:
         _check_same(known[name], given)
         return known[name]
@@ -68,7 +68,7 @@ def _requirement(session: DuraSession, marker: pytest.Mark) -> Requirement:
         )
     source = "" if given["source"] is None else str(given["source"])
     requirement = Requirement(name, str(given["text"]), kind, source)
-    before = session.marked.setdefault(name, requirement)
+    before = context.marked.setdefault(name, requirement)
     if before != requirement:
         raise _conflicting_meaning(name, "another marker", before.text, requirement.text)
     return requirement
@@ -125,7 +125,7 @@ def marker_arguments(marker: pytest.Mark, signature: Any) -> dict[str, Any]:
 FALSIFY = "falsify"
 
 
-def check_falsify(session: DuraSession, definition: pytest.Item) -> None:
+def check_falsify(context: SessionContext, definition: pytest.Item) -> None:
     """Refuse a marker that would search nothing, or cannot be read.
 
     Raises:
@@ -154,7 +154,7 @@ def check_falsify(session: DuraSession, definition: pytest.Item) -> None:
         )
     wanted = marker_arguments(markers[0], _falsify_marker)["requirement"]
     for text in wanted if isinstance(wanted, (list, tuple)) else [wanted]:
-        if isinstance(text, str) and text not in session.library().requirements:
+        if isinstance(text, str) and text not in context.library().requirements:
             _check_formula(text)
 
 
@@ -214,7 +214,7 @@ class Target:
         return f"{self.case.id}#{self.run}"
 
 
-def parametrize(session: DuraSession, metafunc: pytest.Metafunc, marker: pytest.Mark) -> None:
+def parametrize(context: SessionContext, metafunc: pytest.Metafunc, marker: pytest.Mark) -> None:
     """Parametrize a test with the marker ``dura``.
 
     Raises:
@@ -224,12 +224,12 @@ def parametrize(session: DuraSession, metafunc: pytest.Metafunc, marker: pytest.
     definition = metafunc.definition
     with _errors_at(definition):
         _check_use(definition, looked_at)
-        check_falsify(session, definition)
-        requirements = marked_requirements(session, definition)
+        check_falsify(context, definition)
+        requirements = marked_requirements(context, definition)
         _check_decidable(requirements, each_run="episode" in looked_at)
         if not looked_at and names_no_scenario(marker):
             return
-        targets = _targets(session, marker, requirements, each_run="episode" in looked_at)
+        targets = _targets(context, marker, requirements, each_run="episode" in looked_at)
     if looked_at:
         metafunc.parametrize(
             ",".join(looked_at),
@@ -239,15 +239,15 @@ def parametrize(session: DuraSession, metafunc: pytest.Metafunc, marker: pytest.
         )
 
 
-def check_markers(session: DuraSession, definition: pytest.Item) -> None:
+def check_markers(context: SessionContext, definition: pytest.Item) -> None:
     """Check the requirements that a test names which chooses its episodes itself.
 
     Raises:
         pytest.Collector.CollectError: For one that does not exist, at the test's place.
     """
     with _errors_at(definition):
-        check_falsify(session, definition)
-        marked_requirements(session, definition)
+        check_falsify(context, definition)
+        marked_requirements(context, definition)
 
 
 def check_spelling(definition: pytest.Item) -> None:
@@ -345,16 +345,16 @@ def _check_decidable(requirements: Sequence[Requirement], *, each_run: bool) -> 
 
 
 def _targets(
-    session: DuraSession, marker: pytest.Mark, requirements: list[Requirement], *, each_run: bool
+    context: SessionContext, marker: pytest.Mark, requirements: list[Requirement], *, each_run: bool
 ) -> list[tuple[Target, str]]:
     given = marker_arguments(marker, _dura_marker)
-    cases = _cases(session, given["scenario"], given["faults"])
+    cases = _cases(context, given["scenario"], given["faults"])
     requirement = requirements[0] if requirements else None
     targets = []
     for case in cases:
-        session.take_case(case)
+        context.take_case(case)
         declared, until_decided = _runs(given["runs"], case)
-        planned = session.options.runs or declared
+        planned = context.options.runs or declared
         if each_run and until_decided:
             raise _unusable(
                 "runs", given["runs"] or case.scenario.runs, "a number of runs, for one test a run"
@@ -366,7 +366,7 @@ def _targets(
     return targets
 
 
-def _cases(session: DuraSession, scenario: Any, faults: Any) -> list[Case]:
+def _cases(context: SessionContext, scenario: Any, faults: Any) -> list[Case]:
     from pytest_dura.library.cases import expand_cases
     from pytest_dura.library.loading import select_names
 
@@ -377,7 +377,7 @@ def _cases(session: DuraSession, scenario: Any, faults: Any) -> list[Case]:
         faults = [faults]
     if faults is not None and not _are_campaigns(faults):
         raise _unusable("faults", faults, 'a list such as ["none", "ghost-obstacle"]')
-    library = session.library()
+    library = context.library()
     chosen = {name: library.scenarios[name] for name in select_names(library.scenarios, names)}
     return expand_cases(chosen, faults, read=library.faults)
 

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import os
-import shlex
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 
+from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.plugin.options import DEFAULT_EVIDENCE
-
-if TYPE_CHECKING:
-    from pytest_dura.plugin.session import DuraSession
 
 
 def sibling_directory(evidence: Path, what: str) -> Path:
@@ -126,6 +123,18 @@ def error_text(error: Exception) -> str:
     return visible(str(error), LONGEST_MESSAGE)
 
 
+class usage_errors:  # noqa: N801 - reads like a statement
+    """Context in which a configuration error becomes a usage error: one message, exit code 4."""
+
+    def __enter__(self) -> None:
+        """Nothing to prepare."""
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        """Translate."""
+        if isinstance(error, ConfigurationError):
+            raise pytest.UsageError(error_text(error)) from None
+
+
 def safe_lines(text: str) -> Iterator[str]:
     """A text for a terminal, on which nothing in it acts; only its first line is not indented.
 
@@ -141,6 +150,11 @@ def safe_lines(text: str) -> Iterator[str]:
 def indent_if_reserved(text: str) -> str:
     """A text that begins with a name of a user's, which must not read as a line of ours."""
     return f" {text}" if text.startswith(("|", "#", "gate:")) else text
+
+
+def counted(number: int, noun: str) -> str:
+    """``1 run``, ``2 runs``."""
+    return f"{number} {noun}" + ("" if number == 1 else "s")
 
 
 def print_lines(lines: Iterable[str]) -> None:
@@ -168,52 +182,3 @@ class SafeTerminal:
     def write(self, text: str, **colour: bool) -> None:
         """Write the beginning of a line."""
         self._terminal.write(next(safe_lines(text)), **colour)
-
-
-def replay_command(session: DuraSession, episode: str, evidence: Path | None = None) -> str:
-    """The command that runs one episode of the evidence again, or of another evidence."""
-    options = [f"--dura-replay={episode}"]
-    if evidence is not None:
-        here = session.config.invocation_params.dir
-        options.append(f"--dura-evidence={typed_path(evidence, here)}")
-    else:
-        given = session.options.given
-        options += [f"{name}={value}" for name, value in given if name == "--dura-evidence"]
-    options += session.models.replay_options()
-    # The same arguments load the same conftest files, where a component may be defined.
-    return _pytest_command(session, [*options, *_path_arguments(session)])
-
-
-def rerun_command(session: DuraSession, item: str) -> str:
-    """The command that runs one item again."""
-    # Test functions name their faults themselves, and without scenario cases the option is refused.
-    test = item.partition("::")[0].endswith(".py")
-    given = [one for one in session.options.given if not (test and one[0] == "--dura-faults")]
-    return _pytest_command(session, [item, *(f"{name}={value}" for name, value in given)])
-
-
-def _path_arguments(session: DuraSession) -> list[str]:
-    config = session.config
-    if config.args_source is not config.ArgsSource.ARGS:
-        return []
-    here = config.invocation_params.dir
-    paths = dict.fromkeys(argument.partition("::")[0] for argument in config.args)
-    return [path for path in paths if os.path.lexists(here / path)]
-
-
-def _pytest_command(session: DuraSession, arguments: list[str]) -> str:
-    option = session.config.option
-    setup = ["-c", option.inifilename] if option.inifilename else []
-    if option.rootdir:
-        setup.append(f"--rootdir={option.rootdir}")
-    if option.dura_trust_code:
-        setup.append("--dura-trust-code")
-    return " ".join(["pytest", *map(_quoted, [*setup, *arguments])])
-
-
-def _quoted(argument: str) -> str:
-    """Quote the value alone, which reads better: ``--dura-replay='case#run'``."""
-    name, equals, value = argument.partition("=")
-    if argument.startswith("--") and equals:
-        return f"{name}={shlex.quote(value)}"
-    return shlex.quote(argument)

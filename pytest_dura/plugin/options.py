@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, Literal, cast
 
 import pytest
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.plugin.executor import executor_choice
-from pytest_dura.plugin.shards import Shard, shard_of
 
 if TYPE_CHECKING:
     from pytest_dura.execution.executors import ExecutorChoice
     from pytest_dura.llm.session import Mode
-    from pytest_dura.plugin.recorder import Level
 
 
 DEFAULT_SEED = 0
@@ -25,6 +22,9 @@ DEFAULT_LEVEL = "violations"
 DEFAULT_PROGRESS_INTERVAL = "30"
 DEFAULT_ROLE_TIMEOUT = 60.0
 DEFAULT_CASSETTE = "dura-cassette.sqlite"
+
+Level = Literal["summary", "violations", "all"]
+"""Which episodes leave a trace in the evidence."""
 
 
 def add_options(parser: pytest.Parser) -> None:
@@ -260,6 +260,11 @@ class Options:
     given: tuple[tuple[str, str], ...]
     any_given: bool
 
+    @property
+    def is_command(self) -> bool:
+        """Whether the session lists, replays or reduces, and so runs no tests."""
+        return self.list_only or self.replay is not None or self.reduce is not None
+
     @classmethod
     def of(cls, config: pytest.Config) -> Options:
         """The options of a session.
@@ -485,3 +490,134 @@ def _cassette(config: pytest.Config) -> Path | None:
     if mode == "live":
         return None
     return config.invocation_params.dir / given if given else config.rootpath / DEFAULT_CASSETTE
+
+
+EXECUTOR_OPTION = "--dura-executor"
+TIMEOUT_OPTION = "--dura-episode-timeout"
+
+
+def executor_choice(config: pytest.Config, seconds: float | None) -> ExecutorChoice | None:
+    """The executor that the options name; ``None`` for this process.
+
+    Args:
+        config: The session's configuration.
+        seconds: What an episode may take in another process, if that was given.
+
+    Raises:
+        ConfigurationError: If there is none, or another option does not go with it.
+    """
+    text = config.getoption("dura_executor")
+    if text in (None, "in-process"):
+        if seconds is not None:
+            raise ConfigurationError(
+                f"{TIMEOUT_OPTION} is held by ending the process that simulates, and that is"
+                " pytest's own",
+                key=TIMEOUT_OPTION,
+                found=f"{seconds:g} without another executor",
+                expected=f"{EXECUTOR_OPTION}=processes, or a Dask cluster",
+                remedy=f"add {EXECUTOR_OPTION}=processes, or leave out {TIMEOUT_OPTION}; each call"
+                " into a role has"
+                " --dura-role-timeout",
+            )
+        return None
+    from pytest_dura.execution.executors import ExecutorChoice
+
+    choice = ExecutorChoice.parse(text)
+    if seconds is not None:
+        choice = replace(choice, seconds=seconds)
+    if choice.kind == "processes" and config.getoption("numprocesses", None):
+        raise ConfigurationError(
+            "the workers of pytest-xdist would each start processes of their own",
+            key=EXECUTOR_OPTION,
+            found=f"{text} beside -n {config.getoption('numprocesses')}",
+            expected="one of them",
+            remedy=f"leave out -n, and give {EXECUTOR_OPTION}=processes:N the cores; or leave out"
+            f" {EXECUTOR_OPTION}",
+        )
+    mode = config.getoption("dura_llm")
+    if mode in ("record", "replay"):
+        raise ConfigurationError(
+            "a cassette is of this process, and the episodes would be simulated in others",
+            key=EXECUTOR_OPTION,
+            found=f"{text} beside --dura-llm={mode}",
+            expected="one of them",
+            remedy=f"leave out {EXECUTOR_OPTION}, or use -n, whose workers share the cassette",
+        )
+    return choice
+
+
+SHARD_OPTION = "--dura-shard"
+MOST_SHARDS = 10_000
+_LONGEST = len(f"{MOST_SHARDS}/{MOST_SHARDS}")
+
+
+@dataclass(frozen=True)
+class Shard:
+    """Which part of a session this is.
+
+    Args:
+        index: Its number, from 1.
+        count: How many there are.
+    """
+
+    index: int
+    count: int
+
+    @classmethod
+    def read(cls, text: str | None) -> Shard | None:
+        """From the option's value, such as ``2/5``; ``None`` without one.
+
+        Raises:
+            ConfigurationError: If it is none.
+        """
+        if text is None:
+            return None
+        first, _, last = text.partition("/")
+        digits = f"{first}{last}"
+        if first and last and digits.isascii() and digits.isdecimal() and len(text) <= _LONGEST:
+            found = cls(int(first), int(last))
+            if 1 <= found.index <= found.count <= MOST_SHARDS:
+                return found
+        raise ConfigurationError(
+            f"{SHARD_OPTION} takes the number of a shard and how many there are",
+            key=SHARD_OPTION,
+            found=text,
+            expected=f"K/N with 1 <= K <= N <= {MOST_SHARDS}",
+            remedy=f"for example {SHARD_OPTION}=2/5 for the second of five shards",
+        )
+
+    def __str__(self) -> str:
+        return f"shard {self.index} of {self.count}"
+
+
+_EXCLUDED_OPTIONS = {
+    "dura_list": "it lists the whole session",
+    "dura_replay": "it runs an episode of the evidence",
+    "dura_reduce": "it runs an episode of the evidence",
+    "dura_baseline": "a baseline is that of a whole session: give it to the merge of the shards",
+}
+"""What makes no sense with a part of a session, and why."""
+
+
+def shard_of(config: pytest.Config) -> Shard | None:
+    """The shard that the options name, if they do.
+
+    Raises:
+        ConfigurationError: For one that cannot be used, and options that exclude it.
+    """
+    found = Shard.read(config.getoption("dura_shard"))
+    if found is None:
+        return None
+    conflicts = [(name, why) for name, why in _EXCLUDED_OPTIONS.items() if config.getoption(name)]
+    if config.getoption("dura_llm") == "record":
+        conflicts.append(("dura_llm", "each shard would record a cassette of its own"))
+    for name, why in conflicts:
+        other = f"--{name.replace('_', '-')}"
+        raise ConfigurationError(
+            f"{SHARD_OPTION} and {other} exclude each other: {why}",
+            key=SHARD_OPTION,
+            found=f"{found.index}/{found.count}",
+            expected=f"one of {SHARD_OPTION} and {other}",
+            remedy=f"leave one of them out; {SHARD_OPTION} is for the jobs of a CI",
+        )
+    return found

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from pytest_dura.campaign.campaign import Campaign
     from pytest_dura.evidence.episodes import ItemReport
     from pytest_dura.library.cases import Case
-    from pytest_dura.plugin.session import DuraSession
+    from pytest_dura.plugin.context import SessionContext
     from pytest_dura.requirements.model import Requirement
     from pytest_dura.requirements.verdicts.episodes import (
         EpisodeStatus,
@@ -57,11 +57,11 @@ class UsedEpisodes:
         if episode.failure is not None:
             self.failure = self.failure or f"{episode.failure} (in {name})"
 
-    def again(self, bench: Runner, name: str) -> JudgedEpisode | None:
+    def again(self, runner: Runner, name: str) -> JudgedEpisode | None:
         """The episode of this id that the item looked at last, if it looked at one."""
         if name not in self._seeds:
             return None
-        return bench.again(self.case, int(name.rpartition("#")[2]), self._seeds[name])
+        return runner.again(self.case, int(name.rpartition("#")[2]), self._seeds[name])
 
     @property
     def doubt(self) -> str | None:
@@ -119,13 +119,13 @@ _EARLIER_RESULTS = pytest.StashKey[list[ItemResult]]()
 
 
 def item_results(
-    session: DuraSession, item: pytest.Item, told: ItemReport | None
+    context: SessionContext, item: pytest.Item, told: ItemReport | None
 ) -> list[ItemResult]:
     """What an item came to, once it has run or could not be set up.
 
     Args:
-        session: The session.
-        item: An item that uses the bench.
+        context: The session's context.
+        item: An item that uses the runner.
         told: What it told when it ran.
 
     Returns:
@@ -135,8 +135,8 @@ def item_results(
     """
     from pytest_dura.plugin.markers import marked_requirements
 
-    claimed = {one.id: one for one in marked_requirements(session, item)}
-    found = _decided_results(session, item, told, claimed)
+    claimed = {one.id: one for one in marked_requirements(context, item)}
+    found = _decided_results(context, item, told, claimed)
     heard = {one.requirement.id for one in found}
     if told is not None:
         # Of what a test searches it asks for no verdict.
@@ -144,7 +144,7 @@ def item_results(
     target = target_of(item)
     for name, requirement in claimed.items():
         if name not in heard:
-            found.append(_undecided_result(session, item, requirement, target))
+            found.append(_undecided_result(context, item, requirement, target))
     violated = {
         one.question: one for one in item.stash.get(_EARLIER_RESULTS, []) if one.word == "violated"
     }
@@ -172,7 +172,7 @@ def episode_of(item: pytest.Item) -> JudgedEpisode | None:
 
 
 def _decided_results(
-    session: DuraSession,
+    context: SessionContext,
     item: pytest.Item,
     told: ItemReport | None,
     claimed: Mapping[str, Requirement],
@@ -185,7 +185,7 @@ def _decided_results(
     known.update(claimed)
     results = [
         ItemResult(
-            known[one["requirement"]], _case_of_result(session, item, one["case"]), verdict=one
+            known[one["requirement"]], _case_of_result(context, item, one["case"]), verdict=one
         )
         for one in told.verdicts
     ]
@@ -193,7 +193,7 @@ def _decided_results(
     results += [
         ItemResult(
             known[one["requirement"]],
-            _case_of_result(session, item, one["case"]),
+            _case_of_result(context, item, one["case"]),
             outcome=one,
             episode=episode,
         )
@@ -208,7 +208,7 @@ def _decided_results(
 
 
 def _undecided_result(
-    session: DuraSession, item: pytest.Item, requirement: Requirement, target: Any
+    context: SessionContext, item: pytest.Item, requirement: Requirement, target: Any
 ) -> ItemResult:
     """A requirement that the item was to decide, and did not."""
     case = None if target is None else target.case
@@ -222,21 +222,21 @@ def _undecided_result(
         requirement,
         case.id,
         [],
-        planned=session.options.runs or getattr(target, "planned", case.scenario.planned),
+        planned=context.options.runs or getattr(target, "planned", case.scenario.planned),
         component=getattr(campaign, "component", None),
     ).to_json()
     told = {"reason": "the test ended without a verdict on it", "check": "", "paired": None}
     return ItemResult(requirement, case, verdict=verdict | told)
 
 
-def _case_of_result(session: DuraSession, item: pytest.Item, name: str) -> Case | None:
+def _case_of_result(context: SessionContext, item: pytest.Item, name: str) -> Case | None:
     """The case of this id; ``None`` for one that a test made by itself."""
     target = target_of(item)
     if target is not None and target.case.id == name:
         case: Case = target.case
         return case
     try:
-        return session.bench.case(name)
+        return context.runner.case(name)
     except ConfigurationError:  # faults of the test's own making: no name leads to them
         return None
 
@@ -347,7 +347,7 @@ OUR_FIXTURES = "pytest_dura.plugin.fixtures"
 
 
 def check_passed(
-    session: DuraSession,
+    context: SessionContext,
     item: pytest.Function,
     used: Mapping[str, UsedEpisodes],
     decided: Collection[tuple[str, str]],
@@ -355,7 +355,7 @@ def check_passed(
     """Fail a test that passed if the episodes that it looked at do not carry that.
 
     Args:
-        session: The session of this process.
+        context: The session's context.
         item: The test.
         used: The episodes that it looked at, by case.
         decided: Requirement and case of the verdicts that it asked for.
@@ -368,39 +368,39 @@ def check_passed(
             pytest.fail(one.failure, pytrace=False)
     looked_at = item.funcargs.get("episode")
     if isinstance(looked_at, JudgedEpisode):
-        _check_violations(session, item, looked_at)
+        _check_violations(context, item, looked_at)
     for one in used.values():
         if one.cut:
             # What else the test looked at might have come out otherwise.
             told = f"invalid: {one.cut}: it shows a test nothing of what would have followed"
-            _fail_undecided(session, f"{told}; run such tests with --dura-end=complete")
+            _fail_undecided(context, f"{told}; run such tests with --dura-end=complete")
     if isinstance(looked_at, JudgedEpisode):
         if looked_at.validity == "invalid":
-            _fail_undecided(session, f"invalid: {looked_at.id}: {looked_at.invalid_reason}")
-        _check_decided_by_own(session, item, looked_at)
-        _check_looked(session, item, looked_at)
-    _check_searched(session, used.values())
+            _fail_undecided(context, f"invalid: {looked_at.id}: {looked_at.invalid_reason}")
+        _check_decided_by_own(context, item, looked_at)
+        _check_looked(context, item, looked_at)
+    _check_searched(context, used.values())
     campaign = item.funcargs.get("campaign")
     if isinstance(campaign, Campaign):
-        _check_decided(session, item, campaign, used, decided)
-    if without_verdict(session, item, decided):
-        _fail_undecided(session, f"undecided: the test ended without a verdict; {_remedy(item)}")
+        _check_decided(context, item, campaign, used, decided)
+    if without_verdict(context, item, decided):
+        _fail_undecided(context, f"undecided: the test ended without a verdict; {_remedy(item)}")
 
 
 def without_verdict(
-    session: DuraSession, item: pytest.Item, decided: Collection[tuple[str, str]]
+    context: SessionContext, item: pytest.Item, decided: Collection[tuple[str, str]]
 ) -> bool:
     """Whether a test that asked for episodes came to no verdict, and does not say that it would.
 
     Args:
-        session: The session of this process.
+        context: The session's context.
         item: The test, which has run.
         decided: Requirement and case of the verdicts that it asked for.
     """
     asked_for = _episode_fixtures_of(item)
     if not asked_for or decided or decides_nothing(item):
         return False
-    return "episode" not in asked_for or not marked_requirements(session, item)
+    return "episode" not in asked_for or not marked_requirements(context, item)
 
 
 def _episode_fixtures_of(item: pytest.Item) -> list[str]:
@@ -433,53 +433,55 @@ def _remedy(item: pytest.Item) -> str:
     return ways.get(_episode_fixtures_of(item)[0], "") + nothing
 
 
-def _check_violations(session: DuraSession, item: pytest.Function, episode: JudgedEpisode) -> None:
+def _check_violations(
+    context: SessionContext, item: pytest.Function, episode: JudgedEpisode
+) -> None:
     """A violation by what its requirements say in their files counts, whatever else is amiss.
 
     One that accepts a rate of violations is decided on all episodes, once they have run.
     """
-    for requirement in marked_requirements(session, item):
+    for requirement in marked_requirements(context, item):
         judged = judged_by_own_check(requirement, episode)
         if judged is not None and judged.verdict == "violated" and requirement.at_most is None:
             pytest.fail(f"violated: {_violation_text(requirement, judged)}", pytrace=False)
 
 
 def _check_decided_by_own(
-    session: DuraSession, item: pytest.Function, episode: JudgedEpisode
+    context: SessionContext, item: pytest.Function, episode: JudgedEpisode
 ) -> None:
     """A test on an episode passes by what its requirements say in their files, or not at all."""
-    for requirement in marked_requirements(session, item):
+    for requirement in marked_requirements(context, item):
         judged = judged_by_own_check(requirement, episode)
         if judged is not None and judged.verdict not in ("satisfied", "violated"):
-            _fail_undecided(session, f"{judged.verdict}: {_violation_text(requirement, judged)}")
+            _fail_undecided(context, f"{judged.verdict}: {_violation_text(requirement, judged)}")
 
 
-def _check_looked(session: DuraSession, item: pytest.Function, episode: JudgedEpisode) -> None:
+def _check_looked(context: SessionContext, item: pytest.Function, episode: JudgedEpisode) -> None:
     """A test supports by its assertions what it has looked at; of nothing it knows nothing."""
     from pytest_dura.plugin.observed_episode import observations_of
 
     alone = [
         one.id
-        for one in marked_requirements(session, item)
+        for one in marked_requirements(context, item)
         if judged_by_own_check(one, episode) is None
     ]
     if alone and not observations_of(episode).names:
         _fail_undecided(
-            session,
+            context,
             f"invalid: the test looked at nothing of {episode.id}, so that it decides nothing "
             f"about {', '.join(alone)}; assert something of the episode, such as "
             '`episode.satisfies("always (gap > 0)")`',
         )
 
 
-def _check_searched(session: DuraSession, used: Iterable[UsedEpisodes]) -> None:
+def _check_searched(context: SessionContext, used: Iterable[UsedEpisodes]) -> None:
     """A property test passes by at least one case that a strategy chose and that is valid."""
     from pytest_dura.library.cases import SearchedCase
 
     doubts = [one.doubt for one in used if isinstance(one.case, SearchedCase)]
     if doubts and all(doubts):
         why = str(doubts[0]).partition("(")[2]
-        _fail_undecided(session, f"undecided: none of {len(doubts)} cases is valid ({why}")
+        _fail_undecided(context, f"undecided: none of {len(doubts)} cases is valid ({why}")
 
 
 def _violation_text(requirement: Requirement, judged: EpisodeVerdict) -> str:
@@ -488,7 +490,7 @@ def _violation_text(requirement: Requirement, judged: EpisodeVerdict) -> str:
 
 
 def _check_decided(
-    session: DuraSession,
+    context: SessionContext,
     item: pytest.Function,
     campaign: Campaign,
     used: Mapping[str, UsedEpisodes],
@@ -497,20 +499,20 @@ def _check_decided(
     """A test on a campaign that claims to decide a requirement must ask for its verdict."""
     used_here = used.get(campaign.case.id)
     if used_here is not None and used_here.doubt is not None:
-        _fail_undecided(session, used_here.doubt)
+        _fail_undecided(context, used_here.doubt)
     if "episode" in item.funcargs:
         return  # it decides them
-    claimed = [one.id for one in marked_requirements(session, item)]
+    claimed = [one.id for one in marked_requirements(context, item)]
     left = [name for name in claimed if (name, campaign.case.id) not in decided]
     if left:
         _fail_undecided(
-            session,
+            context,
             f"undecided: the test never asked for a verdict on {', '.join(left)}; "
             "call campaign.require(check)",
         )
 
 
-def _fail_undecided(session: DuraSession, message: str) -> NoReturn:
-    if session.options.warn_undecided:
+def _fail_undecided(context: SessionContext, message: str) -> NoReturn:
+    if context.options.warn_undecided:
         pytest.skip(message)
     pytest.fail(message, pytrace=False)

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from xdist.workermanage import WorkerController
 
     from pytest_dura.campaign.progress import RunningCampaign
-    from pytest_dura.plugin.session import DuraSession
+    from pytest_dura.plugin.context import SessionContext
 
 
 BOUND_SHARE = 1 / 500
@@ -229,15 +229,15 @@ class ProgressHooks:
     """Shows the progress of this process, or as a controller that of its workers.
 
     Args:
-        session: The session.
+        context: The session's context.
         way: How it is shown.
     """
 
-    def __init__(self, session: DuraSession, way: DisplayMode) -> None:
-        self._session, self._config, self._way = session, session.config, way
+    def __init__(self, context: SessionContext, way: DisplayMode) -> None:
+        self._context, self._config, self._way = context, context.config, way
         self._reporter: Any = self._config.pluginmanager.getplugin("terminalreporter")
         self._distributed = self._config.pluginmanager.hasplugin("dsession")
-        self._folder = session.evidence_directory / PROGRESS_FOLDER
+        self._folder = context.evidence_directory / PROGRESS_FOLDER
         self._token = os.urandom(8).hex()
         self._guard: TerminalGuard | None = None
         self._screen: LiveScreen | None = None
@@ -289,7 +289,7 @@ class ProgressHooks:
 
     def _log(self) -> ProgressLog:
         interval, alone = (
-            self._session.options.progress_interval,
+            self._context.options.progress_interval,
             partial(capture_disabled, self._config),
         )
         if self._distributed:

@@ -22,7 +22,7 @@ from pytest_dura.core.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from pytest_dura.library.cases import SearchedCase
-    from pytest_dura.plugin.session import DuraSession
+    from pytest_dura.plugin.context import SessionContext
     from pytest_dura.search.counterexamples import CounterexampleStore, StoredCounterexample
     from pytest_dura.search.trials import Objective
 
@@ -30,13 +30,13 @@ if TYPE_CHECKING:
 DEFAULT_FOLDER = "scenarios"
 
 
-def scenario_folder(session: DuraSession) -> Path:
+def scenario_folder(context: SessionContext) -> Path:
     """The first folder of ini ``dura_scenario_paths``; by default one that need not exist yet.
 
     Raises:
         ConfigurationError: If the setting names files alone: what is kept elsewhere is run by none.
     """
-    config = session.config
+    config = context.config
     given = [Path(path) for path in config.getini("dura_scenario_paths")]
     folders = [path for path in given if path.is_dir()]
     if given and not folders:
@@ -50,7 +50,7 @@ def scenario_folder(session: DuraSession) -> Path:
     return folders[0] if folders else config.rootpath / DEFAULT_FOLDER
 
 
-def counterexample_store(session: DuraSession) -> CounterexampleStore:
+def counterexample_store(context: SessionContext) -> CounterexampleStore:
     """What keeps a counterexample, and says where, as seen from the project's root."""
 
     def keep(
@@ -58,17 +58,17 @@ def counterexample_store(session: DuraSession) -> CounterexampleStore:
     ) -> tuple[StoredCounterexample, str]:
         from pytest_dura.search.counterexamples import write_counterexample
 
-        known = session.library().requirements
+        known = context.library().requirements
         requirement = asked.requirement
         kept = write_counterexample(
-            scenario_folder(session),
+            scenario_folder(context),
             case,
             requirement,
             asked.check,
             defined=known.get(requirement.id) == requirement,
-            told=[str(session.redact(line)) for line in told],
+            told=[str(context.redact(line)) for line in told],
         )
-        return kept, os.path.relpath(kept.file, session.config.rootpath)
+        return kept, os.path.relpath(kept.file, context.config.rootpath)
 
     return keep
 
@@ -91,11 +91,11 @@ class PropertyTests:
     """The property tests of this process.
 
     Args:
-        session: The session of this process.
+        context: The session's context.
     """
 
-    def __init__(self, session: DuraSession) -> None:
-        self.session = session
+    def __init__(self, context: SessionContext) -> None:
+        self.context = context
         self._cases: list[SearchedCase] = []
         """Those that the present run of a test function has looked at."""
         self._failed: deque[tuple[BaseException, list[SearchedCase]]] = deque(maxlen=_MOST_FAILURES)
@@ -109,7 +109,7 @@ class PropertyTests:
         from pytest_dura.library.loading import use_library
 
         stack = ExitStack()
-        stack.enter_context(use_library(self.session.library))
+        stack.enter_context(use_library(self.context.library))
         return stack.close
 
     def looked_at(self, case: SearchedCase) -> None:
@@ -135,7 +135,7 @@ class PropertyTests:
             self._cases.clear()
             self._failed.clear()
 
-    def tell(self, report: pytest.TestReport) -> None:
+    def add_section(self, report: pytest.TestReport) -> None:
         """Say in the report of a test what was kept."""
         if report.when == "call" and self._lines:
             report.sections.append(("dura", "\n".join(self._lines)))
@@ -149,13 +149,13 @@ class PropertyTests:
         environment = dict(header["environment"])
         return {**header, "environment": environment | ({"hypothesis": found} if found else {})}
 
-    def tell_controller(self, workeroutput: MutableMapping[str, Any]) -> None:
+    def send_to_controller(self, workeroutput: MutableMapping[str, Any]) -> None:
         """Tell the controller, which reads no tests, under which profile this worker ran them."""
         from pytest_dura.provenance import describe_hypothesis
 
         workeroutput[_PROFILE_KEY] = describe_hypothesis()
 
-    def hear_worker(self, workeroutput: Mapping[str, Any]) -> None:
+    def receive_from_worker(self, workeroutput: Mapping[str, Any]) -> None:
         """Take in what a worker tells at its end."""
         self._settings = workeroutput.get(_PROFILE_KEY) or self._settings
 
@@ -199,10 +199,10 @@ class PropertyTests:
         from pytest_dura.plugin.markers import marked_requirements
         from pytest_dura.search.trials import Objective
 
-        bench = self.session.bench
-        named = {one.id: one for one in marked_requirements(self.session, item)}
-        named |= {one.id: one for one in bench.requirements_of(case) if one.id not in named}
-        episode = bench.searched(case)
+        runner = self.context.runner
+        named = {one.id: one for one in marked_requirements(self.context, item)}
+        named |= {one.id: one for one in runner.requirements_of(case) if one.id not in named}
+        episode = runner.searched(case)
         for one in named.values():
             asked = Objective(one)
             if one.check and not one.paired and asked.judge(episode).word == "violated":
@@ -210,7 +210,7 @@ class PropertyTests:
         return None
 
     def _keep(self, item: pytest.Item, case: SearchedCase, asked: Objective) -> Iterator[str]:
-        from pytest_dura.plugin.messages import rerun_command
+        from pytest_dura.plugin.context import rerun_command
         from pytest_dura.search.counterexamples import (
             confirm_violation,
             store_counterexample,
@@ -218,9 +218,9 @@ class PropertyTests:
         from pytest_dura.search.space import SearchSpace
         from pytest_dura.search.trials import Trials
 
-        bench, name = self.session.bench, asked.requirement.id
-        original = bench.case(case.scenario.name)
-        trials = Trials(bench, SearchSpace(original, (), original.scenario.world), [asked])
+        runner, name = self.context.runner, asked.requirement.id
+        original = runner.case(case.scenario.name)
+        trials = Trials(runner, SearchSpace(original, (), original.scenario.world), [asked])
         confirmed = confirm_violation(trials, asked, case, 0)
         repeats = confirmed.found.repeats
         if not repeats.confirmed:
@@ -230,7 +230,7 @@ class PropertyTests:
             )
             return
         written: list[StoredCounterexample] = []
-        keep = counterexample_store(self.session)
+        keep = counterexample_store(self.context)
 
         def noted(*arguments: Any) -> tuple[StoredCounterexample, str]:
             found = keep(*arguments)
@@ -240,7 +240,7 @@ class PropertyTests:
         found = store_counterexample(
             trials, asked, confirmed, noted, f"simplest failing case of {item.nodeid}"
         )
-        command = rerun_command(self.session, f"{found.name}::{written[0].requirement.id}")
+        command = rerun_command(self.context, f"{found.name}::{written[0].requirement.id}")
         yield f"{case.id} violates {name}, confirmed by replay with an equal digest"
         for change in found.changes:
             yield f"          {change.path}: {change.value} instead of {change.nominal}"

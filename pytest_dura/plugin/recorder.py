@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import pytest
 
 from pytest_dura.core.errors import DuraError, describe_error
+from pytest_dura.plugin.context import replay_command
 from pytest_dura.plugin.markers import marked_requirements
-from pytest_dura.plugin.messages import replay_command
 from pytest_dura.plugin.outcomes import (
     UsedEpisodes,
     check_passed,
@@ -26,14 +26,19 @@ from pytest_dura.plugin.outcomes import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from pytest_dura.campaign.causal_chains import CausalChain
     from pytest_dura.core.episode import Episode
     from pytest_dura.core.role_spec import RoleSpec
     from pytest_dura.evidence.episodes import ItemReport
     from pytest_dura.execution.store import EpisodeKey
     from pytest_dura.library.cases import Case, SearchedCase
+    from pytest_dura.plugin.context import SessionContext
+    from pytest_dura.plugin.episodes import Repeats, SessionExecutor, SharedEpisodes
+    from pytest_dura.plugin.language_models import LanguageModels
     from pytest_dura.plugin.markers import Target
-    from pytest_dura.plugin.session import DuraSession
+    from pytest_dura.plugin.property_tests import PropertyTests
     from pytest_dura.requirements.model import Requirement
     from pytest_dura.requirements.monitoring.quality import MonitorQuality
     from pytest_dura.requirements.verdicts.campaigns import CampaignVerdict
@@ -75,7 +80,6 @@ def _without_none(spread: dict[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in spread.items() if value is not None}
 
 
-Level = Literal["summary", "violations", "all"]
 Reason = Literal["all", "sample", "missing", "violation"]
 
 _RANK: dict[Reason, int] = {"all": 0, "sample": 1, "missing": 2, "violation": 3}
@@ -89,14 +93,14 @@ class TraceKeeper:
     what requirements say of it stands in the record.
 
     Args:
-        session: The session of this process.
+        context: The session's context.
     """
 
-    def __init__(self, session: DuraSession) -> None:
-        self.session = session
+    def __init__(self, context: SessionContext) -> None:
+        self.context = context
         self._kept: dict[tuple[Any, ...], tuple[Reason, dict[str, Any] | None]] = {}
         self._samples: set[tuple[str, str, str]] = set()
-        self._told_problem = False
+        self._problem_reported = False
         self.traces: list[dict[str, Any]] = []
         """``{id, component, digest, trace}`` of what was written and not yet taken."""
         self.problems: list[str] = []
@@ -104,7 +108,7 @@ class TraceKeeper:
 
     def used(self, episode: Episode) -> None:
         """A test looked at an episode."""
-        level = self.session.options.evidence_level
+        level = self.context.options.evidence_level
         if level == "all":
             self._keep(episode, "all")
         if level == "violations" and episode.validity != "invalid":
@@ -116,7 +120,7 @@ class TraceKeeper:
 
     def violated(self, episode: Episode) -> None:
         """An episode violates a requirement, or failed its test."""
-        if self.session.options.evidence_level != "summary":
+        if self.context.options.evidence_level != "summary":
             self._keep(episode, "violation")
 
     def take(self) -> tuple[list[dict[str, Any]], list[str]]:
@@ -126,7 +130,7 @@ class TraceKeeper:
         return told
 
     def _keep(self, episode: Episode, reason: Reason) -> None:
-        about = self.session.redact(
+        about = self.context.redact(
             {
                 "id": episode.id,
                 "component": episode.spec.component,
@@ -149,14 +153,14 @@ class TraceKeeper:
         from pytest_dura.evidence.mcap import write_trace
         from pytest_dura.evidence.traces import TRACE_FOLDER, Trace, trace_path
 
-        path, directory = trace_path(about), self.session.evidence_directory
+        path, directory = trace_path(about), self.context.evidence_directory
         try:
             _check_inside(directory / TRACE_FOLDER)
-            trace = Trace.of(episode).without_secrets(self.session.redact)
+            trace = Trace.of(episode).without_secrets(self.context.redact)
             return {"file": path, **write_trace(directory / path, trace)}
         except Exception as error:  # whatever it is, the verdicts do not need the trace
-            if not self._told_problem:
-                self._told_problem = True
+            if not self._problem_reported:
+                self._problem_reported = True
                 why = error.strerror if isinstance(error, OSError) and error.strerror else None
                 self.problems.append(
                     f"infrastructure: the trace of {episode.id} cannot be written: "
@@ -181,20 +185,38 @@ class ItemRecorder:
     """Works in whichever process runs the items.
 
     Args:
-        session: The session of this process.
+        context: The session's context.
+        models: Told which language models episodes asked.
+        properties: Told which cases property tests looked at.
+        repeats: Told which episodes may be repeated.
+        shared: What could not be shared, and what searches took over.
+        executor: Who simulates.
+        take: Takes a part of the report of an item that holds a great many episodes.
     """
 
-    def __init__(self, session: DuraSession) -> None:
-        self.session = session
+    def __init__(
+        self,
+        context: SessionContext,
+        *,
+        models: LanguageModels,
+        properties: PropertyTests,
+        repeats: Repeats,
+        shared: SharedEpisodes,
+        executor: SessionExecutor,
+        take: Callable[[str], None],
+    ) -> None:
+        self.context = context
+        self._models, self._properties, self._repeats = models, properties, repeats
+        self._shared, self._executor, self._take = shared, executor, take
         self._pending: ItemReport | None = None
-        self._told: set[tuple[EpisodeKey, bool]] = set()
+        self._recorded: set[tuple[EpisodeKey, bool]] = set()
         self._used: dict[str, UsedEpisodes] = {}
         self._decided: set[tuple[str, str]] = set()
         self._components: dict[tuple[str, bytes, bool], dict[str, Any]] = {}
         self._last: JudgedEpisode | None = None
         self._asserted = False
         """Whether the body of the current test came to its end without a failure."""
-        self.traces = TraceKeeper(session)
+        self.traces = TraceKeeper(context)
 
     def episode_used(self, case: Case, episode: JudgedEpisode, planned: int) -> None:
         """An item looked at an episode of so many planned ones; 0 for one chosen by hand."""
@@ -203,32 +225,32 @@ class ItemRecorder:
         self._used.setdefault(case.id, UsedEpisodes(case)).add(episode)
         generator = episode.spec.roles["generator"]
         self._case_used(case, generator, planned)
-        self.session.models.used(episode.spec)
-        own = self.session.bench.key(episode)
+        self._models.used(episode.spec)
+        own = self.context.runner.key(episode)
         key = own, planned > 0
-        if key not in self._told:
-            self._told.add(key)
-            origin = self.session.bench.store.earlier.origin(own)
+        if key not in self._recorded:
+            self._recorded.add(key)
+            origin = self.context.runner.store.earlier.origin(own)
             told = episode_record(episode, planned=planned > 0, origin=origin)
             self._report.episodes.append(told)
             self._relieve()
         self._last = episode
         self.traces.used(episode)
         if planned:
-            self.session.repeats.episode_used(case, episode)
+            self._repeats.episode_used(case, episode)
 
     def searched_used(self, case: SearchedCase, episode: SearchedEpisode) -> None:
         """An item looked at an episode of a case that a strategy chose, which is no sample."""
         self._used.setdefault(case.id, UsedEpisodes(case)).add(episode)
         self._component_used(episode.spec.roles["generator"])
-        self.session.models.used(episode.spec)
-        self.session.properties.looked_at(case)
+        self._models.used(episode.spec)
+        self._properties.looked_at(case)
 
     def verdict_reached(self, verdict: CampaignVerdict, requirement: Requirement) -> None:
         """A campaign was judged, and what its episodes are worth along with it."""
         used = self._used.pop(verdict.case, None)
         for counterexample in verdict.counterexamples:
-            episode = used and used.again(self.session.bench, counterexample.episode)
+            episode = used and used.again(self.context.runner, counterexample.episode)
             if episode:
                 self.traces.violated(episode)
         self._used.pop((verdict.pairs or {}).get("case", verdict.case), None)
@@ -249,13 +271,13 @@ class ItemRecorder:
         from pytest_dura.evidence.model import plain_data
         from pytest_dura.requirements.model import Requirement
 
-        spec = self.session.bench.task(case).spec
+        spec = self.context.runner.task(case).spec
         self._component_used(spec.roles["generator"])
-        self.session.models.used(spec)
-        library = self.session.library().requirements
+        self._models.used(spec)
+        library = self.context.library().requirements
         for outcome in falsification["outcomes"]:
             name, check = outcome["requirement"], outcome["check"]
-            known = library.get(name) or self.session.marked.get(name)
+            known = library.get(name) or self.context.marked.get(name)
             self._requirement_used(known or Requirement(name, check=check))
             self._decided.add((name, case.id))
         about = {
@@ -284,11 +306,11 @@ class ItemRecorder:
     def _relieve(self) -> None:
         """Let no item hold a great many episodes until it ends."""
         if self._report.full:
-            part = self._report.split(self.session.redact)
-            if self.session.is_worker:
+            part = self._report.split(self.context.redact)
+            if self.context.is_worker:
                 self._report.parts.append(part)
             else:
-                self.session.evidence.take(part)
+                self._take(part)
 
     def outcome_of(self, error: DuraError) -> BaseException:
         """What one of our own errors does to a test: fail it, with a message and no more."""
@@ -296,7 +318,7 @@ class ItemRecorder:
         undecided = verdict is not None and verdict.verdict == "undecided"
         if search is not None:
             undecided = not search.found and any(o.word == "undecided" for o in search.outcomes)
-        if undecided and self.session.options.warn_undecided:
+        if undecided and self.context.options.warn_undecided:
             return pytest.skip.Exception(str(error))
         return pytest.fail.Exception(str(error))
 
@@ -311,7 +333,7 @@ class ItemRecorder:
     def body_passed(self, item: pytest.Function) -> None:
         """A test passed; fail it if the episodes that it looked at do not carry that."""
         self._asserted = True
-        check_passed(self.session, item, self._used, self._decided)
+        check_passed(self.context, item, self._used, self._decided)
 
     def attach(
         self, item: pytest.Item, call: pytest.CallInfo[None], report: pytest.TestReport
@@ -327,18 +349,18 @@ class ItemRecorder:
         if traces or problems:
             self._report.traces += traces
             self._report.problems += problems
-        notes, searched = self.session.shared.take_problems(), self.session.shared.take_searched()
+        notes, searched = self._shared.take_problems(), self._shared.take_searched()
         if notes or searched:
             self._report.notes += notes
             self._report.searched += searched
-        models = self.session.models.take()
+        models = self._models.take()
         if models:
             self._report.models += models
         if self._pending is None:
             return None
         told, self._pending = self._pending, None
         told.item = item.nodeid
-        told = told.without_secrets(self.session.redact)
+        told = told.without_secrets(self.context.redact)
         if told:
             setattr(report, REPORT_ATTRIBUTE, json.dumps(told.to_json(), allow_nan=False))
         return told
@@ -350,8 +372,8 @@ class ItemRecorder:
         if self._target(item) is not None:
             self._test_outcome(item, call, report)
         # A test that skips itself, or is expected to fail, came to no verdict either.
-        excused = report.skipped and not self.session.options.warn_undecided
-        if excused and without_verdict(self.session, item, self._decided):
+        excused = report.skipped and not self.context.options.warn_undecided
+        if excused and without_verdict(self.context, item, self._decided):
             self._report.objections.append(f"{item.nodeid} ended without a verdict")
 
     def _end(self, item: pytest.Item) -> None:
@@ -359,9 +381,9 @@ class ItemRecorder:
         self._decided.clear()
         self._last = None
         self._asserted = False
-        if self.session.simulating.is_lost:  # what there is by now can be resumed
+        if self._executor.is_lost:  # what there is by now can be resumed
             item.session.shouldstop = "nobody is left who simulates"
-        if self.session.shared.is_broken:
+        if self._shared.is_broken:
             item.session.shouldstop = "file descriptors of this process were closed"
 
     def _keep_last(self, call: pytest.CallInfo[None]) -> None:
@@ -383,10 +405,10 @@ class ItemRecorder:
     def _case_used(self, case: Case, generator: RoleSpec, planned: int) -> None:
         report, component = self._report, self._component_used(generator)
         if not any((one["id"], one["component"]) == (case.id, component) for one in report.cases):
-            off = case.roles_off(self.session.bench.roles)
-            runs = self.session.options.runs
+            off = case.roles_off(self.context.runner.roles)
+            runs = self.context.options.runs
             report.cases.append(case_record(case, component, planned, runs, off))
-            known = self.session.library().requirements
+            known = self.context.library().requirements
             for name in case.requirements:
                 self._requirement_used(known[name])
         self._planned(case.id, component, planned)
@@ -401,7 +423,7 @@ class ItemRecorder:
         key = generator.path, canonical(generator.params), generator.opaque
         if key not in self._components:
             factory = type(generator.instance) if generator.opaque else generator.resolve()
-            file, root = None, self.session.config.rootpath
+            file, root = None, self.context.config.rootpath
             if isinstance(generator, LocalRole):
                 file = root / generator.path.rpartition(":")[0]
             described = describe_component(generator.path, factory, generator.params, file, root)
@@ -434,10 +456,10 @@ class ItemRecorder:
         from pytest_dura.evidence.gather import UNKNOWN_COMPONENT
 
         component = getattr(campaign, "component", None) or UNKNOWN_COMPONENT
-        override = self.session.options.runs
-        off = target.case.roles_off(self.session.bench.roles)
+        override = self.context.options.runs
+        off = target.case.roles_off(self.context.runner.roles)
         case = case_record(target.case, component, target.planned, override, off)
-        for requirement in marked_requirements(self.session, item):
+        for requirement in marked_requirements(self.context, item):
             self._requirement_used(requirement)
             claim = {"requirement": requirement.id, "case": case, "each_run": run is not None}
             self._report.claims.append(claim)
@@ -458,14 +480,14 @@ class ItemRecorder:
         self._planned(target.case.id, episode.spec.component, target.planned)
         error = None if call.excinfo is None else call.excinfo.value
         if error is not None:
-            command = replay_command(self.session, episode.id)
+            command = replay_command(self.context, episode.id)
             report.sections.append(("dura", f"{episode.id}, replay: {command}"))
         failed = (
             "" if call.excinfo is None or self._asserted else failed_assertion(item, call.excinfo)
         )
-        for requirement in marked_requirements(self.session, item):
+        for requirement in marked_requirements(self.context, item):
             self._requirement_used(requirement)
-            of_case = self.session.bench.requirements_of(target.case)
+            of_case = self.context.runner.requirements_of(target.case)
             told = outcome_of_test(requirement, of_case, episode, error, failed)
             if told["verdict"] == "violated":
                 self.traces.violated(episode)

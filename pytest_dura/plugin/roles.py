@@ -18,7 +18,7 @@ from pytest_dura.core.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from pytest_dura.core.role_spec import RoleSpec
-    from pytest_dura.plugin.session import DuraSession
+    from pytest_dura.plugin.context import SessionContext
 
 
 OVERRIDABLE = (
@@ -117,11 +117,11 @@ class SessionRoles:
     """What options, role fixtures and the domain's defaults come to.
 
     Args:
-        session: The session of this process.
+        context: The session's context.
     """
 
-    def __init__(self, session: DuraSession) -> None:
-        self.session = session
+    def __init__(self, context: SessionContext) -> None:
+        self.context = context
         self._defaults: dict[str, RoleSpec] = {}
 
     def default(self, role: str) -> RoleSpec:
@@ -131,7 +131,7 @@ class SessionRoles:
             from pytest_dura.domains import DOMAINS
             from pytest_dura.library.roles import generator_of_option
 
-            driving, option = DOMAINS["driving"], self.session.options.generator
+            driving, option = DOMAINS["driving"], self.context.options.generator
             if role == "simulator":
                 spec = RoleSpec(driving.simulator)
             elif role == "generator" and option is not None:
@@ -143,12 +143,12 @@ class SessionRoles:
 
     def chosen(self) -> dict[str, RoleSpec | None]:
         """The roles that options put in place of the scenarios' and domains' own."""
-        if self.session.options.generator is None:
+        if self.context.options.generator is None:
             return {}
         return {"generator": self.default("generator")}
 
     def use(self, given: dict[str, Any]) -> None:
-        """Let the bench run what the role fixtures of an item returned.
+        """Let the runner run what the role fixtures of an item returned.
 
         Raises:
             ConfigurationError: For something that is no such role, and for a generator that is
@@ -157,14 +157,14 @@ class SessionRoles:
         from pytest_dura.library.roles import role_of_fixture
 
         overridden = {
-            role: role_of_fixture(role, value, conftest_defining(self.session.config, value))
+            role: role_of_fixture(role, value, conftest_defining(self.context.config, value))
             for role, value in given.items()
             if value is not self.default(role)
         }
-        if "generator" in overridden and self.session.options.generator is not None:
+        if "generator" in overridden and self.context.options.generator is not None:
             raise _given_twice("a fixture")
-        self.session.bench.simulator = overridden.pop("simulator", None)
-        self.session.bench.roles = self.chosen() | overridden
+        self.context.runner.simulator = overridden.pop("simulator", None)
+        self.context.runner.roles = self.chosen() | overridden
 
     def check(self) -> None:
         """Check the generator that is given.
@@ -172,10 +172,10 @@ class SessionRoles:
         Raises:
             ConfigurationError: For one that cannot be used, and for one that is given twice.
         """
-        if self.session.options.generator is None:
+        if self.context.options.generator is None:
             return
         self.default("generator")
-        conftest = root_conftest_with(self.session.config, "generator")
+        conftest = root_conftest_with(self.context.config, "generator")
         if conftest is not None:
             raise _given_twice(f"the fixture `generator` in {conftest}")
 

@@ -8,23 +8,19 @@ from __future__ import annotations
 
 import os
 import re
-import sys
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import cached_property
 from math import isinf
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import pytest
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.plugin.episodes import Repeats, SharedEpisodes
+from pytest_dura.plugin.context import Planned, SessionContext
+from pytest_dura.plugin.episodes import Repeats, SessionExecutor, SharedEpisodes
 from pytest_dura.plugin.evidence import SessionEvidence
-from pytest_dura.plugin.executor import SessionExecutor
 from pytest_dura.plugin.language_models import LanguageModels
-from pytest_dura.plugin.messages import error_text
-from pytest_dura.plugin.options import Options
+from pytest_dura.plugin.messages import usage_errors
 from pytest_dura.plugin.property_tests import PropertyTests
 from pytest_dura.plugin.recorder import ItemRecorder
 from pytest_dura.plugin.roles import SessionRoles
@@ -34,12 +30,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from pytest_dura.campaign.progress import RunningCampaign
-    from pytest_dura.evidence.redaction import Redactor
-    from pytest_dura.library.cases import Case
-    from pytest_dura.library.loading import Library
-    from pytest_dura.library.roles import ParameterResolver
     from pytest_dura.plugin.progress import WorkerFile
-    from pytest_dura.requirements.model import Requirement
     from pytest_dura.runner import Runner
 
 
@@ -47,13 +38,13 @@ Chosen = tuple[str, str]
 """A case and a requirement; "" stands for all of its requirements."""
 
 
-def scenario_arguments(session: DuraSession) -> dict[str, Chosen]:
+def scenario_arguments(context: SessionContext) -> dict[str, Chosen]:
     """The arguments that name no file and a case, and what they choose.
 
     Raises:
         ConfigurationError: For an unknown requirement of a case, and scenarios that cannot be read.
     """
-    config = session.config
+    config = context.config
     if config.args_source is not config.ArgsSource.ARGS:
         return {}
     found = {}
@@ -61,18 +52,18 @@ def scenario_arguments(session: DuraSession) -> dict[str, Chosen]:
         path, _, requirement = argument.partition("::")
         if path.endswith(".py") or os.path.lexists(config.invocation_params.dir / path):
             continue
-        name = _case_name(session, path)
+        name = _case_name(context, path)
         if name is not None:
-            found[argument] = (name, _requirement_name(session, name, requirement))
+            found[argument] = (name, _requirement_name(context, name, requirement))
     return found
 
 
-def _case_name(session: DuraSession, path: str) -> str | None:
+def _case_name(context: SessionContext, path: str) -> str | None:
     """The case that an argument names which is no file, if there is such a case."""
     try:
-        library = session.library()
+        library = context.library()
     except ConfigurationError as error:
-        if session.options.any_given:
+        if context.options.any_given:
             raise
         # Whoever misspelt a path should hear of the path, and whoever meant a scenario of it.
         raise ConfigurationError(
@@ -80,16 +71,16 @@ def _case_name(session: DuraSession, path: str) -> str | None:
             f"and it names no scenario as long as these cannot be read:\n{error}"
         ) from None
     # Terminal lines are relative to where pytest was started.
-    absolute = os.path.normpath(session.config.invocation_params.dir / path)
-    relative = os.path.relpath(absolute, session.config.rootpath).replace(os.sep, "/")
+    absolute = os.path.normpath(context.config.invocation_params.dir / path)
+    relative = os.path.relpath(absolute, context.config.rootpath).replace(os.sep, "/")
     for name in (path, relative):
         if re.split(r"[+~]", name, maxsplit=1)[0] in library.scenarios:
-            return session.bench.case(name).id
+            return context.runner.case(name).id
     return None
 
 
-def _requirement_name(session: DuraSession, name: str, requirement: str) -> str:
-    known = session.bench.case(name).requirements
+def _requirement_name(context: SessionContext, name: str, requirement: str) -> str:
+    known = context.runner.case(name).requirements
     if requirement and requirement not in known:
         from pytest_dura.core.error_messages import did_you_mean
 
@@ -102,19 +93,11 @@ def _requirement_name(session: DuraSession, name: str, requirement: str) -> str:
     return requirement
 
 
-@dataclass(frozen=True, slots=True)
-class Planned:
-    """A case whose requirements become scenario items."""
-
-    case: Case
-    requirements: tuple[str, ...]
-
-
-def make_plan(session: DuraSession, chosen: Mapping[str, Chosen]) -> list[Planned]:
+def make_plan(context: SessionContext, chosen: Mapping[str, Chosen]) -> list[Planned]:
     """The cases of the scenarios, or those that arguments name, with their requirements.
 
     Args:
-        session: The session, which takes in each case.
+        context: The session's context, which takes in each case.
         chosen: What the arguments name, if any do.
 
     Raises:
@@ -122,10 +105,10 @@ def make_plan(session: DuraSession, chosen: Mapping[str, Chosen]) -> list[Planne
     """
     from pytest_dura.library.cases import expand_cases, select_cases
 
-    options, library, plan = session.options, session.library(), []
+    options, library, plan = context.options, context.library(), []
     if chosen:
         # A case of our own arguments may have other faults than its scenario.
-        named = {name: session.bench.case(name) for name, _ in chosen.values()}
+        named = {name: context.runner.case(name) for name, _ in chosen.values()}
         found = select_cases(list(named.values()), options.select)
     else:
         found = expand_cases(library.scenarios, options.faults, options.select, library.faults)
@@ -148,7 +131,7 @@ def make_plan(session: DuraSession, chosen: Mapping[str, Chosen]) -> list[Planne
                 if any(_chooses(one, name, requirement) for one in chosen.values())
             )
         if requirements:
-            session.take_case(case)
+            context.take_case(case)
             plan.append(Planned(case, requirements))
     return plan
 
@@ -160,51 +143,51 @@ def _chooses(chosen: Chosen, case: str, requirement: str) -> bool:
 PROGRESS_PLUGIN = "dura-progress"
 
 
-def begin_progress(session: DuraSession) -> None:
+def begin_progress(context: SessionContext) -> None:
     """Prepare a session with workers, which tell what their controller shows."""
-    if session.config.pluginmanager.hasplugin("dsession"):
-        _register_progress(session)
+    if context.config.pluginmanager.hasplugin("dsession"):
+        _register_progress(context)
 
 
-def expect_progress(session: DuraSession) -> None:
+def expect_progress(context: SessionContext) -> None:
     """Campaigns are among what this process is to run."""
-    file = progress_file(session) if session.is_worker else None
+    file = progress_file(context) if context.is_worker else None
     if file is not None:
         file.expect()
 
 
-def progress_listener(session: DuraSession) -> Callable[[RunningCampaign], None]:
-    """What a bench tells its progress."""
-    if session.is_worker:
-        file = progress_file(session)
+def progress_listener(context: SessionContext) -> Callable[[RunningCampaign], None]:
+    """What a runner reports its progress to."""
+    if context.is_worker:
+        file = progress_file(context)
         return _show_nothing if file is None else file.tell
-    return _register_progress(session)
+    return _register_progress(context)
 
 
-def progress_file(session: DuraSession) -> WorkerFile | None:
+def progress_file(context: SessionContext) -> WorkerFile | None:
     """Where a worker tells; ``None`` if nothing is shown."""
-    told = getattr(session.config, "workerinput", {})
+    told = context.worker_input
     if "dura_progress" not in told:
         return None
     from pytest_dura.plugin.progress import PROGRESS_FOLDER, WorkerFile
 
-    folder = session.evidence_directory / PROGRESS_FOLDER
+    folder = context.evidence_directory / PROGRESS_FOLDER
     return WorkerFile(folder, told["dura_progress"], told["workerid"])
 
 
-def _register_progress(session: DuraSession) -> Callable[[RunningCampaign], None]:
+def _register_progress(context: SessionContext) -> Callable[[RunningCampaign], None]:
     """What shows it in this process, which takes part in the session from now on."""
     from pytest_dura.plugin.progress_display import display_mode
 
-    way = display_mode(session.config)
-    if way is None or (way == "lines" and isinf(session.options.progress_interval)):
+    way = display_mode(context.config)
+    if way is None or (way == "lines" and isinf(context.options.progress_interval)):
         return _show_nothing
     from pytest_dura.plugin.progress import ProgressHooks
 
-    hooks = session.config.pluginmanager.getplugin(PROGRESS_PLUGIN)
+    hooks = context.config.pluginmanager.getplugin(PROGRESS_PLUGIN)
     if hooks is None:
-        hooks = ProgressHooks(session, way)
-        session.config.pluginmanager.register(hooks, PROGRESS_PLUGIN)
+        hooks = ProgressHooks(context, way)
+        context.config.pluginmanager.register(hooks, PROGRESS_PLUGIN)
     found: Callable[[RunningCampaign], None] = hooks.tell
     return found
 
@@ -213,44 +196,42 @@ def _show_nothing(_: RunningCampaign) -> None:
     """Nothing is shown."""
 
 
-class DuraSession:
-    """Options, scenarios, the bench and the plan of one pytest session.
+class DuraSession(SessionContext):
+    """The parts of one pytest session, and what they do together at its beginning.
 
     Args:
         config: The session's configuration.
     """
 
     def __init__(self, config: pytest.Config) -> None:
-        self.config = config
-        self.is_worker = hasattr(config, "workerinput")
-        self.plan: list[Planned] = []
-        self.reporter = ItemRecorder(self)
-        self.repeats = Repeats(self)
-        self.evidence = SessionEvidence(self)
+        super().__init__(config)
         self.roles = SessionRoles(self)
-        self.models = LanguageModels(self)
-        self.simulating = SessionExecutor(self)
-        self.shared = SharedEpisodes(self)
+        self.executor = SessionExecutor(self)
+        self.models = LanguageModels(self, self.roles)
+        self.shared = SharedEpisodes(self, self.executor)
+        self.repeats = Repeats(self, self.models, self.shared, self.executor)
         self.properties = PropertyTests(self)
         self.selection = Selection(self)
-        self.named_requirements: set[str] = set()
-        """Ids that the markers of collected tests name."""
-        self.marked: dict[str, Requirement] = {}
-        """Requirements that are defined by markers alone."""
-        self._faults_of: dict[str, tuple[dict[str, Any], ...]] = {}
+        self.evidence = SessionEvidence(
+            self,
+            roles=self.roles,
+            models=self.models,
+            properties=self.properties,
+            selection=self.selection,
+            shared=self.shared,
+            executor=self.executor,
+            shard=lambda: self.shard,
+        )
+        self.recorder = ItemRecorder(
+            self,
+            models=self.models,
+            properties=self.properties,
+            repeats=self.repeats,
+            shared=self.shared,
+            executor=self.executor,
+            take=self.evidence.take,
+        )
         self._own_arguments: set[str] = set()
-        self._library: Library | ConfigurationError | None = None
-        self._redactor: Redactor | None = None
-
-    @cached_property
-    def options(self) -> Options:
-        """The checked options.
-
-        Raises:
-            pytest.UsageError: For a value that cannot be used.
-        """
-        with usage_errors():
-            return Options.of(self.config)
 
     @cached_property
     def shard(self) -> ShardHooks | None:
@@ -258,49 +239,9 @@ class DuraSession:
         return None if self.options.shard is None else ShardHooks(self, self.options.shard)
 
     @property
-    def evidence_directory(self) -> Path:
-        """Where the evidence goes: the controller's place, also in a worker."""
-        given = getattr(self.config, "workerinput", {}).get("dura_evidence")
-        return self.options.evidence if given is None else Path(given)
-
-    @property
     def active(self) -> bool:
         """Whether the session was asked for something of ours."""
         return self.options.any_given or bool(self._own_arguments)
-
-    def reach_project(self) -> None:
-        """Let ``planner:MyPlanner`` be imported from where pytest was started, and from the root.
-
-        ``python -m pytest`` finds it there, ``pytest`` does not. At the end of the path it hides
-        nothing that is installed; processes that simulate take the path over.
-        """
-        for folder in (self.config.invocation_params.dir, self.config.rootpath):
-            if str(folder) not in sys.path:
-                sys.path.append(str(folder))
-
-    def run_command(self) -> int | None:
-        """The exit code of ``--dura-list``, ``--dura-replay`` or ``--dura-reduce``, if given."""
-        options = self.options
-        if options.list_only or options.replay is not None or options.reduce is not None:
-            self.reach_project()
-        if self.options.replay is not None:
-            from pytest_dura.plugin.commands import replay
-
-            with usage_errors(), self.models:
-                return replay(self)
-        if self.options.reduce is not None:
-            from pytest_dura.plugin.commands import reduce
-
-            with usage_errors(), self.models:
-                return reduce(self)
-        if self.options.list_only:
-            from pytest_dura.plugin.commands import show_list
-
-            with usage_errors():
-                self.roles.check()
-                self._make_plan()
-                return show_list(self)
-        return None
 
     def start(self) -> None:
         """Check everything that can be checked before something runs, and plan.
@@ -313,11 +254,11 @@ class DuraSession:
         with usage_errors():
             self.models.begin()
             self.roles.check()
-            self._make_plan()
-            self.models.settle()
+            self.make_plan()
+            self.models.resolve_parameters()
             self.evidence.given.read()
             if self.active:
-                self.simulating.knock()
+                self.executor.connect()
                 self.evidence.start()
 
     def begin_evidence(self) -> None:
@@ -329,7 +270,7 @@ class DuraSession:
         self.reach_project()
         with usage_errors():
             self.evidence.start()
-            self.simulating.begin()
+            self.executor.start()
 
     def check_argument(self) -> None:
         """Check the user's argument against what was collected.
@@ -348,53 +289,8 @@ class DuraSession:
         elif self.options.scenarios and config.args_source is not config.ArgsSource.ARGS:
             config.args = []
 
-    def library(self) -> Library:
-        """All scenarios and requirements, read at the first call.
-
-        Raises:
-            ConfigurationError: For files that cannot be used; the same one at every call.
-        """
-        if self._library is None:
-            from pytest_dura.library.loading import load_library
-
-            self.reach_project()
-            try:
-                self._library = load_library(self.options.paths)
-            except ConfigurationError as error:
-                self._library = error
-        if isinstance(self._library, ConfigurationError):
-            raise self._library.with_traceback(None)
-        return self._library
-
-    def redact(self, value: Any) -> Any:
-        """Plain data without the secrets that this process knows of by now."""
-        from pytest_dura.evidence.redaction import Redactor
-
-        if self._redactor is None:
-            self._redactor = Redactor(self.config.getini("dura_secrets"))
-        self._redactor.learn(os.environ)
-        return self._redactor.redact(value)
-
-    @property
-    def unused(self) -> Mapping[str, str]:
-        """Requirements that neither a scenario nor a collected test uses, and their places.
-
-        Empty where nothing needed the requirement files, or they cannot be used.
-        """
-        if self._library is None or isinstance(self._library, ConfigurationError):
-            return {}
-        found = self._library.unused
-        return {name: found[name] for name in found if name not in self.named_requirements}
-
     @cached_property
-    def resolver(self) -> ParameterResolver:
-        """Resolves the parameters of roles, each class once a session."""
-        from pytest_dura.library.roles import ParameterResolver
-
-        return ParameterResolver()
-
-    @cached_property
-    def bench(self) -> Runner:
+    def runner(self) -> Runner:
         """What runs episodes. Its roles follow the fixtures that the current item sees."""
         from pytest_dura.plugin.property_tests import counterexample_store
         from pytest_dura.runner import Runner
@@ -407,13 +303,13 @@ class DuraSession:
             faults=self.options.faults,
             time_budget=self.options.time_budget,
             end_when_decided=self.options.end_when_decided,
-            on_episode=self.reporter.episode_used,
+            on_episode=self.recorder.episode_used,
             on_progress=progress_listener(self),
-            on_verdict=self.reporter.verdict_reached,
-            on_monitors=self.reporter.monitors_judged,
-            on_chains=self.reporter.faults_followed,
-            on_search=lambda case, found: self.reporter.search_ended(case, found.to_json()),
-            on_searched=self.reporter.searched_used,
+            on_verdict=self.recorder.verdict_reached,
+            on_monitors=self.recorder.monitors_judged,
+            on_chains=self.recorder.faults_followed,
+            on_search=lambda case, found: self.recorder.search_ended(case, found.to_json()),
+            on_searched=self.recorder.searched_used,
             keep=counterexample_store(self),
             twins=self.options.twins,
             recorded=self.options.evidence_level != "summary",
@@ -422,28 +318,18 @@ class DuraSession:
             resolver=self.resolver,
         )
 
-    def _make_plan(self) -> None:
+    def make_plan(self) -> None:
+        """Plan what the arguments name.
+
+        Raises:
+            ConfigurationError: For arguments and scenarios that cannot be used.
+        """
         chosen = scenario_arguments(self)
         self._own_arguments = set(chosen)
         if self.options.scenarios or self.options.list_only or chosen:
             self.plan += make_plan(self, chosen)
         else:
             self._check_faults_used()
-
-    def take_case(self, case: Case) -> None:
-        """Take in a case that is to be run; the record tells cases apart by their ids.
-
-        Raises:
-            ConfigurationError: If another test runs other faults under the same id.
-        """
-        if self._faults_of.setdefault(case.id, case.faults) != case.faults:
-            raise ConfigurationError(
-                f"the case {case.id!r} stands for other faults elsewhere in this session",
-                key="faults",
-                found=case.id,
-                expected="an id of its own for each fault",
-                remedy="give one of the faults another `id`",
-            )
 
     def _check_faults_used(self) -> None:
         """Refuse fault campaigns that nothing of this session would run."""
@@ -456,18 +342,6 @@ class DuraSession:
                 expected="--dura-scenarios, or a case among the arguments",
                 remedy="add --dura-scenarios; a test function names its faults in the marker dura",
             )
-
-
-class usage_errors:  # noqa: N801 - reads like a statement
-    """Context in which a configuration error becomes a usage error: one message, exit code 4."""
-
-    def __enter__(self) -> None:
-        """Nothing to prepare."""
-
-    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        """Translate."""
-        if isinstance(error, ConfigurationError):
-            raise pytest.UsageError(error_text(error)) from None
 
 
 _STASH_KEY = pytest.StashKey[DuraSession]()

@@ -1,13 +1,14 @@
 """Which part of the plan a session runs: what ``-k`` and the like left of it, and shards.
 
-``--dura-shard=2/5`` runs the second of five parts of a session, for jobs of a CI.
+``--dura-shard=2/5`` runs the second of five parts of a session, for jobs of a CI. It is split
+into units: items that share episodes, and so run in one shard.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Generator, Iterator, Mapping, MutableMapping, Sequence
-from dataclasses import dataclass
+from collections import Counter, defaultdict
+from collections.abc import Generator, Iterable, Iterator, Mapping, MutableMapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -17,7 +18,10 @@ from pytest_dura.core.errors import ConfigurationError
 if TYPE_CHECKING:
     from xdist.workermanage import WorkerController
 
-    from pytest_dura.plugin.session import DuraSession
+    from pytest_dura.evidence.sessions import ShardUnit
+    from pytest_dura.library.cases import Case
+    from pytest_dura.plugin.context import SessionContext
+    from pytest_dura.plugin.options import Shard
 
 
 MOST_LISTED = 20
@@ -33,14 +37,14 @@ class Selection:
     would come to.
 
     Args:
-        session: The session of this process.
+        context: The session's context.
     """
 
-    def __init__(self, session: DuraSession) -> None:
-        self.session = session
+    def __init__(self, context: SessionContext) -> None:
+        self.context = context
         self._planned: dict[str, int] = {}
         """Runs that are declared for each verdict."""
-        self._told: dict[str, Any] = {
+        self._left: dict[str, Any] = {
             "planned": 0, "asked": 0, "left_out": [], "runs": None, "declared_runs": [],
         }  # fmt: skip
 
@@ -52,9 +56,9 @@ class Selection:
         """Note what is left of them."""
         asked = dict(self._verdicts(items))
         left_out = [name for name in self._planned if name not in asked]
-        runs = self.session.options.runs
+        runs = self.context.options.runs
         fewer = {one for one in asked.values() if runs is not None and runs < one}
-        self._told = {
+        self._left = {
             "planned": len(self._planned | asked),
             "asked": len(asked),
             "left_out": sorted(left_out)[:MOST_LISTED],
@@ -64,16 +68,16 @@ class Selection:
 
     def to_json(self) -> dict[str, Any]:
         """The record's key ``selection``."""
-        return self._told
+        return self._left
 
-    def tell_controller(self, workeroutput: MutableMapping[str, Any]) -> None:
+    def send_to_controller(self, workeroutput: MutableMapping[str, Any]) -> None:
         """Tell the controller what this worker collected."""
-        workeroutput[_SELECTION_KEY] = json.dumps(self._told)
+        workeroutput[_SELECTION_KEY] = json.dumps(self._left)
 
-    def hear_worker(self, workeroutput: Mapping[str, Any]) -> None:
+    def receive_from_worker(self, workeroutput: Mapping[str, Any]) -> None:
         """Take over from a worker what it collected; each collects the same."""
         if _SELECTION_KEY in workeroutput:
-            self._told = json.loads(workeroutput[_SELECTION_KEY])
+            self._left = json.loads(workeroutput[_SELECTION_KEY])
 
     def _verdicts(self, items: Sequence[pytest.Item]) -> Iterator[tuple[str, int]]:
         """The verdicts that items would come to, each with the runs that are declared for it."""
@@ -98,7 +102,7 @@ class Selection:
         if decides_nothing(item):
             return []
         try:
-            names = [one.id for one in marked_requirements(self.session, item)]
+            names = [one.id for one in marked_requirements(self.context, item)]
         except ConfigurationError:  # the test's own error says so
             names = []
         return [f"{name} on {case} by {test}" for name in dict.fromkeys(names)] or [
@@ -106,9 +110,6 @@ class Selection:
         ]
 
 
-SHARD_OPTION = "--dura-shard"
-MOST_SHARDS = 10_000
-_LONGEST = len(f"{MOST_SHARDS}/{MOST_SHARDS}")
 _SHARD_KEY = "dura_shard"
 """Key of what a worker tells the controller, which does not collect."""
 _LOST_ITEMS_KEY = "dura_shard_lost"
@@ -137,78 +138,6 @@ _DISPLAY_SETTINGS = (
 """How settings begin that ``-o`` may change in one shard alone."""
 
 
-@dataclass(frozen=True)
-class Shard:
-    """Which part of a session this is.
-
-    Args:
-        index: Its number, from 1.
-        count: How many there are.
-    """
-
-    index: int
-    count: int
-
-    @classmethod
-    def read(cls, text: str | None) -> Shard | None:
-        """From the option's value, such as ``2/5``; ``None`` without one.
-
-        Raises:
-            ConfigurationError: If it is none.
-        """
-        if text is None:
-            return None
-        first, _, last = text.partition("/")
-        digits = f"{first}{last}"
-        if first and last and digits.isascii() and digits.isdecimal() and len(text) <= _LONGEST:
-            found = cls(int(first), int(last))
-            if 1 <= found.index <= found.count <= MOST_SHARDS:
-                return found
-        raise ConfigurationError(
-            f"{SHARD_OPTION} takes the number of a shard and how many there are",
-            key=SHARD_OPTION,
-            found=text,
-            expected=f"K/N with 1 <= K <= N <= {MOST_SHARDS}",
-            remedy=f"for example {SHARD_OPTION}=2/5 for the second of five shards",
-        )
-
-    def __str__(self) -> str:
-        return f"shard {self.index} of {self.count}"
-
-
-_EXCLUDED_OPTIONS = {
-    "dura_list": "it lists the whole session",
-    "dura_replay": "it runs an episode of the evidence",
-    "dura_reduce": "it runs an episode of the evidence",
-    "dura_baseline": "a baseline is that of a whole session: give it to the merge of the shards",
-}
-"""What makes no sense with a part of a session, and why."""
-
-
-def shard_of(config: pytest.Config) -> Shard | None:
-    """The shard that the options name, if they do.
-
-    Raises:
-        ConfigurationError: For one that cannot be used, and options that exclude it.
-    """
-    found = Shard.read(config.getoption("dura_shard"))
-    if found is None:
-        return None
-    conflicts = [(name, why) for name, why in _EXCLUDED_OPTIONS.items() if config.getoption(name)]
-    if config.getoption("dura_llm") == "record":
-        conflicts.append(("dura_llm", "each shard would record a cassette of its own"))
-    for name, why in conflicts:
-        other = f"--{name.replace('_', '-')}"
-        raise ConfigurationError(
-            f"{SHARD_OPTION} and {other} exclude each other: {why}",
-            key=SHARD_OPTION,
-            found=f"{found.index}/{found.count}",
-            expected=f"one of {SHARD_OPTION} and {other}",
-            remedy=f"leave one of them out; {SHARD_OPTION} is for the jobs of a CI",
-        )
-    return found
-
-
 class ShardHooks:
     """Keeps the items of one shard, after every other plugin has chosen among them.
 
@@ -216,13 +145,13 @@ class ShardHooks:
     ``--lf``. Shards whose choice differed have different plans, and are never merged.
 
     Args:
-        session: The session of this process.
+        context: The session's context.
         shard: Which part it is to run.
     """
 
-    def __init__(self, session: DuraSession, shard: Shard) -> None:
-        self.session, self.shard = session, shard
-        self._told: dict[str, Any] | None = None
+    def __init__(self, context: SessionContext, shard: Shard) -> None:
+        self.context, self.shard = context, shard
+        self._split: dict[str, Any] | None = None
         """Plan, units and what this shard holds, once items were collected."""
         self.lost: str | None = None
         """What stands against the shard: items that it holds and that do not run."""
@@ -230,13 +159,13 @@ class ShardHooks:
 
     def to_json(self) -> dict[str, Any]:
         """The record's key ``shard``."""
-        told = self._told or {"plan": None, "units": None, "holds": []}
-        return {**vars(self.shard), "options": _compared_options(self.session.config), **told}
+        split = self._split or {"plan": None, "units": None, "holds": []}
+        return {**vars(self.shard), "options": _compared_options(self.context.config), **split}
 
     @property
     def is_empty(self) -> bool:
         """Whether there is something to run, and by right none of it here."""
-        return self._told is not None and self._told["units"] > 0 and not self._told["holds"]
+        return self._split is not None and self._split["units"] > 0 and not self._split["holds"]
 
     @pytest.hookimpl(wrapper=True, tryfirst=True)
     def pytest_collection_modifyitems(
@@ -244,25 +173,22 @@ class ShardHooks:
     ) -> Generator[None, Any, Any]:
         """Leave the items of this shard."""
         from pytest_dura.evidence.sessions import plan_digest, split_units
-        from pytest_dura.plugin.items import units_of
 
         result = yield
-        units = units_of(self.session, items)
+        units = units_of(self.context, items)
         holds = split_units(units, self.shard.count)[self.shard.index - 1]
         kept = {id(item) for unit in holds for item in units[unit]}
         left = [item for item in items if id(item) not in kept]
         self._kept = items[:] = [item for item in items if id(item) in kept]
         if left:
             config.hook.pytest_deselected(items=left)
-        self._take(
-            {
-                "plan": plan_digest(units),
-                "units": len(units),
-                "holds": [unit.to_json() for unit in holds],
-            }
-        )
-        if self.session.is_worker:
-            config.workeroutput[_SHARD_KEY] = json.dumps(self._told)  # type: ignore[attr-defined]
+        self._split = {
+            "plan": plan_digest(units),
+            "units": len(units),
+            "holds": [unit.to_json() for unit in holds],
+        }
+        if self.context.is_worker:
+            config.workeroutput[_SHARD_KEY] = json.dumps(self._split)  # type: ignore[attr-defined]
         return result
 
     @pytest.hookimpl(tryfirst=True)
@@ -276,31 +202,25 @@ class ShardHooks:
                 f"split, the first of them {lost[0]}: no shard runs them; let it choose in "
                 "pytest_collection_modifyitems"
             )
-        if self.session.is_worker:
+        if self.context.is_worker:
             session.config.workeroutput[_LOST_ITEMS_KEY] = self.lost  # type: ignore[attr-defined]
 
     def pytest_report_collectionfinish(self) -> list[str]:
         """Say what this shard holds."""
-        if self._told is None:
+        if self._split is None:
             return []
-        held = self._told["holds"]
+        held = self._split["holds"]
         episodes, items = (sum(one[key] for one in held) for key in ("episodes", "items"))
-        told = f"{len(held)} of {self._told['units']} units, {items} items, {episodes} episodes"
-        return [f"dura: {self.shard} holds {told}"]
+        text = f"{len(held)} of {self._split['units']} units, {items} items, {episodes} episodes"
+        return [f"dura: {self.shard} holds {text}"]
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_testnodedown(self, node: WorkerController) -> None:
         """Take over from a worker what it collected."""
-        told = getattr(node, "workeroutput", {}).get(_SHARD_KEY)
-        if told is not None:
-            self._take(json.loads(told))
+        split = getattr(node, "workeroutput", {}).get(_SHARD_KEY)
+        if split is not None:
+            self._split = json.loads(split)
         self.lost = getattr(node, "workeroutput", {}).get(_LOST_ITEMS_KEY) or self.lost
-
-    def _take(self, told: dict[str, Any]) -> None:
-        self._told = told
-        record = self.session.evidence.record
-        if record is not None:
-            record.header["shard"] = self.to_json()
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
@@ -321,3 +241,107 @@ def _compared_options(config: pytest.Config) -> dict[str, str]:
         for name, value in sorted(given.items())
         if value not in (None, False) and value != []
     }
+
+
+def units_of(
+    context: SessionContext, items: Sequence[pytest.Item]
+) -> dict[ShardUnit, list[pytest.Item]]:
+    """The items in units, all of one case in one, and so those of cases that share episodes.
+
+    A campaign that is compared with runs without faults runs those of another case, so that both
+    are one unit. What a test asks of a runner itself is not known before it runs: an episode that
+    two shards ran that way is told by both, and has to be the same one.
+
+    Args:
+        context: The session's context.
+        items: Those that the whole session would run.
+    """
+    from pytest_dura.evidence.sessions import ShardUnit
+
+    groups = _Groups()
+    tests: dict[str, list[pytest.Item]] = defaultdict(list)
+    of_cases: list[tuple[str, pytest.Item]] = []
+    for item in items:
+        found = _planned_case_of(context, item)
+        if found is None:
+            tests[item.nodeid].append(item)
+            continue
+        case, planned, faults_left_out = found
+        groups.add(case.id, planned)
+        if faults_left_out:
+            twin = case.without_faults().id
+            groups.add(twin, planned)
+            groups.join(case.id, twin)
+        of_cases.append((case.id, item))
+    members: dict[str, list[pytest.Item]] = defaultdict(list)
+    names: dict[str, str] = {}
+    for name, item in of_cases:
+        root = groups.root(name)
+        members[root].append(item)
+        names[root] = min(names.get(root, name), name)
+    episodes = groups.episodes()
+    units: dict[ShardUnit, list[pytest.Item]] = {}
+    for root, own in members.items():
+        ids = [item.nodeid for item in own]
+        units[ShardUnit.of("case", names[root], ids, episodes[root])] = own
+    for name, own in tests.items():
+        # One that chooses its episodes itself has at least one, for all that is known.
+        runs = any("dura_metrics" in getattr(item, "fixturenames", ()) for item in own)
+        units[ShardUnit.of("test", name, [name] * len(own), int(runs))] = own
+    return units
+
+
+def _planned_case_of(context: SessionContext, item: pytest.Item) -> tuple[Case, int, bool] | None:
+    """An item's case, its planned runs, and whether it compares them with runs without faults."""
+    from pytest_dura.plugin.items import ScenarioItem
+    from pytest_dura.plugin.markers import Target
+
+    if isinstance(item, ScenarioItem):
+        case, names = item.planned.case, item.planned.requirements
+        runs = context.options.runs or case.scenario.planned
+        return case, runs, _pairs(context, case, names)
+    parameters = getattr(getattr(item, "callspec", None), "params", {})
+    for fixture in ("episode", "campaign"):
+        target = parameters.get(fixture)
+        if isinstance(target, Target):
+            asked = () if target.requirement is None else (target.requirement.id,)
+            return target.case, target.planned, _pairs(context, target.case, asked)
+    return None
+
+
+def _pairs(context: SessionContext, case: Case, names: Iterable[str]) -> bool:
+    """Whether one of these requirements compares runs with their twins without faults."""
+    from pytest_dura.requirements.model import FAULTS
+
+    known = context.library().requirements
+    paired = [known[name].paired for name in names if name in known]
+    return bool(case.faults) and any(one is not None and one.without == FAULTS for one in paired)
+
+
+class _Groups:
+    """Cases that hang together, and how many episodes they come to."""
+
+    def __init__(self) -> None:
+        self._above: dict[str, str] = {}
+        self._planned: dict[str, int] = {}
+
+    def add(self, case: str, planned: int) -> None:
+        self._above.setdefault(case, case)
+        self._planned[case] = max(planned, self._planned.get(case, 0))
+
+    def root(self, case: str) -> str:
+        while self._above[case] != case:
+            self._above[case] = self._above[self._above[case]]
+            case = self._above[case]
+        return case
+
+    def join(self, one: str, other: str) -> None:
+        first, second = sorted((self.root(one), self.root(other)))
+        self._above[second] = first
+
+    def episodes(self) -> Counter[str]:
+        """Of each group, by its root."""
+        found: Counter[str] = Counter()
+        for case, planned in self._planned.items():
+            found[self.root(case)] += planned
+        return found

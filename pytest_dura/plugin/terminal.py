@@ -11,7 +11,13 @@ from typing import TYPE_CHECKING, Any
 from pytest_dura.evidence.conclude import RECOVERY_ROLE
 from pytest_dura.evidence.text import name, one_line
 from pytest_dura.plugin.episodes import show_repeats
-from pytest_dura.plugin.messages import SafeTerminal, indent_if_reserved, safe_lines, typed_path
+from pytest_dura.plugin.messages import (
+    SafeTerminal,
+    counted,
+    indent_if_reserved,
+    safe_lines,
+    typed_path,
+)
 from pytest_dura.plugin.roles import (
     none_in_root_conftest,
     overrides_deeper_down,
@@ -24,7 +30,6 @@ from pytest_dura.plugin.terminal_tables import (
     Data,
     attack_table,
     case_table,
-    counted,
     effectiveness_lines,
     failure_mode_table,
     fault_table,
@@ -80,7 +85,7 @@ def _reuse_sentences(
 
 def resume_lines(session: DuraSession) -> Iterator[str]:
     """How a session that was not whole goes on, if anything of it was kept."""
-    if session.shared.is_whole or not session.shared.shelf.count():
+    if session.shared.is_whole or not session.shared.cache.count():
         return
     if session.shared.mode == "reuse":
         yield "to go on, give the same command again: its episodes are kept"
@@ -234,7 +239,7 @@ def header(session: DuraSession) -> list[str]:
     if options.shard is not None:
         lines.append(f"dura: {options.shard} of that; the others run elsewhere")
     lines += [f"dura: {role} is OFF: {where}" for role, where in _switched_off(session)]
-    lines += session.simulating.header()
+    lines += session.executor.header()
     lines += [f"dura: {one}" for one in session.shared.lines]
     lines += session.models.header()
     lines += baseline_header(session.evidence.given.baseline)
@@ -293,9 +298,9 @@ def summary(session: DuraSession, terminal: Any) -> None:
     show_searches(session, terminal, record)
     for line in searched_lines(record):
         terminal.line(line)
-    show_repeats(session, terminal, record)
+    show_repeats(terminal, record, session.evidence.objections)
     show_baseline(terminal, record)
-    for note in session.simulating.notes():
+    for note in session.executor.notes():
         terminal.line(note)
     _show_objections(terminal, session.evidence.objections)
     terminal.line("")

@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 from pytest_dura.core.metrics import REACTIONS
 from pytest_dura.evidence.conclude import RECOVERY_ROLE
 from pytest_dura.evidence.text import name
-from pytest_dura.plugin.messages import indent_if_reserved
+from pytest_dura.plugin.messages import counted, indent_if_reserved
 from pytest_dura.reports.tables import (
     FAILURE_MODE_HEADINGS,
     cases_with_accounts,
@@ -332,11 +332,6 @@ def _monitor_row(one: Data) -> list[str]:
         "-" if time is None else f"{time['median']:.1f}",
         "-" if per_hour is None else f"{per_hour:.0f}",
     ]
-
-
-def counted(number: int, noun: str) -> str:
-    """``1 run``, ``2 runs``."""
-    return f"{number} {noun}" + ("" if number == 1 else "s")
 
 
 T = TypeVar("T")

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from pytest_dura.evidence.gate import OBJECTIONABLE_OUTCOMES, outcome_status
 from pytest_dura.evidence.text import name, one_line
-from pytest_dura.plugin.messages import replay_command, rerun_command
+from pytest_dura.plugin.context import replay_command, rerun_command
+from pytest_dura.plugin.messages import counted
 from pytest_dura.plugin.terminal_tables import (
     MOST_ROWS,
     VERDICT_RANK,
@@ -18,7 +19,6 @@ from pytest_dura.plugin.terminal_tables import (
     Data,
     aligned,
     chain_line,
-    counted,
     keep_worst,
     left_out_lines,
 )
@@ -45,7 +45,7 @@ from pytest_dura.requirements.verdicts.campaigns import SITUATIONS
 
 if TYPE_CHECKING:
     from pytest_dura.evidence.model import SessionRecord
-    from pytest_dura.plugin.session import DuraSession
+    from pytest_dura.plugin.context import SessionContext
 
 
 LONGEST_TEXT = 2000
@@ -59,13 +59,13 @@ VERDICT_COLOURS = {
 }
 
 
-def show_verdicts(session: DuraSession, terminal: Any, record: SessionRecord) -> None:
+def show_verdicts(context: SessionContext, terminal: Any, record: SessionRecord) -> None:
     """Every verdict with its figures, and then each failure with what helps to mend it."""
     verdicts = record["verdicts"]
     if not verdicts:
         return
     terminal.line("")
-    most = None if session.config.option.verbose > 0 else MOST_ROWS
+    most = None if context.config.option.verbose > 0 else MOST_ROWS
     shown = keep_worst(verdicts, [VERDICT_RANK[one["verdict"]] for one in verdicts], most=most)
     kept = {id(one) for one in shown}
     same: dict[tuple[str, ...], list[Data]] = {}
@@ -88,7 +88,7 @@ def show_verdicts(session: DuraSession, terminal: Any, record: SessionRecord) ->
     checks = {one["id"]: one["check"] for one in record["requirements"]}
     for group in alike.values():
         check = str(group[0]["check"] or checks.get(group[0]["requirement"], ""))
-        _show_failure(session, terminal, check, group, episodes)
+        _show_failure(context, terminal, check, group, episodes)
 
 
 def _show_alike(terminal: Any, told: tuple[str, ...], verdicts: Sequence[Data]) -> None:
@@ -147,7 +147,7 @@ def _where(verdict: Data) -> str:
 
 
 def _show_failure(
-    session: DuraSession,
+    context: SessionContext,
     terminal: Any,
     check: str,
     verdicts: Sequence[Data],
@@ -168,16 +168,16 @@ def _show_failure(
     held = own["failed"] and not own["by_check"]  # what failed is an assertion of the test
     if check and len(verdicts) == 1 and check != first["requirement"] and not held:
         terminal.line(f"  check:  {check}")
-    _show_episode(session, terminal, first, episodes)
+    _show_episode(context, terminal, first, episodes)
     items = list(dict.fromkeys(item for one in verdicts for item in one["item"].split(", ")))
     if len(items) > 1 and all(item.startswith(f"{first['case']}::") for item in items):
         items = [first["case"]]
     for item in items:
-        terminal.line(f"  rerun:  {rerun_command(session, item)}")
+        terminal.line(f"  rerun:  {rerun_command(context, item)}")
 
 
 def _show_episode(
-    session: DuraSession,
+    context: SessionContext,
     terminal: Any,
     verdict: Data,
     episodes: Mapping[tuple[str, str], Data],
@@ -209,7 +209,7 @@ def _show_episode(
         terminal.line(f"  fault:  {first}")
         for line in rest:
             terminal.line(f"            {line}")
-    terminal.line(f"  replay: {replay_command(session, shown)}")
+    terminal.line(f"  replay: {replay_command(context, shown)}")
 
 
 def _shown_episode_id(verdict: Data) -> str | None:
@@ -246,12 +246,12 @@ SEARCH_COLOURS: Mapping[str, dict[str, bool]] = {
 SEARCH_RANK = {word: rank for rank, word in enumerate(OBJECTIONABLE_OUTCOMES)}
 
 
-def show_searches(session: DuraSession, terminal: Any, record: SessionRecord) -> None:
+def show_searches(context: SessionContext, terminal: Any, record: SessionRecord) -> None:
     """Every search, and for each of its requirements what came of it."""
     searches = record["searches"]
     if not searches:
         return
-    most = None if session.config.option.verbose > 0 else MOST_ROWS
+    most = None if context.config.option.verbose > 0 else MOST_ROWS
     ranks = [
         min(
             SEARCH_RANK.get(outcome_status(one, outcome), len(SEARCH_RANK))
@@ -262,7 +262,7 @@ def show_searches(session: DuraSession, terminal: Any, record: SessionRecord) ->
     shown = worst_of(searches, ranks, most=most)
     for one in shown:
         terminal.line("")
-        _show_search(session, terminal, one)
+        _show_search(context, terminal, one)
     if len(shown) < len(searches):
         more = counted(len(searches) - len(shown), "search")
         terminal.line(f"and {more.replace('searchs', 'searches')} more; {WHERE_ALL_ARE}")
@@ -283,16 +283,16 @@ def search_counts(record: SessionRecord) -> str:
     )
 
 
-def _show_search(session: DuraSession, terminal: Any, search: Data) -> None:
+def _show_search(context: SessionContext, terminal: Any, search: Data) -> None:
     waiver = f" [{search['waiver']['kind']}]" if search["waiver"] else ""
     terminal.line(f"search     {name(search['case'])} ({name(search['component'])}){waiver}")
     for line in _wrapped(f"{simulations_text(search)}; seed {search['seed']}", 11):
         terminal.line(line)
     for outcome in search["outcomes"]:
-        _show_outcome(session, terminal, search, outcome)
+        _show_outcome(context, terminal, search, outcome)
 
 
-def _show_outcome(session: DuraSession, terminal: Any, search: Data, outcome: Data) -> None:
+def _show_outcome(context: SessionContext, terminal: Any, search: Data, outcome: Data) -> None:
     word, requirement = outcome["word"], outcome["requirement"]
     head = outcome_headline(search, outcome)
     for line in textwrap.wrap(head, SEARCH_WIDTH, subsequent_indent="  ", break_on_hyphens=False):
@@ -310,7 +310,7 @@ def _show_outcome(session: DuraSession, terminal: Any, search: Data, outcome: Da
         terminal.line(f"  kept:     {one_line(found['file'])}")
     if word != "nothing found":
         again = found["name"] if kept else search["item"]
-        terminal.line(f"  rerun:    {rerun_command(session, again)}")
+        terminal.line(f"  rerun:    {rerun_command(context, again)}")
 
 
 def _outcome_lines(outcome: Data) -> Iterator[str]:

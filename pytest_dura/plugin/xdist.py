@@ -21,28 +21,28 @@ if TYPE_CHECKING:
     from xdist.workermanage import WorkerController
 
     from pytest_dura.campaign.campaign import Campaign
-    from pytest_dura.plugin.session import DuraSession
+    from pytest_dura.plugin.context import SessionContext
     from pytest_dura.requirements.model import Requirement
     from pytest_dura.runner import Runner
 
 
-def steal_work(session: DuraSession, last: pytest.Item) -> None:
+def steal_work(context: SessionContext, last: pytest.Item) -> None:
     """Help at the campaigns that other workers may still be at.
 
     Args:
-        session: The session of this worker.
+        context: The context of this worker's session.
         last: Its last item, which has come to its end.
     """
-    if not isinstance(last, ScenarioItem) or not _may_steal(session, last.session):
+    if not isinstance(last, ScenarioItem) or not _may_steal(context, last.session):
         return
-    bench, known = _silenced(session.bench), session.library().requirements
-    workers = int(vars(session.config)["workerinput"]["workercount"])
+    runner, known = _silenced(context.runner), context.library().requirements
+    workers = int(vars(context.config)["workerinput"]["workercount"])
     for item in _last_items(last.session.items, known, workers):
         requirement = known[item.name]
-        campaign = bench.campaign(item.planned.case, requirement=requirement)
+        campaign = runner.campaign(item.planned.case, requirement=requirement)
         try:
             # A component that asks a language model is asked where that is counted, and no more.
-            if not bench.task(campaign.case).portable:
+            if not runner.task(campaign.case).portable:
                 return
             if not _is_simulated(campaign, requirement):
                 campaign.judge(requirement)
@@ -50,19 +50,19 @@ def steal_work(session: DuraSession, last: pytest.Item) -> None:
             return
 
 
-def _may_steal(session: DuraSession, run: pytest.Session) -> bool:
+def _may_steal(context: SessionContext, run: pytest.Session) -> bool:
     """Whether nothing else is to be done, and all items are to be run to their end."""
-    patient = not session.config.getoption("maxfail", 0)
+    patient = not context.config.getoption("maxfail", 0)
     stopped = bool(run.shouldstop or run.shouldfail)
-    return patient and not stopped and session.bench.store.execution.inside
+    return patient and not stopped and context.runner.store.execution.inside
 
 
-def _silenced(bench: Runner) -> Runner:
-    """The same bench, which tells nobody anything."""
+def _silenced(runner: Runner) -> Runner:
+    """The same runner, which tells nobody anything."""
     silent: dict[str, Any] = {
-        one.name: one.default for one in fields(bench) if one.name.startswith("on_")
+        one.name: one.default for one in fields(runner) if one.name.startswith("on_")
     }
-    return replace(bench, **silent, keep=None)
+    return replace(runner, **silent, keep=None)
 
 
 def _last_items(
@@ -84,11 +84,13 @@ def _last_items(
 
 def _is_simulated(campaign: Campaign, requirement: Requirement) -> bool:
     """Whether all planned runs are there, those of pairs included."""
-    cases, bench = [campaign.case], campaign.runner
+    cases, runner = [campaign.case], campaign.runner
     if requirement.paired is not None:
         cases.append(campaign.paired(requirement.paired.without).case)
     runs = range(campaign.planned)
-    return all(bench.store.holds(bench.task(case, run)) for run in reversed(runs) for case in cases)
+    return all(
+        runner.store.holds(runner.task(case, run)) for run in reversed(runs) for case in cases
+    )
 
 
 SHARES = 4

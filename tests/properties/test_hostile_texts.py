@@ -308,8 +308,8 @@ def check_terminal(bundle):
         invocation_params=SimpleNamespace(dir=bundle.root),
     )  # fmt: skip
     session = SimpleNamespace(
-        config=config, active=True, models=SimpleNamespace(replay_options=list),
-        simulating=SimpleNamespace(notes=list), shared=SimpleNamespace(is_whole=True),
+        config=config, active=True, cassette=None,
+        executor=SimpleNamespace(notes=list), shared=SimpleNamespace(is_whole=True),
         options=SimpleNamespace(runs=None, given=()),
         evidence=SimpleNamespace(
             final=bundle.record, objections=bundle.record["gate"]["reasons"],

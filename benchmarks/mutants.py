@@ -1,0 +1,108 @@
+"""Small defects in the package, one at a time, and whether the tests notice.
+
+Run: python benchmarks/mutants.py [--ids R,C01] [--list]
+
+``mutants.yaml`` holds each defect: the file, a text that stands there once, what replaces it, what
+then is wrong, and the test that shall notice. Only laws (``tests/properties``), sessions
+(``tests/plugin``, ``tests/examples``) and conformance count as tests here: a law outlives a new
+structure, and a unit test of a private module does not. Each defect is put into a copy of the tree,
+in which its test must then fail; in the tree as it is, all of them must pass.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import yaml
+
+ROOT = Path(__file__).resolve().parents[1]
+TABLE = Path(__file__).with_name("mutants.yaml")
+FOLDERS = ("tests/properties/", "tests/plugin/", "tests/examples/")
+LEFT_OUT = shutil.ignore_patterns(".git", ".venv", "*.pyc", ".*_cache", "dura-evidence*")
+SECONDS = 600.0
+FAILED = 1
+"""pytest's exit code where tests failed; any other is no verdict on the defect."""
+
+
+def fails(tree: Path, tests: Sequence[str]) -> bool:
+    """Whether these tests fail in a tree.
+
+    Raises:
+        RuntimeError: If they could not be run.
+    """
+    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *tests]
+    environment = {**os.environ, "PYTHONPATH": str(tree)}
+    try:
+        done = subprocess.run(
+            command,
+            cwd=tree,
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=SECONDS,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        return True
+    if done.returncode not in (0, FAILED):
+        raise RuntimeError(f"pytest ended with {done.returncode}: {done.stdout[-2000:]}")
+    return done.returncode == FAILED
+
+
+def outcome(tree: Path, defect: Mapping[str, str]) -> str:
+    """What comes of one defect: ``killed``, ``survived``, or ``gone`` where its text is."""
+    file = tree / "pytest_dura" / defect["file"]
+    text = file.read_text(encoding="utf-8") if file.exists() else ""
+    if text.count(defect["old"]) != 1:
+        return "gone"
+    if "test" not in defect:
+        return "equivalent"
+    file.write_text(text.replace(defect["old"], defect["new"]), encoding="utf-8")
+    try:
+        return "killed" if fails(tree, [defect["test"]]) else "survived"
+    finally:
+        file.write_text(text, encoding="utf-8")
+
+
+def main() -> None:
+    """Try the defects, and print what came of each."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--ids", default="", help="ids, or their first letters")
+    parser.add_argument("--list", action="store_true", help="only say which texts are there")
+    given = parser.parse_args()
+    chosen = tuple(given.ids.split(",")) if given.ids else ("",)
+    table = yaml.safe_load(TABLE.read_text(encoding="utf-8"))
+    defects = [defect for defect in table if defect["id"].startswith(chosen)]
+    counts: Counter[str] = Counter()
+    with tempfile.TemporaryDirectory() as folder:
+        tree = Path(folder) / "tree"
+        shutil.copytree(ROOT, tree, ignore=LEFT_OUT)
+        tests = sorted({defect["test"] for defect in defects if "test" in defect})
+        outside = [test for test in tests if not test.startswith(FOLDERS)]
+        if outside:
+            sys.exit(f"neither laws nor sessions: {', '.join(outside)}")
+        if not given.list and fails(tree, tests):
+            sys.exit("a test fails without any defect")
+        for defect in defects:
+            if given.list:
+                file = tree / "pytest_dura" / defect["file"]
+                text = file.read_text(encoding="utf-8") if file.exists() else ""
+                result = "there" if text.count(defect["old"]) == 1 else "gone"
+            else:
+                result = outcome(tree, defect)
+            counts[result] += 1
+            print(f"{result:10} {defect['id']:4} {defect['wrong']}", flush=True)
+    print(", ".join(f"{count} {result}" for result, count in counts.items()))
+    sys.exit(1 if counts["survived"] or counts["gone"] else 0)
+
+
+if __name__ == "__main__":
+    main()

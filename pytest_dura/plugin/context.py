@@ -1,0 +1,215 @@
+"""SessionContext: what every part of a session reads, and commands that run part of it again.
+
+It imports no part of the session, and no part imports the whole: what a part needs of another one
+is an argument of its constructor.
+"""
+
+from __future__ import annotations
+
+import os
+import shlex
+import sys
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.plugin.messages import typed_path, usage_errors
+from pytest_dura.plugin.options import Options
+
+if TYPE_CHECKING:
+    import pytest
+
+    from pytest_dura.evidence.redaction import Redactor
+    from pytest_dura.library.cases import Case
+    from pytest_dura.library.loading import Library
+    from pytest_dura.library.roles import ParameterResolver
+    from pytest_dura.requirements.model import Requirement
+    from pytest_dura.runner import Runner
+
+
+@dataclass(frozen=True, slots=True)
+class Planned:
+    """A case whose requirements become scenario items."""
+
+    case: Case
+    requirements: tuple[str, ...]
+
+
+class SessionContext(ABC):
+    """Options, scenarios, the plan and the runner of one pytest session.
+
+    Args:
+        config: The session's configuration.
+    """
+
+    def __init__(self, config: pytest.Config) -> None:
+        self.config = config
+        self.is_worker = hasattr(config, "workerinput")
+        self.plan: list[Planned] = []
+        self.named_requirements: set[str] = set()
+        """Ids that the markers of collected tests name."""
+        self.marked: dict[str, Requirement] = {}
+        """Requirements that are defined by markers alone."""
+        self._faults_of: dict[str, tuple[dict[str, Any], ...]] = {}
+        self._library: Library | ConfigurationError | None = None
+        self._redactor: Redactor | None = None
+
+    @property
+    @abstractmethod
+    def runner(self) -> Runner:
+        """What runs episodes. Its roles follow the fixtures that the current item sees."""
+
+    @cached_property
+    def options(self) -> Options:
+        """The checked options.
+
+        Raises:
+            pytest.UsageError: For a value that cannot be used.
+        """
+        with usage_errors():
+            return Options.of(self.config)
+
+    @property
+    def worker_input(self) -> Mapping[str, Any]:
+        """What the controller sent to this process, if it is a worker."""
+        given: Mapping[str, Any] = getattr(self.config, "workerinput", {})
+        return given
+
+    @property
+    def evidence_directory(self) -> Path:
+        """Where the evidence goes: the controller's place, also in a worker."""
+        given = self.worker_input.get("dura_evidence")
+        return self.options.evidence if given is None else Path(given)
+
+    @property
+    def cassette(self) -> Path | None:
+        """The cassette, where the mode has one: the controller's, also in a worker."""
+        given = self.worker_input.get("dura_cassette")
+        return self.options.cassette if given is None else Path(given)
+
+    def reach_project(self) -> None:
+        """Let ``planner:MyPlanner`` be imported from where pytest was started, and from the root.
+
+        ``python -m pytest`` finds it there, ``pytest`` does not. At the end of the path it hides
+        nothing that is installed; processes that simulate take the path over.
+        """
+        for folder in (self.config.invocation_params.dir, self.config.rootpath):
+            if str(folder) not in sys.path:
+                sys.path.append(str(folder))
+
+    def library(self) -> Library:
+        """All scenarios and requirements, read at the first call.
+
+        Raises:
+            ConfigurationError: For files that cannot be used; the same one at every call.
+        """
+        if self._library is None:
+            from pytest_dura.library.loading import load_library
+
+            self.reach_project()
+            try:
+                self._library = load_library(self.options.paths)
+            except ConfigurationError as error:
+                self._library = error
+        if isinstance(self._library, ConfigurationError):
+            raise self._library.with_traceback(None)
+        return self._library
+
+    def redact(self, value: Any) -> Any:
+        """Plain data without the secrets that this process knows of by now."""
+        from pytest_dura.evidence.redaction import Redactor
+
+        if self._redactor is None:
+            self._redactor = Redactor(self.config.getini("dura_secrets"))
+        self._redactor.learn(os.environ)
+        return self._redactor.redact(value)
+
+    @property
+    def unused(self) -> Mapping[str, str]:
+        """Requirements that neither a scenario nor a collected test uses, and their places.
+
+        Empty where nothing needed the requirement files, or they cannot be used.
+        """
+        if self._library is None or isinstance(self._library, ConfigurationError):
+            return {}
+        found = self._library.unused
+        return {name: found[name] for name in found if name not in self.named_requirements}
+
+    @cached_property
+    def resolver(self) -> ParameterResolver:
+        """Resolves the parameters of roles, each class once a session."""
+        from pytest_dura.library.roles import ParameterResolver
+
+        return ParameterResolver()
+
+    def take_case(self, case: Case) -> None:
+        """Take in a case that is to be run; the record tells cases apart by their ids.
+
+        Raises:
+            ConfigurationError: If another test runs other faults under the same id.
+        """
+        if self._faults_of.setdefault(case.id, case.faults) != case.faults:
+            raise ConfigurationError(
+                f"the case {case.id!r} stands for other faults elsewhere in this session",
+                key="faults",
+                found=case.id,
+                expected="an id of its own for each fault",
+                remedy="give one of the faults another `id`",
+            )
+
+
+def replay_command(context: SessionContext, episode: str, evidence: Path | None = None) -> str:
+    """The command that runs one episode of the evidence again, or of another evidence."""
+    options = [f"--dura-replay={episode}"]
+    if evidence is not None:
+        here = context.config.invocation_params.dir
+        options.append(f"--dura-evidence={typed_path(evidence, here)}")
+    else:
+        given = context.options.given
+        options += [f"{name}={value}" for name, value in given if name == "--dura-evidence"]
+    if context.cassette is not None:
+        # It answers again, whatever the mode of this session.
+        given = context.options.given
+        options.append("--dura-llm=replay")
+        options += [f"{name}={value}" for name, value in given if name == "--dura-cassette"]
+    # The same arguments load the same conftest files, where a component may be defined.
+    return _pytest_command(context, [*options, *_path_arguments(context)])
+
+
+def rerun_command(context: SessionContext, item: str) -> str:
+    """The command that runs one item again."""
+    # Test functions name their faults themselves, and without scenario cases the option is refused.
+    test = item.partition("::")[0].endswith(".py")
+    given = [one for one in context.options.given if not (test and one[0] == "--dura-faults")]
+    return _pytest_command(context, [item, *(f"{name}={value}" for name, value in given)])
+
+
+def _path_arguments(context: SessionContext) -> list[str]:
+    config = context.config
+    if config.args_source is not config.ArgsSource.ARGS:
+        return []
+    here = config.invocation_params.dir
+    paths = dict.fromkeys(argument.partition("::")[0] for argument in config.args)
+    return [path for path in paths if os.path.lexists(here / path)]
+
+
+def _pytest_command(context: SessionContext, arguments: list[str]) -> str:
+    option = context.config.option
+    setup = ["-c", option.inifilename] if option.inifilename else []
+    if option.rootdir:
+        setup.append(f"--rootdir={option.rootdir}")
+    if option.dura_trust_code:
+        setup.append("--dura-trust-code")
+    return " ".join(["pytest", *map(_quoted, [*setup, *arguments])])
+
+
+def _quoted(argument: str) -> str:
+    """Quote the value alone, which reads better: ``--dura-replay='case#run'``."""
+    name, equals, value = argument.partition("=")
+    if argument.startswith("--") and equals:
+        return f"{name}={shlex.quote(value)}"
+    return shlex.quote(argument)
