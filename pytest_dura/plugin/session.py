@@ -91,7 +91,7 @@ def _case_name(session: DuraSession, path: str) -> str | None:
 def _requirement_name(session: DuraSession, name: str, requirement: str) -> str:
     known = session.bench.case(name).requirements
     if requirement and requirement not in known:
-        from pytest_dura.core.error_messages import did_you_mean
+        from pytest_dura.core.errors import did_you_mean
 
         raise ConfigurationError(
             f"the case {name!r} has no requirement {requirement!r}",
