@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from pytest_dura.core.error_messages import did_you_mean
-from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.errors import ConfigurationError, did_you_mean
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.roles import STANDARD_ROLES
 

@@ -27,8 +27,7 @@ from pytest_dura.core.anomaly_monitor import (
     average_depth,
     rounded_numbers,
 )
-from pytest_dura.core.error_messages import did_you_mean
-from pytest_dura.core.errors import ConfigurationError, DuraError
+from pytest_dura.core.errors import ConfigurationError, DuraError, did_you_mean
 from pytest_dura.core.orchestrator import Orchestrator
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.roles import Role

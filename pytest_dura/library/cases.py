@@ -14,8 +14,7 @@ from fnmatch import fnmatchcase
 from typing import Any
 
 from pytest_dura.core.episode import EpisodeSpec, Policy, Termination, canonical
-from pytest_dura.core.error_messages import did_you_mean, list_names
-from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.errors import ConfigurationError, did_you_mean, list_names
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.roles import STANDARD_ROLES
 from pytest_dura.core.seeding import derive_seed

@@ -7,8 +7,7 @@ from collections.abc import Callable
 from itertools import islice, product
 from typing import Any
 
-from pytest_dura.core.error_messages import did_you_mean, error_at
-from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.errors import ConfigurationError, did_you_mean, error_at
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.roles import STANDARD_ROLES, Role
 from pytest_dura.domains import Domain, check_role_name, domain_of, role_spec, simulator_spec

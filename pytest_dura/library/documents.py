@@ -14,8 +14,7 @@ import yaml
 from pydantic import BaseModel, ValidationError
 from yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 
-from pytest_dura.core.error_messages import combine_errors, did_you_mean
-from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.errors import ConfigurationError, combine_errors, did_you_mean
 
 MAX_BYTES = 1024 * 1024
 _MAX_NODES = 50_000

@@ -12,8 +12,7 @@ from typing import Annotated, Any, TypeAlias
 
 from pydantic import AfterValidator, Field, JsonValue, ValidationError
 
-from pytest_dura.core.error_messages import did_you_mean, error_at
-from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.errors import ConfigurationError, did_you_mean, error_at
 from pytest_dura.library import variation
 from pytest_dura.library.documents import MAX_DEPTH, Document, read_yaml, translate
 from pytest_dura.library.planned_faults import FaultReader, check_chains, parse_fault

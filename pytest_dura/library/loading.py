@@ -11,8 +11,7 @@ from functools import cache
 from pathlib import Path
 from typing import TypeVar
 
-from pytest_dura.core.error_messages import combine_errors
-from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.errors import ConfigurationError, combine_errors
 from pytest_dura.library.cases import no_match_error
 from pytest_dura.library.checks import check_scenario
 from pytest_dura.library.documents import Document, read_yaml

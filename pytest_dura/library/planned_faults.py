@@ -7,8 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from pytest_dura.core.episode import Termination
-from pytest_dura.core.error_messages import did_you_mean, error_at
-from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.errors import ConfigurationError, did_you_mean, error_at
 from pytest_dura.domains import domain_of
 from pytest_dura.faults.activation import TOLERANCE, Until, parse_condition
 from pytest_dura.faults.catalogue import FAULT_TYPES, load_fault, plain_fault

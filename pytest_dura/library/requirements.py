@@ -10,8 +10,7 @@ from typing import Annotated
 
 from pydantic import AfterValidator, Field, model_validator
 
-from pytest_dura.core.error_messages import combine_errors, did_you_mean, error_at
-from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.errors import ConfigurationError, combine_errors, did_you_mean, error_at
 from pytest_dura.core.loop_signals import LOOP_SIGNALS, PROPOSAL_PREFIX
 from pytest_dura.domains import Domain, check_role_name, domain_of
 from pytest_dura.library.documents import Document, validate

@@ -8,8 +8,7 @@ from typing import Any
 
 from pytest_dura.core.boundary import let_pass
 from pytest_dura.core.episode import canonical
-from pytest_dura.core.error_messages import did_you_mean, error_at
-from pytest_dura.core.errors import ConfigurationError, describe_error
+from pytest_dura.core.errors import ConfigurationError, describe_error, did_you_mean, error_at
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.roles import STANDARD_ROLES, Generator, Role
 from pytest_dura.core.simulator import Simulator

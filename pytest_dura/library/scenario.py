@@ -24,8 +24,7 @@ from pydantic import (
 )
 
 from pytest_dura.core.episode import Policy
-from pytest_dura.core.error_messages import error_at
-from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.errors import ConfigurationError, error_at
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.domains import Domain, domain_of
 from pytest_dura.faults.model import Channel

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from pytest_dura.core.error_messages import did_you_mean
-from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.errors import ConfigurationError, did_you_mean
 from pytest_dura.core.seeding import stream
 from pytest_dura.library.scenario import Choice, Range
 

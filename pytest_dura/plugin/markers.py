@@ -31,7 +31,7 @@ def marked_requirements(context: SessionContext, node: pytest.Item) -> list[Requ
 
 
 def _requirement(context: SessionContext, marker: pytest.Mark) -> Requirement:
-    from pytest_dura.core.error_messages import did_you_mean
+    from pytest_dura.core.errors import did_you_mean
     from pytest_dura.requirements.model import Kind, Requirement
 
     given = marker_arguments(marker, _requirement_marker)
@@ -107,7 +107,7 @@ def marker_arguments(marker: pytest.Mark, signature: Any) -> dict[str, Any]:
     try:
         bound = known.bind(*marker.args, **marker.kwargs)
     except TypeError as error:
-        from pytest_dura.core.error_messages import did_you_mean
+        from pytest_dura.core.errors import did_you_mean
 
         wrong = sorted(set(marker.kwargs) - set(known.parameters))
         remedy = did_you_mean(wrong[0], known.parameters) if wrong else "add what is missing"
@@ -280,7 +280,7 @@ def _errors_at(definition: pytest.Item) -> Iterator[None]:
     try:
         yield
     except ConfigurationError as error:
-        from pytest_dura.core.error_messages import error_at
+        from pytest_dura.core.errors import error_at
 
         file, line, _ = definition.location
         found = error

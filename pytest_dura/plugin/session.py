@@ -82,7 +82,7 @@ def _case_name(context: SessionContext, path: str) -> str | None:
 def _requirement_name(context: SessionContext, name: str, requirement: str) -> str:
     known = context.runner.case(name).requirements
     if requirement and requirement not in known:
-        from pytest_dura.core.error_messages import did_you_mean
+        from pytest_dura.core.errors import did_you_mean
 
         raise ConfigurationError(
             f"the case {name!r} has no requirement {requirement!r}",

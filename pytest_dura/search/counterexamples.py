@@ -14,8 +14,7 @@ from typing import Any
 import yaml
 
 from pytest_dura.campaign.falsification import FoundCounterexample, Shrinking
-from pytest_dura.core.error_messages import combine_errors
-from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.errors import ConfigurationError, combine_errors
 from pytest_dura.core.files import replace_file
 from pytest_dura.domains import simulator_spec
 from pytest_dura.faults.catalogue import BY_CHANCE

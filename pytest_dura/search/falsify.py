@@ -18,8 +18,7 @@ from pytest_dura.campaign.falsification import (
 )
 from pytest_dura.campaign.progress import RunningCampaign
 from pytest_dura.campaign.runner import EpisodeRunner
-from pytest_dura.core.error_messages import did_you_mean
-from pytest_dura.core.errors import ConfigurationError, DuraError
+from pytest_dura.core.errors import ConfigurationError, DuraError, did_you_mean
 from pytest_dura.core.seeding import derive_seed
 from pytest_dura.library.cases import Case, SearchedCase
 from pytest_dura.library.fault_campaigns import FaultCampaign
