@@ -60,15 +60,15 @@ if TYPE_CHECKING:
     from pytest_dura.faults.model import Fault, Moment
     from pytest_dura.faults.parameters import FaultPart
     from pytest_dura.library.cases import Case, SearchedCase
+    from pytest_dura.requirements.campaign_verdicts import CampaignVerdict
     from pytest_dura.requirements.checks import CheckResult
-    from pytest_dura.requirements.model import Paired, Requirement
-    from pytest_dura.requirements.monitoring.stl_monitor import StlSafetyMonitor
-    from pytest_dura.requirements.verdicts.campaigns import CampaignVerdict
-    from pytest_dura.requirements.verdicts.episodes import (
+    from pytest_dura.requirements.episode_verdicts import (
         EpisodeVerdict,
         JudgedEpisode,
         SearchedEpisode,
     )
+    from pytest_dura.requirements.model import Paired, Requirement
+    from pytest_dura.requirements.monitoring.stl_monitor import StlSafetyMonitor
     from pytest_dura.runner import Runner
     from pytest_dura.search.falsify import Falsified
 
@@ -175,8 +175,8 @@ _HOMES = {
     "pytest_dura.requirements.checks": "CheckResult",
     "pytest_dura.requirements.model": "Paired Requirement",
     "pytest_dura.requirements.monitoring.stl_monitor": "StlSafetyMonitor",
-    "pytest_dura.requirements.verdicts.campaigns": "CampaignVerdict",
-    "pytest_dura.requirements.verdicts.episodes": "EpisodeVerdict JudgedEpisode SearchedEpisode",
+    "pytest_dura.requirements.campaign_verdicts": "CampaignVerdict",
+    "pytest_dura.requirements.episode_verdicts": "EpisodeVerdict JudgedEpisode SearchedEpisode",
     "pytest_dura.runner": "Runner",
     "pytest_dura.search.falsify": "Falsified",
 }

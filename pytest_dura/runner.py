@@ -12,8 +12,8 @@ from pytest_dura.campaign.fault_tracing import FaultTracer
 from pytest_dura.campaign.runner import EpisodeRunner
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.library.cases import Case, SearchedCase
+from pytest_dura.requirements.episode_verdicts import JudgedEpisode
 from pytest_dura.requirements.model import Requirement
-from pytest_dura.requirements.verdicts.episodes import JudgedEpisode
 from pytest_dura.search.counterexamples import CounterexampleStore
 from pytest_dura.search.falsify import falsify_campaign
 

@@ -10,8 +10,8 @@ from pytest_dura.core.episode import Episode
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.metrics import FaultRecord
 from pytest_dura.core.propagation import Divergence, OutcomeStatus, PropagationStatus, outcome_of
+from pytest_dura.requirements.episode_verdicts import judge_episode
 from pytest_dura.requirements.model import Requirement
-from pytest_dura.requirements.verdicts.episodes import judge_episode
 
 
 @dataclass(frozen=True)

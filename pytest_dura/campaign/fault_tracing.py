@@ -12,7 +12,7 @@ from pytest_dura.core.propagation import Divergence
 from pytest_dura.execution.store import EpisodeKey, key_of
 from pytest_dura.execution.task import EpisodeTask, UpcomingTasks
 from pytest_dura.library.cases import Case
-from pytest_dura.requirements.verdicts.episodes import JudgedEpisode
+from pytest_dura.requirements.episode_verdicts import JudgedEpisode
 
 TWINS_SUBJECT = "fault-free twins"
 """What runs when it is found out what came of faults, as progress calls it."""

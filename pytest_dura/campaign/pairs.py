@@ -11,7 +11,9 @@ from pytest_dura.campaign.runs import CampaignRuns, finite_number
 from pytest_dura.core.episode import Episode
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.library.cases import Case
+from pytest_dura.requirements.campaign_verdicts import CampaignVerdict
 from pytest_dura.requirements.checks import Check, check_name
+from pytest_dura.requirements.episode_verdicts import EpisodeVerdict, JudgedEpisode, judge_episode
 from pytest_dura.requirements.model import FAULTS, Method, Paired, Requirement
 from pytest_dura.requirements.monitoring.quality import (
     MonitorQuality,
@@ -29,8 +31,6 @@ from pytest_dura.requirements.pairs import (
     measured,
     pair_verdict,
 )
-from pytest_dura.requirements.verdicts.campaigns import CampaignVerdict
-from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict, JudgedEpisode, judge_episode
 
 if TYPE_CHECKING:
     from pytest_dura.execution.task import EpisodeTask

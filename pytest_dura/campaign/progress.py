@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from pytest_dura.requirements.verdicts.judging import CampaignJudge
+    from pytest_dura.requirements.campaign_judge import CampaignJudge
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,8 +7,8 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from pytest_dura.core.episode import Episode
+from pytest_dura.requirements.campaign_verdicts import CampaignVerdict
 from pytest_dura.requirements.model import Requirement
-from pytest_dura.requirements.verdicts.campaigns import CampaignVerdict
 
 
 @dataclass

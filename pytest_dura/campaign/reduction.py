@@ -14,8 +14,8 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from pytest_dura.core.episode import Episode, EpisodeSpec
+from pytest_dura.requirements.episode_verdicts import judge_episode
 from pytest_dura.requirements.model import Requirement
-from pytest_dura.requirements.verdicts.episodes import judge_episode
 
 Run = Callable[[EpisodeSpec], Episode]
 FaultSet = tuple[str, ...]

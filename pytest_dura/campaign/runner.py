@@ -27,10 +27,10 @@ from pytest_dura.library.fault_campaigns import NO_FAULTS, FaultCampaign
 from pytest_dura.library.loading import Library
 from pytest_dura.library.roles import ParameterResolver
 from pytest_dura.library.scenario import Scenario
+from pytest_dura.requirements.campaign_verdicts import CampaignVerdict
+from pytest_dura.requirements.episode_verdicts import JudgedEpisode, SearchedEpisode
 from pytest_dura.requirements.model import Requirement
 from pytest_dura.requirements.monitoring.quality import MonitorQuality
-from pytest_dura.requirements.verdicts.campaigns import CampaignVerdict
-from pytest_dura.requirements.verdicts.episodes import JudgedEpisode, SearchedEpisode
 
 
 def _ignore_event(*_: object) -> None:

@@ -16,15 +16,15 @@ from pytest_dura.core.errors import ConfigurationError, DuraError
 from pytest_dura.execution.task import EpisodeTask, UpcomingTasks
 from pytest_dura.library.cases import Case
 from pytest_dura.library.requirements import check_formula
+from pytest_dura.requirements.campaign_judge import CampaignJudge
+from pytest_dura.requirements.campaign_verdicts import CampaignVerdict, Situations, varies
 from pytest_dura.requirements.checks import Check
-from pytest_dura.requirements.model import Requirement
-from pytest_dura.requirements.verdicts.campaigns import CampaignVerdict, Situations, varies
-from pytest_dura.requirements.verdicts.episodes import (
+from pytest_dura.requirements.episode_verdicts import (
     EpisodeVerdict,
     JudgedEpisode,
     is_unseen_crash,
 )
-from pytest_dura.requirements.verdicts.judging import CampaignJudge
+from pytest_dura.requirements.model import Requirement
 
 _NUMERIC_FIELDS = ("at_most", "confidence", "p0")
 

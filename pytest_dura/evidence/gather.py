@@ -21,10 +21,10 @@ from pytest_dura.evidence.gate import REPEAT_KEYS, SearchRecords, worse_repeat
 from pytest_dura.evidence.metrics import CaseMetrics, PooledMetrics, SharedViolations, case_order
 from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.sessions import NO_REUSE, ReuseRecord
+from pytest_dura.requirements.campaign_judge import judge_campaign
+from pytest_dura.requirements.campaign_verdicts import Situation, Situations
+from pytest_dura.requirements.episode_verdicts import EpisodeVerdict
 from pytest_dura.requirements.model import Requirement
-from pytest_dura.requirements.verdicts.campaigns import Situation, Situations
-from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict
-from pytest_dura.requirements.verdicts.judging import judge_campaign
 
 Data = Mapping[str, Any]
 

@@ -421,7 +421,7 @@ def _write_player(one: RecordedEpisode, episode: Episode, trace: Trace, evidence
 
 def _verdicts(one: RecordedEpisode, episode: Episode) -> list[dict[str, Any]]:
     """What the requirements of the episode's case say of it now."""
-    from pytest_dura.requirements.verdicts.episodes import judge_episode
+    from pytest_dura.requirements.episode_verdicts import judge_episode
 
     found: list[dict[str, Any]] = []
     for requirement in one.requirements:

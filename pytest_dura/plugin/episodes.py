@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from pytest_dura.execution.task import EpisodeTask
     from pytest_dura.library.cases import Case
     from pytest_dura.plugin.session import DuraSession
-    from pytest_dura.requirements.verdicts.episodes import JudgedEpisode
+    from pytest_dura.requirements.episode_verdicts import JudgedEpisode
 
 
 EPISODES_FOLDER = ".episodes"  # as `KEPT` of pytest_dura.evidence.bundle

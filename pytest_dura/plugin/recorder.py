@@ -34,10 +34,10 @@ if TYPE_CHECKING:
     from pytest_dura.library.cases import Case, SearchedCase
     from pytest_dura.plugin.markers import Target
     from pytest_dura.plugin.session import DuraSession
+    from pytest_dura.requirements.campaign_verdicts import CampaignVerdict
+    from pytest_dura.requirements.episode_verdicts import JudgedEpisode, SearchedEpisode
     from pytest_dura.requirements.model import Requirement
     from pytest_dura.requirements.monitoring.quality import MonitorQuality
-    from pytest_dura.requirements.verdicts.campaigns import CampaignVerdict
-    from pytest_dura.requirements.verdicts.episodes import JudgedEpisode, SearchedEpisode
 
 
 def case_record(

@@ -41,7 +41,7 @@ from pytest_dura.reports.wording import (
     fault_free_violations_text,
     other_run_counts,
 )
-from pytest_dura.requirements.verdicts.campaigns import SITUATIONS
+from pytest_dura.requirements.campaign_verdicts import SITUATIONS
 
 if TYPE_CHECKING:
     from pytest_dura.evidence.model import SessionRecord

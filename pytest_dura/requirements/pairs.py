@@ -17,8 +17,8 @@ from pytest_dura.core.boundary import Boundary
 from pytest_dura.core.episode import Episode
 from pytest_dura.core.errors import ConfigurationError, describe_error
 from pytest_dura.requirements.checks import check_name, load_function
+from pytest_dura.requirements.episode_verdicts import EpisodeStatus, EpisodeVerdict
 from pytest_dura.requirements.model import Requirement
-from pytest_dura.requirements.verdicts.episodes import EpisodeStatus, EpisodeVerdict
 
 _ROUNDING = 1e-9
 """Share of the greatest value by which a growth may miss the bound and still equals it: times are
@@ -389,7 +389,7 @@ def judge_pairs(pairs: Iterable[Pair]) -> PairCounts:
 
 
 def _p_value(only_with: int, only_without: int) -> float:
-    from pytest_dura.requirements.statistics.comparison import mcnemar
+    from pytest_dura.requirements.comparison import mcnemar
 
     return mcnemar(only_with, only_without)
 
@@ -501,7 +501,7 @@ class Change:
 
         Pairs without a change, and those in which nothing changed, do not count; 1 without others.
         """
-        from pytest_dura.requirements.statistics.comparison import mcnemar
+        from pytest_dura.requirements.comparison import mcnemar
 
         # The same binomial distribution with probability 1/2.
         return mcnemar(

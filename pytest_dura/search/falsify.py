@@ -24,9 +24,9 @@ from pytest_dura.core.seeding import derive_seed
 from pytest_dura.library.cases import Case, SearchedCase
 from pytest_dura.library.fault_campaigns import FaultCampaign
 from pytest_dura.library.requirements import check_formula
+from pytest_dura.requirements.campaign_judge import MAX_INVALID_SHARE
 from pytest_dura.requirements.checks import check_name, is_function_path
 from pytest_dura.requirements.model import Requirement
-from pytest_dura.requirements.verdicts.judging import MAX_INVALID_SHARE
 from pytest_dura.search.counterexamples import (
     CounterexampleStore,
     confirm_violation,

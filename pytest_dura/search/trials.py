@@ -15,12 +15,12 @@ from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.execution.task import UpcomingTasks
 from pytest_dura.library.cases import Case, SearchedCase, make_searched_case
 from pytest_dura.requirements.checks import Check, check_name
-from pytest_dura.requirements.model import Requirement
-from pytest_dura.requirements.verdicts.episodes import (
+from pytest_dura.requirements.episode_verdicts import (
     SearchedEpisode,
     SearchVerdict,
     judge_searched,
 )
+from pytest_dura.requirements.model import Requirement
 from pytest_dura.search.portfolio import Batch, Outcome, SearchLog, search, trivial_searchers
 from pytest_dura.search.searchers import Searcher
 from pytest_dura.search.space import SearchSpace

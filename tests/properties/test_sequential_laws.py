@@ -5,13 +5,13 @@ from __future__ import annotations
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from pytest_dura.requirements.statistics.comparison import (
+from pytest_dura.requirements.comparison import (
     compare_counts,
     mcnemar,
     mcnemar_one_sided,
 )
-from pytest_dura.requirements.statistics.rate_tests import METHODS, make_test
-from pytest_dura.requirements.statistics.sequential import SequentialTest
+from pytest_dura.requirements.rate_tests import METHODS, make_test
+from pytest_dura.requirements.sequential import SequentialTest
 
 law = settings(derandomize=True, deadline=None, max_examples=120)
 

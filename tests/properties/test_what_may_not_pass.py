@@ -15,8 +15,8 @@ from scipy.stats import binom
 
 from pytest_dura import CampaignVerdict, EpisodeVerdict, Requirement
 from pytest_dura.evidence.gate import Gate
-from pytest_dura.requirements.statistics.rate_tests import lower_bound, upper_bound
-from pytest_dura.requirements.verdicts.judging import CampaignJudge, judge_campaign
+from pytest_dura.requirements.campaign_judge import CampaignJudge, judge_campaign
+from pytest_dura.requirements.rate_tests import lower_bound, upper_bound
 
 RUNS = 40
 LIMIT = 0.3

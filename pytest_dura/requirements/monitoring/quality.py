@@ -11,7 +11,7 @@ from typing import Any
 
 from pytest_dura.core.episode import Episode, Validity
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict
+from pytest_dura.requirements.episode_verdicts import EpisodeVerdict
 
 Stretch = tuple[float, float]
 """The first and the last tick of an alarm, in seconds."""

@@ -14,8 +14,8 @@ from pytest_dura.campaign.falsification import Limits
 from pytest_dura.library.cases import Case, case_with_faults, expand_cases
 from pytest_dura.library.loading import Library
 from pytest_dura.library.scenario import Scenario
-from pytest_dura.requirements.verdicts.episodes import SearchVerdict, judge_episode, judge_searched
-from pytest_dura.requirements.verdicts.judging import CampaignJudge
+from pytest_dura.requirements.campaign_judge import CampaignJudge
+from pytest_dura.requirements.episode_verdicts import SearchVerdict, judge_episode, judge_searched
 from pytest_dura.search.falsify import falsify
 from pytest_dura.search.space import CoverageCount, Group, Layout, SearchSpace, on_grid
 from pytest_dura.search.trials import Objective

@@ -9,7 +9,7 @@ import pytest
 from scipy.stats import binomtest, fisher_exact
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.requirements.statistics.comparison import (
+from pytest_dura.requirements.comparison import (
     compare_counts,
     compare_pairs,
     holm,

@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.requirements.statistics.rate_tests import (
+from pytest_dura.requirements.rate_tests import (
     METHODS,
     EProcess,
     FixedN,

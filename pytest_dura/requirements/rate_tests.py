@@ -15,7 +15,7 @@ from itertools import islice
 from typing import Literal
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.requirements.statistics.sequential import (
+from pytest_dura.requirements.sequential import (
     CountingTest,
     Decision,
     SequentialTest,

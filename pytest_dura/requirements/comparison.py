@@ -8,7 +8,7 @@ from fractions import Fraction
 from math import comb
 from typing import Literal
 
-from pytest_dura.requirements.statistics.sequential import error_level, require_between
+from pytest_dura.requirements.sequential import error_level, require_between
 
 ComparisonStatus = Literal["better", "worse", "no evidence of a change"]
 

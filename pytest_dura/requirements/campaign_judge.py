@@ -7,16 +7,7 @@ from collections.abc import Sequence
 from typing import Literal
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.requirements.model import Requirement
-from pytest_dura.requirements.statistics.rate_tests import (
-    EXACT_METHOD,
-    lower_bound,
-    make_test,
-    runs_needed,
-    upper_bound,
-)
-from pytest_dura.requirements.statistics.sequential import SequentialTest
-from pytest_dura.requirements.verdicts.campaigns import (
+from pytest_dura.requirements.campaign_verdicts import (
     EVERY_EPISODE,
     REPEATED,
     SITUATIONS,
@@ -29,7 +20,16 @@ from pytest_dura.requirements.verdicts.campaigns import (
     Situation,
     UncountedEpisode,
 )
-from pytest_dura.requirements.verdicts.episodes import EpisodeStatus, EpisodeVerdict
+from pytest_dura.requirements.episode_verdicts import EpisodeStatus, EpisodeVerdict
+from pytest_dura.requirements.model import Requirement
+from pytest_dura.requirements.rate_tests import (
+    EXACT_METHOD,
+    lower_bound,
+    make_test,
+    runs_needed,
+    upper_bound,
+)
+from pytest_dura.requirements.sequential import SequentialTest
 
 
 def method_of(requirement: Requirement, *, until_decided: bool = False) -> str:
