@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
 from pytest_dura.campaign.campaign import Campaign
-from pytest_dura.campaign.causal_chains import CausalChain
-from pytest_dura.campaign.fault_tracing import FaultTracer
-from pytest_dura.campaign.runner import EpisodeRunner
+from pytest_dura.campaign.fault_tracing import CausalChain, FaultTracer
+from pytest_dura.campaign.runner import EpisodeRunner, ignore_event
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.library.cases import Case, SearchedCase
 from pytest_dura.requirements.episode_verdicts import JudgedEpisode
@@ -23,16 +22,18 @@ class Runner(EpisodeRunner):
     """Runs cases by name, makes campaigns of them, and searches them.
 
     Args:
+        on_chains: Called with what came of each fault of an episode that a verdict rests on.
         keep: Keeps a counterexample that a search confirmed; ``None`` keeps it nowhere. All other
             arguments are those of :class:`EpisodeRunner`.
     """
 
+    on_chains: Callable[[Case, JudgedEpisode, list[CausalChain]], None] = ignore_event
     keep: CounterexampleStore | None = None
     _tracer: FaultTracer = field(init=False)
 
     def __post_init__(self) -> None:
         """Trace faults with this runner."""
-        self._tracer = FaultTracer(self)
+        self._tracer = FaultTracer(self, self.on_chains)
 
     def follow(self, case: Case, runs: Sequence[int]) -> None:
         """Report what came of each fault of episodes that were run before, unless reported.

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 from pytest_dura.campaign.falsification import BUDGET, SHRINK_BUDGET, Falsifier
 from pytest_dura.campaign.pairs import PairedCampaign
-from pytest_dura.campaign.reasons import ComponentFailures
+from pytest_dura.campaign.reporting import ComponentFailures
 from pytest_dura.campaign.runs import CampaignRuns
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.requirements.campaign_verdicts import CampaignVerdict

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from pytest_dura.campaign.reasons import ComponentFailures
+from pytest_dura.campaign.reporting import ComponentFailures
 from pytest_dura.campaign.runs import CampaignRuns, finite_number
 from pytest_dura.core.episode import Episode
 from pytest_dura.core.errors import ConfigurationError

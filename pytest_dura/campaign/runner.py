@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
-from pytest_dura.campaign.causal_chains import CausalChain
 from pytest_dura.campaign.falsification import Falsification
-from pytest_dura.campaign.progress import RunningCampaign
+from pytest_dura.campaign.reporting import RunningCampaign
 from pytest_dura.core.boundary import ROLE_TIMEOUT
 from pytest_dura.core.episode import Episode, EpisodeSpec
 from pytest_dura.core.errors import ConfigurationError
@@ -33,8 +32,8 @@ from pytest_dura.requirements.model import Requirement
 from pytest_dura.requirements.monitoring.quality import MonitorQuality
 
 
-def _ignore_event(*_: object) -> None:
-    """What a runner tells when nobody asked."""
+def ignore_event(*_: object) -> None:
+    """The listener of a runner that has none."""
 
 
 @dataclass(repr=False)
@@ -56,7 +55,6 @@ class EpisodeRunner:
         on_progress: Told before each run of a campaign how far it is, and when it ends.
         on_verdict: Told of every verdict of :meth:`Campaign.require`, and what it decides.
         on_monitors: Told how good the monitors of a case are, wherever that was measured.
-        on_chains: Told what came of each fault of an episode that a verdict rests on.
         on_search: Told what a search came to.
         on_searched: Told of every use of an episode of a case that a strategy chose.
         resolver: Resolves the parameters of roles, each class once.
@@ -75,13 +73,12 @@ class EpisodeRunner:
     time_budget: float | None = None
     end_when_decided: bool | None = None
     metrics: Metrics = NOTHING
-    on_episode: Callable[[Case, JudgedEpisode, int], None] = _ignore_event
-    on_progress: Callable[[RunningCampaign], None] = _ignore_event
-    on_verdict: Callable[[CampaignVerdict, Requirement], None] = _ignore_event
-    on_monitors: Callable[[Case, list[MonitorQuality]], None] = _ignore_event
-    on_chains: Callable[[Case, JudgedEpisode, list[CausalChain]], None] = _ignore_event
-    on_search: Callable[[Case, Falsification], None] = _ignore_event
-    on_searched: Callable[[SearchedCase, SearchedEpisode], None] = _ignore_event
+    on_episode: Callable[[Case, JudgedEpisode, int], None] = ignore_event
+    on_progress: Callable[[RunningCampaign], None] = ignore_event
+    on_verdict: Callable[[CampaignVerdict, Requirement], None] = ignore_event
+    on_monitors: Callable[[Case, list[MonitorQuality]], None] = ignore_event
+    on_search: Callable[[Case, Falsification], None] = ignore_event
+    on_searched: Callable[[SearchedCase, SearchedEpisode], None] = ignore_event
     twins: bool = True
     recorded: bool = False
     store: EpisodeStore = field(default_factory=EpisodeStore)

@@ -9,8 +9,7 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from pytest_dura.campaign.fault_tracing import FaultTracer
-from pytest_dura.campaign.progress import RunningCampaign
-from pytest_dura.campaign.reasons import ComponentFailures, explain_verdict
+from pytest_dura.campaign.reporting import ComponentFailures, RunningCampaign, explain_verdict
 from pytest_dura.campaign.runner import EpisodeRunner
 from pytest_dura.core.errors import ConfigurationError, DuraError
 from pytest_dura.execution.task import EpisodeTask, UpcomingTasks

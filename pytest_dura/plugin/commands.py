@@ -42,7 +42,7 @@ def _fault_line(name: str) -> str:
 
 def show_list(session: DuraSession) -> int:
     """Print everything and return the exit code."""
-    from pytest_dura.campaign.reasons import describe_check
+    from pytest_dura.campaign.reporting import describe_check
     from pytest_dura.domains import DOMAINS
     from pytest_dura.faults.catalogue import FAULT_TYPES
 
@@ -122,7 +122,7 @@ class RecordedEpisode:
             recorded: Whether to keep what a viewer shows of it.
         """
         from pytest_dura.execution.task import run_episode
-        from pytest_dura.requirements.early_end import RequirementJudge
+        from pytest_dura.requirements.checks import RequirementJudge
 
         end = self.spec.termination
         judge = RequirementJudge(self.requirements) if end.violation or end.decided else None

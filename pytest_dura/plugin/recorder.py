@@ -26,7 +26,7 @@ from pytest_dura.plugin.outcomes import (
 )
 
 if TYPE_CHECKING:
-    from pytest_dura.campaign.causal_chains import CausalChain
+    from pytest_dura.campaign.fault_tracing import CausalChain
     from pytest_dura.core.episode import Episode
     from pytest_dura.core.role_spec import RoleSpec
     from pytest_dura.evidence.episodes import ItemReport

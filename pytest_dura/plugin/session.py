@@ -33,7 +33,7 @@ from pytest_dura.plugin.shards import Selection, ShardHooks
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from pytest_dura.campaign.progress import RunningCampaign
+    from pytest_dura.campaign.reporting import RunningCampaign
     from pytest_dura.evidence.redaction import Redactor
     from pytest_dura.library.cases import Case
     from pytest_dura.library.loading import Library

@@ -16,7 +16,7 @@ from pytest_dura.campaign.falsification import (
     SearchOutcome,
     SearchStatus,
 )
-from pytest_dura.campaign.progress import RunningCampaign
+from pytest_dura.campaign.reporting import RunningCampaign
 from pytest_dura.campaign.runner import EpisodeRunner
 from pytest_dura.core.error_messages import did_you_mean
 from pytest_dura.core.errors import ConfigurationError, DuraError
