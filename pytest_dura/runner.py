@@ -73,20 +73,20 @@ class Runner(EpisodeRunner):
         Raises:
             ConfigurationError: For an unknown name, and a case that a search chose.
         """
-        found = self.case(case) if isinstance(case, str) else case
-        if isinstance(found, SearchedCase):
+        chosen = self.case(case) if isinstance(case, str) else case
+        if isinstance(chosen, SearchedCase):
             raise ConfigurationError(
-                f"the case {found.id!r} was chosen by a search, and no rate can be made of it",
-                found=found.id,
+                f"the case {chosen.id!r} was chosen by a search, and no rate can be made of it",
+                found=chosen.id,
                 expected="a case of a scenario",
                 remedy="run it as such, orchestrator.episode(case), or keep it as a scenario file",
             )
-        planned = self.runs or runs or found.scenario.planned
+        planned = self.runs or runs or chosen.scenario.planned
         if until_decided is None:
-            until_decided = found.scenario.until_decided and runs is None
+            until_decided = chosen.scenario.until_decided and runs is None
         return Campaign(
             self,
-            found,
+            chosen,
             planned,
             requirement,
             until_decided,

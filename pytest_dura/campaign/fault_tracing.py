@@ -87,7 +87,7 @@ def _chain(
     without: Mapping[str, float | None] | None,
     divergence: Divergence | None,
 ) -> CausalChain:
-    found = divergence.of_fault(fault) if divergence is not None else None
+    propagation = divergence.of_fault(fault) if divergence is not None else None
     since = fault.manifested_at
     reached = tuple(
         name
@@ -95,13 +95,13 @@ def _chain(
         if since is not None and (time is None or time >= since - 1e-9)
     )
     also = None if without is None else tuple(name for name in reached if name in without)
-    word = found.word if found is not None else None
+    status = propagation.word if propagation is not None else None
     return CausalChain(
         fault,
-        word,
-        found.at if found is not None else None,
-        found.reason if found is not None else "",
-        outcome_of(fault, word, reached, also, missing=episode.failure is not None),
+        status,
+        propagation.at if propagation is not None else None,
+        propagation.reason if propagation is not None else "",
+        outcome_of(fault, status, reached, also, missing=episode.failure is not None),
         reached,
         also,
     )
@@ -109,7 +109,7 @@ def _chain(
 
 def _violations(episode: Episode, requirements: Sequence[Requirement]) -> dict[str, float | None]:
     """The requirements that an episode violates by itself, and when."""
-    found: dict[str, float | None] = {}
+    violated: dict[str, float | None] = {}
     for requirement in requirements:
         if requirement.paired or not requirement.check:
             continue
@@ -118,8 +118,8 @@ def _violations(episode: Episode, requirements: Sequence[Requirement]) -> dict[s
         except ConfigurationError:  # told where the requirement itself is judged
             continue
         if verdict.verdict == "violated":
-            found[requirement.id] = verdict.time
-    return found
+            violated[requirement.id] = verdict.time
+    return violated
 
 
 TWINS_SUBJECT = "fault-free twins"

@@ -51,31 +51,33 @@ def _monitor_qualities(
         ``refine``): a violation that was averted would make its true alarm a false one. Nor if
         one ended once all was decided: its false alarms were still to come.
     """
-    seen = []
+    timelines = []
     for episode in episodes():
         if episode.termination == "decided":
             return []
-        seen.append(monitor_timeline(episode))
-    if any(item.intervention is not None for item in seen):
+        timelines.append(monitor_timeline(episode))
+    if any(timeline.intervention is not None for timeline in timelines):
         return []
-    monitors = sorted({name for item in seen for name in item.alarms})
-    asked = [
+    monitors = sorted({name for timeline in timelines for name in timeline.alarms})
+    judged = [
         requirement
         for requirement in requirements
         if requirement.kind == "safety" and not requirement.paired and requirement.check
     ]
-    verdicts: list[list[EpisodeVerdict]] = [[] for _ in asked]
-    for episode in episodes() if asked and monitors else ():
-        for verdict, requirement in zip(verdicts, asked, strict=True):
+    verdicts: list[list[EpisodeVerdict]] = [[] for _ in judged]
+    for episode in episodes() if judged and monitors else ():
+        for verdict, requirement in zip(verdicts, judged, strict=True):
             verdict.append(judge_episode(requirement, episode))
-    found = [
-        judge_monitor(monitor, list(zip(verdict, seen, strict=True)))
+    qualities = [
+        judge_monitor(monitor, list(zip(verdict, timelines, strict=True)))
         for verdict in verdicts
         for monitor in monitors
     ]
-    if any(item.manifested_at is not None and item.alerts is not None for item in seen):
-        found.append(judge_alerts(seen))
-    return found
+    if any(
+        timeline.manifested_at is not None and timeline.alerts is not None for timeline in timelines
+    ):
+        qualities.append(judge_alerts(timelines))
+    return qualities
 
 
 _RECOVERY = "recovery_planner"
@@ -151,12 +153,12 @@ class PairedCampaign:
                 faulty.append(episode.spec.run)
         campaign.follow(faulty)
         self._tell_of_monitors(runs)
-        found = judge.verdict()
+        campaign_verdict = judge.verdict()
         table = {"without": self.without, "case": self.case.id, **compared.table()}
         doubt = self._doubt(compared)
-        if doubt is not None and found.verdict == "supported":
-            return replace(found, verdict="undecided", reason=doubt, pairs=table)
-        return replace(found, pairs=table)
+        if doubt is not None and campaign_verdict.verdict == "supported":
+            return replace(campaign_verdict, verdict="undecided", reason=doubt, pairs=table)
+        return replace(campaign_verdict, pairs=table)
 
     def monitors(self) -> list[MonitorQuality]:
         """How good the monitors are on all planned runs without recovery, where they cannot act.
@@ -266,8 +268,8 @@ class PairedCampaign:
         __tracebackhide__ = True
         try:
             values = {
-                item.id: (_measured_value(measure, item), _measured_value(measure, twin))
-                for item, twin in self
+                episode.id: (_measured_value(measure, episode), _measured_value(measure, twin))
+                for episode, twin in self
             }
         except ConfigurationError as error:
             raise error.with_traceback(None) from None

@@ -84,14 +84,14 @@ def finite_number(key: str, value: Any) -> float:
         ConfigurationError: For what is no finite number.
     """
     try:
-        found = float(value)
+        number = float(value)
     except (TypeError, ValueError):
-        found = math.nan
-    if not math.isfinite(found):
+        number = math.nan
+    if not math.isfinite(number):
         raise ConfigurationError(
             f"{key} is a finite number", key=key, found=value, remedy=f"correct {key}"
         )
-    return found
+    return number
 
 
 _MAX_EXTRA_SHARE = 0.2
@@ -266,8 +266,8 @@ class CampaignRuns:
         Raises:
             ConfigurationError: For what is not as the requirement's file says.
         """
-        told = {key: value for key, value in given.items() if value is not None}
-        return _requirement_of_call(own, self.runner.library().requirements, told)
+        values = {key: value for key, value in given.items() if value is not None}
+        return _requirement_of_call(own, self.runner.library().requirements, values)
 
     def decided(self, verdict: CampaignVerdict, requirement: Requirement) -> CampaignVerdict:
         """Tell of a verdict, and return it if it is "supported".

@@ -193,8 +193,10 @@ class RequirementJudge:
             return False
         signals = simulator.signals(ticks)
         time = [tick.time for tick in ticks]
-        found = [evaluate(formula, time, signals, ending="open") for formula in self._formulas]
-        statuses = {item.status for item in found}
+        evaluations = [
+            evaluate(formula, time, signals, ending="open") for formula in self._formulas
+        ]
+        statuses = {evaluation.status for evaluation in evaluations}
         return "violated" in statuses and "undecided" not in statuses
 
     def decided(self, simulator: Simulator, ticks: list[Tick], *, violated: bool) -> bool:
@@ -255,12 +257,12 @@ class _Looks:
         self._misjudged = not self._as_before(signals)
         while self._left and not self._misjudged:
             formula, end = self._left[0]
-            found = evaluate(formula, time, signals, ending="open", time_step=self._time_step)
+            evaluation = evaluate(formula, time, signals, ending="open", time_step=self._time_step)
             within = end is not None and end < len(ticks)
             # A condition that never held may hold yet, and the pass would be no vacuous one.
-            if found.status == "undecided" or (found.vacuous and not within):
+            if evaluation.status == "undecided" or (evaluation.vacuous and not within):
                 return
-            self._satisfied = self._satisfied or found.status == "satisfied"
+            self._satisfied = self._satisfied or evaluation.status == "satisfied"
             del self._left[0]
 
     def _as_before(self, signals: Mapping[str, Array]) -> bool:

@@ -360,14 +360,14 @@ def robustness(formula: Formula, columns: Mapping[str, ArrayLike], time_step: fl
             the time step.
     """
     plan = plan_of(formula, time_step)
-    found = arrays(plan.signals, columns, formula)
-    shape = _shape(found, columns)
+    samples = arrays(plan.signals, columns, formula)
+    shape = _shape(samples, columns)
     if len(shape) == 1 or shape[0] <= _CHUNK:
-        return _computed(plan, Frame(found, shape, time_step))
+        return _computed(plan, Frame(samples, shape, time_step))
     whole = np.empty(shape)
     for start in range(0, shape[0], _CHUNK):
         rows = np.arange(start, min(start + _CHUNK, shape[0]))
-        part = {name: column[start : start + _CHUNK] for name, column in found.items()}
+        part = {name: column[start : start + _CHUNK] for name, column in samples.items()}
         frame = Frame(part, (len(rows), shape[1]), time_step, rows=rows)
         whole[start : start + _CHUNK] = _computed(plan, frame)
     return whole
@@ -391,7 +391,7 @@ def robustness_batch(
     """
     plan = plan_of(formula, time_step)
     inputs = [arrays(plan.signals, trace, formula) for trace in traces]
-    shapes = [_shape(found, trace) for found, trace in zip(inputs, traces, strict=True)]
+    shapes = [_shape(samples, trace) for samples, trace in zip(inputs, traces, strict=True)]
     for number, shape in enumerate(shapes):
         if len(shape) != 1:
             raise ConfigurationError(
@@ -442,8 +442,8 @@ def robustness_interval(
         ConfigurationError: As ``robustness``.
     """
     plan = plan_of(formula, time_step)
-    found = arrays(plan.signals, columns, formula)
-    frame = Frame(found, _shape(found, columns), time_step)
+    samples = arrays(plan.signals, columns, formula)
+    frame = Frame(samples, _shape(samples, columns), time_step)
     frame.refuse_not_finite()
     with np.errstate(all="ignore"):
         values = Values(plan.program, frame)
@@ -460,12 +460,12 @@ def _computed(plan: Plan, frame: Frame) -> Array:
         return Values(plan.program, frame)[plan.program.slot(plan.formula.root, TRUNCATED)]
 
 
-def _shape(found: Mapping[str, Array], columns: Mapping[str, ArrayLike]) -> tuple[int, ...]:
+def _shape(samples: Mapping[str, Array], columns: Mapping[str, ArrayLike]) -> tuple[int, ...]:
     """The shape that all columns have; a formula of constants has that of any column."""
-    if not found:
-        found = {name: np.asarray(column) for name, column in columns.items()}
-    first = next((column.shape for column in found.values()), (0,))
-    for name, column in found.items():
+    if not samples:
+        samples = {name: np.asarray(column) for name, column in columns.items()}
+    first = next((column.shape for column in samples.values()), (0,))
+    for name, column in samples.items():
         if column.shape != first:
             raise other_length(name, column.shape, first)
     if len(first) not in (1, 2):
