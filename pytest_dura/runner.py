@@ -9,6 +9,7 @@ from functools import partial
 from pytest_dura.campaign.campaign import Campaign
 from pytest_dura.campaign.fault_tracing import CausalChain, FaultTracer
 from pytest_dura.campaign.runner import EpisodeRunner, ignore_event
+from pytest_dura.core.deprecated import renamed
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.library.cases import Case, SearchedCase
 from pytest_dura.requirements.episode_verdicts import JudgedEpisode
@@ -23,12 +24,13 @@ class Runner(EpisodeRunner):
 
     Args:
         on_chains: Called with what came of each fault of an episode that a verdict rests on.
-        keep: Keeps a counterexample that a search confirmed; ``None`` keeps it nowhere. All other
-            arguments are those of :class:`EpisodeRunner`.
+        counterexamples: Stores the counterexamples that searches confirm; ``None`` stores none.
+            All other arguments are those of :class:`EpisodeRunner`.
     """
 
     on_chains: Callable[[Case, JudgedEpisode, list[CausalChain]], None] = ignore_event
-    keep: CounterexampleStore | None = None
+    counterexamples: CounterexampleStore | None = None
+    keep = renamed("keep", "counterexamples")
     _tracer: FaultTracer = field(init=False)
 
     def __post_init__(self) -> None:
@@ -91,5 +93,5 @@ class Runner(EpisodeRunner):
             requirement,
             until_decided,
             tracer=self._tracer,
-            search=partial(falsify_campaign, keep=self.keep),
+            search=partial(falsify_campaign, keep=self.counterexamples),
         )

@@ -157,7 +157,7 @@ class FaultTracer:
             for step, run in enumerate(due):
                 upcoming.reach(step)
                 runner.on_progress(running.reach(step, len(due), runner.store.simulated))
-                episode = runner.again(case, run)
+                episode = runner.fetch(case, run)
                 self._reported.add(key_of(tasks[run]))
                 self._on_chains(case, episode, self.chains(case, episode, upcoming))
         finally:

@@ -178,7 +178,7 @@ class PairedCampaign:
 
     def _monitors(self, runs: Sequence[int]) -> list[MonitorQuality]:
         def twins() -> Iterator[JudgedEpisode]:
-            return (self.campaign.runner.again(self.case, run) for run in runs)
+            return (self.campaign.runner.fetch(self.case, run) for run in runs)
 
         return _monitor_qualities(twins, self._requirements())
 

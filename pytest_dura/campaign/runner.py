@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from pytest_dura.campaign.falsification import Falsification
 from pytest_dura.campaign.reporting import RunningCampaign
 from pytest_dura.core.boundary import ROLE_TIMEOUT
+from pytest_dura.core.deprecated import renamed
 from pytest_dura.core.episode import Episode, EpisodeSpec
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.role_spec import RoleSpec
@@ -87,7 +88,7 @@ class EpisodeRunner:
     _cases: dict[str, dict[str, Case]] = field(default_factory=dict, init=False)
 
     def __repr__(self) -> str:
-        return f"Bench(base_seed={self.base_seed})"
+        return f"Runner(base_seed={self.base_seed})"
 
     def run(
         self,
@@ -169,16 +170,18 @@ class EpisodeRunner:
             self.on_searched(case, searched)
             return searched
         try:
-            episode = self.again(case, run, seed, ahead)
+            episode = self.fetch(case, run, seed, ahead)
         except ConfigurationError as error:
             raise error.with_traceback(None) from None
         self.on_episode(case, episode, planned if seed is None else 0)
         return episode
 
-    def again(
+    again = renamed("again", "fetch")
+
+    def fetch(
         self, case: Case, run: int = 0, seed: int | None = None, ahead: Iterable[EpisodeTask] = ()
     ) -> JudgedEpisode:
-        """Like :meth:`episode`, for whoever shows it: nobody is told that it was used.
+        """One run of a case, as :meth:`episode`, without a call of ``on_episode``.
 
         Args:
             case: The case.

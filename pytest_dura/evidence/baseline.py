@@ -371,8 +371,8 @@ def _comparison(own: Claim, other: Claim) -> BaselineComparison:
         comparison = replace(comparison, test="Fisher")
     return replace(
         comparison,
-        word=pairs.word,
-        uncorrected=pairs.word,
+        word=pairs.status,
+        uncorrected=pairs.status,
         p_worse=pairs.p_worse,
         p_better=pairs.p_better,
     )

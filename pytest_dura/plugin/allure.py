@@ -236,7 +236,7 @@ def _episode(session: DuraSession, result: ItemResult) -> Episode | None:
     spoilt = verdict.get("spoilt")
     shown = [*verdict["counterexamples"][:1], *([] if spoilt is None else [spoilt])]
     run = int(shown[0]["episode"].rpartition("#")[2]) if shown else 0
-    return session.bench.again(result.case, run)
+    return session.bench.fetch(result.case, run)
 
 
 def _judged(result: ItemResult, episode: Episode) -> EpisodeVerdict | None:

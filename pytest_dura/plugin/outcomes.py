@@ -61,7 +61,7 @@ class UsedEpisodes:
         """The episode of this id that the item looked at last, if it looked at one."""
         if name not in self._seeds:
             return None
-        return bench.again(self.case, int(name.rpartition("#")[2]), self._seeds[name])
+        return bench.fetch(self.case, int(name.rpartition("#")[2]), self._seeds[name])
 
     @property
     def doubt(self) -> str | None:

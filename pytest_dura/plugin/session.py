@@ -414,7 +414,7 @@ class DuraSession:
             on_chains=self.reporter.faults_followed,
             on_search=lambda case, found: self.reporter.search_ended(case, found.to_json()),
             on_searched=self.reporter.searched_used,
-            keep=counterexample_store(self),
+            counterexamples=counterexample_store(self),
             twins=self.options.twins,
             recorded=self.options.evidence_level != "summary",
             store=self.shared.store(),

@@ -62,7 +62,7 @@ def _silenced(bench: Runner) -> Runner:
     silent: dict[str, Any] = {
         one.name: one.default for one in fields(bench) if one.name.startswith("on_")
     }
-    return replace(bench, **silent, keep=None)
+    return replace(bench, **silent, counterexamples=None)
 
 
 def _last_items(

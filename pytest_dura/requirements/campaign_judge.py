@@ -85,7 +85,12 @@ def _not_manifested(verdicts: Sequence[EpisodeVerdict]) -> list[str]:
     """The planned faults that manifested in none of the episodes: nothing is known of them."""
     if not verdicts:
         return []
-    return [name for name in verdicts[0].idle if all(name in verdict.idle for verdict in verdicts)]
+    first, *others = verdicts
+    return [
+        name
+        for name in first.not_manifested
+        if all(name in verdict.not_manifested for verdict in others)
+    ]
 
 
 def _first_uncounted(verdicts: Sequence[EpisodeVerdict]) -> UncountedEpisode | None:

@@ -18,12 +18,12 @@ class Comparison:
     """What two counts say of a change.
 
     Args:
-        word: ``better`` or ``worse`` at the confidence asked for, or neither.
+        status: ``better`` or ``worse`` at the confidence asked for, or neither.
         p_better: One-sided p-value against "the rate is not lower than the baseline's".
         p_worse: One-sided p-value against "the rate is not higher than the baseline's".
     """
 
-    word: ComparisonStatus
+    status: ComparisonStatus
     p_better: float
     p_worse: float
 

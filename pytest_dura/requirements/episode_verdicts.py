@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_dura.core.boundary import Boundary
+from pytest_dura.core.deprecated import renamed
 from pytest_dura.core.episode import Episode
 from pytest_dura.core.errors import ConfigurationError, describe_error
 from pytest_dura.core.loop_signals import LOOP_PREFIX, loop_signals
@@ -117,8 +118,8 @@ class EpisodeVerdict:
             have shown the failure mode that it looks at.
         proposals: How often the component was asked.
         valid_proposals: How often it answered with a valid action.
-        idle: Ids of planned faults that never manifested. A valid episode has such where hits are
-            drawn.
+        not_manifested: Ids of planned faults that never manifested. A valid episode has such where
+            hits are drawn.
         without_effect: Whether it is violated in a run that is invalid, since a planned fault never
             manifested: the violation counts, and the run is no sample of runs with that fault.
         ended: How the episode ended, if that was an early end: a key of :data:`EARLY_ENDS`.
@@ -135,10 +136,12 @@ class EpisodeVerdict:
     proposals: int
     valid_proposals: int
     vacuous: bool = False
-    idle: tuple[str, ...] = ()
+    not_manifested: tuple[str, ...] = ()
     without_effect: bool = False
     ended: str = ""
     unseen_crash: bool = False
+
+    idle = renamed("idle", "not_manifested")
 
     @property
     def valid(self) -> bool:
@@ -146,13 +149,15 @@ class EpisodeVerdict:
         return self.verdict in ("satisfied", "violated", "open") and not self.without_effect
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data."""
-        return asdict(self)
+        """Plain data, in which ``not_manifested`` has the key ``idle``."""
+        data = asdict(self)
+        return {"idle" if name == "not_manifested" else name: data[name] for name in data}
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> EpisodeVerdict:
-        """The inverse of :meth:`to_json`."""
-        return cls(**{**data, "idle": tuple(data.get("idle", ()))})
+        """The inverse of :meth:`to_json`; it passes over keys of others."""
+        own = {name: data[name] for name in cls.__dataclass_fields__ if name in data}
+        return cls(**own, not_manifested=tuple(data.get("idle", ())))
 
 
 def judge_episode(
@@ -197,7 +202,7 @@ def judge_episode(
         proposals=episode.metrics.proposals,
         valid_proposals=episode.metrics.valid_proposals,
         vacuous=result.vacuous and status == "satisfied",
-        idle=episode.idle_faults,
+        not_manifested=episode.idle_faults,
         without_effect=status == "violated" and episode.validity == "invalid",
         ended=episode.termination if early else "",
     )
@@ -435,7 +440,7 @@ class SearchVerdict:
     Args:
         requirement: Id of the requirement.
         episode: Id of the episode.
-        word: ``satisfied``, ``violated``, ``open``, ``invalid`` or ``missing``.
+        status: ``satisfied``, ``violated``, ``open``, ``invalid`` or ``missing``.
         margin: Robustness; ``None`` where there is no trace to measure it on, and for a check that
             gives none.
         time: Seconds at which it was violated first, for a violation.
@@ -445,7 +450,7 @@ class SearchVerdict:
 
     requirement: str
     episode: str
-    word: EpisodeStatus
+    status: EpisodeStatus
     margin: float | None
     time: float | None
     detail: str

@@ -139,7 +139,7 @@ def change_verdict(
         detail=detail,
         proposals=episode.metrics.proposals,
         valid_proposals=episode.metrics.valid_proposals,
-        idle=episode.idle_faults,
+        not_manifested=episode.idle_faults,
     )
 
 
@@ -231,7 +231,7 @@ class Pair:
                 )
 
     @property
-    def word(self) -> PairStatus:
+    def status(self) -> PairStatus:
         """Which runs violated it; ``incomplete`` if one of them is not known to."""
         statuses = self.with_it.verdict, self.without.verdict
         if not {"satisfied", "violated"}.issuperset(statuses) or (
@@ -369,8 +369,8 @@ def judge_pairs(pairs: Iterable[Pair]) -> PairCounts:
     """
     all_pairs = list(pairs)
     _check_one_claim(all_pairs)
-    counts = Counter(pair.word for pair in all_pairs)
-    acted = Counter(pair.word for pair in all_pairs if pair.acted)
+    counts = Counter(pair.status for pair in all_pairs)
+    acted = Counter(pair.status for pair in all_pairs if pair.acted)
     return PairCounts(
         pairs=len(all_pairs),
         only_with=counts["only_with"],

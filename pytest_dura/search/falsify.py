@@ -68,8 +68,8 @@ def _describe_no_violation(falsification: Falsification, outcome: SearchOutcome)
     if falsification.coverage.pairs is not None:
         covered += f", {falsification.coverage.pairs:.0%} of their pairs"
     idle = (
-        f"; in {falsification.idle} of them no added fault came to act"
-        if falsification.idle
+        f"; in {falsification.not_manifested} of them no added fault came to act"
+        if falsification.not_manifested
         else ""
     )
     return (
@@ -84,7 +84,7 @@ def _outcome(falsification: Falsification, outcome: SearchOutcome) -> Iterator[s
     on = f"{name} on {falsification.case} ({falsification.component})"
     counterexample = outcome.counterexample
     if counterexample is None:
-        if outcome.word == "undecided":
+        if outcome.status == "undecided":
             yield (
                 f"undecided: {on}: {falsification.unknown} of {falsification.simulations}"
                 " simulations said nothing"
@@ -96,7 +96,7 @@ def _outcome(falsification: Falsification, outcome: SearchOutcome) -> Iterator[s
     after = (
         f"after {outcome.simulations} of {falsification.budget} simulations ({outcome.searcher})"
     )
-    if outcome.word == "falsified":
+    if outcome.status == "falsified":
         yield f"falsified: {on}: violated {after}, confirmed by replay with an equal digest"
     else:
         yield (
@@ -217,7 +217,7 @@ def falsify(
         simulations=log.simulations,
         refused=log.refused,
         unknown=log.silent,
-        idle=log.idle,
+        not_manifested=log.idle,
         rule=portfolio.RULE,
         parameters=tuple(parameter_report(parameter) for parameter in space.parameters),
         searchers=tuple(
@@ -364,7 +364,7 @@ def falsify_campaign(
         keep=keep,
         unkept=unkept.append,
     )
-    if any(outcome.word != "nothing found" for outcome in found.outcomes):
+    if any(outcome.status != "nothing found" for outcome in found.outcomes):
         lost = [f"not kept: {error}" for error in unkept]
         raise Falsified("\n".join([*_describe_falsification(found), *lost]), found)
     return found

@@ -122,9 +122,9 @@ class Trials:
         verdicts = [item.judge(episode) for item in self.asked]
         return Outcome(
             tuple(_margin(verdict, episode) for verdict in verdicts),
-            tuple(verdict.word == "violated" for verdict in verdicts),
+            tuple(verdict.status == "violated" for verdict in verdicts),
             tuple(
-                verdict.word in _CONCLUSIVE or _is_not_manifested(verdict, episode)
+                verdict.status in _CONCLUSIVE or _is_not_manifested(verdict, episode)
                 for verdict in verdicts
             ),
             idle=any(_is_not_manifested(verdict, episode) for verdict in verdicts),
@@ -149,7 +149,7 @@ class Trials:
         while runs < (1 if equal == runs else _REPLAYS):
             runs += 1
             again = self.runner.searched(case, run, again=runs)
-            violated += asked.judge(again).word == "violated"
+            violated += asked.judge(again).status == "violated"
             equal += again.digest == first.digest
         return first, ReplayCount(runs, violated, equal)
 
@@ -165,12 +165,12 @@ class Trials:
 def _is_not_manifested(verdict: SearchVerdict, episode: SearchedEpisode) -> bool:
     """Whether all that is amiss is a fault that never came to act: the rest is a run without it."""
     whole = episode.failure is None and not episode.ended_early
-    return verdict.word == "invalid" and whole and bool(episode.idle_faults)
+    return verdict.status == "invalid" and whole and bool(episode.idle_faults)
 
 
 def _margin(verdict: SearchVerdict, episode: SearchedEpisode) -> float:
     if verdict.margin is None or not (
-        verdict.word in _CONCLUSIVE or _is_not_manifested(verdict, episode)
+        verdict.status in _CONCLUSIVE or _is_not_manifested(verdict, episode)
     ):
         return math.nan
     return float(verdict.margin)

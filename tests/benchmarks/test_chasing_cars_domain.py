@@ -85,7 +85,7 @@ def test_a_search_in_the_loop_finds_and_confirms_a_violation(library, bench) -> 
     asked = [Objective(library.requirements["CC3"])]
     found = falsify(bench, case, asked, limits=Limits(budget=40, baselines=False), seed=0)
     (outcome,) = found.outcomes
-    assert outcome.word == "falsified"
+    assert outcome.status == "falsified"
     assert outcome.counterexample.repeats.confirmed
     assert outcome.counterexample.margin < 0
 

@@ -199,4 +199,4 @@ def test_counts_are_compared_by_fishers_exact_test(cells: list[int]) -> None:
         expected = fisher_exact(table, alternative=alternative).pvalue
         assert p_value == pytest.approx(expected, rel=1e-7)
     level = min(result.p_worse, result.p_better) <= 0.05
-    assert (result.word == "no evidence of a change") == (not level)
+    assert (result.status == "no evidence of a change") == (not level)

@@ -146,7 +146,7 @@ def test_what_is_better_one_way_is_worse_the_other_way(one, two) -> None:
     there, back = compare_counts(*one, *two), compare_counts(*two, *one)
     assert (there.p_better, there.p_worse) == (back.p_worse, back.p_better)
     opposite = {"better": "worse", "worse": "better"}
-    assert back.word == opposite.get(there.word, there.word)
+    assert back.status == opposite.get(there.status, there.status)
     assert there.p_better + there.p_worse >= 1.0
 
 

@@ -49,7 +49,7 @@ def test_a_pair_falls_into_one_cell_and_only_judged_runs_compare(own: str, twin:
         ("violated", "violated"): "both",
         ("satisfied", "satisfied"): "neither",
     }.get((own, twin), "incomplete")
-    assert pair(own, twin).word == expected
+    assert pair(own, twin).status == expected
 
 
 def test_each_cell_has_its_word_for_a_recovery() -> None:
