@@ -50,7 +50,7 @@ def simulations(job: Job) -> int | None:
     if method == SEARCH:
         limits = Limits(budget, shrink=0, baselines=False)
         (outcome,) = falsify(bench, case, [asked], limits=limits, faults=FAULTS).outcomes
-        return outcome.simulations if outcome.word == "falsified" else None
+        return outcome.simulations if outcome.status == "falsified" else None
     lasting = float(bench.searched(case).time[-1])
     space = SearchSpace.of(case, FAULTS, lasting=lasting)
     trials = Trials(bench, space, [asked])

@@ -26,7 +26,7 @@ from pytest_dura.domains import DOMAINS
 from pytest_dura.driving.measures import clearance_time
 from pytest_dura.library.cases import expand_cases
 from pytest_dura.library.loading import load_library
-from pytest_dura.requirements.statistics.comparison import mcnemar
+from pytest_dura.requirements.comparison import mcnemar
 
 OFF = "off"
 PLANNERS = tuple(DOMAINS["driving"].short_names["recovery_planner"])

@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 from pytest_dura.campaign.falsification import BUDGET, SHRINK_BUDGET, Falsifier
 from pytest_dura.campaign.pairs import PairedCampaign
-from pytest_dura.campaign.reasons import ComponentFailures
+from pytest_dura.campaign.reporting import ComponentFailures
 from pytest_dura.campaign.runs import CampaignRuns
 from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.requirements.campaign_verdicts import CampaignVerdict
 from pytest_dura.requirements.checks import Check, check_name
-from pytest_dura.requirements.model import Method, Requirement
-from pytest_dura.requirements.verdicts.campaigns import CampaignVerdict
-from pytest_dura.requirements.verdicts.episodes import (
+from pytest_dura.requirements.episode_verdicts import (
     judge_episode,
 )
+from pytest_dura.requirements.model import Method, Requirement
 
 if TYPE_CHECKING:
     from pytest_dura.campaign.falsification import Falsification

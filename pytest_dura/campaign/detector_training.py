@@ -141,10 +141,10 @@ def train(detector: str, training: Training) -> AnomalyModel:
     plain = (monitor.kind, source.names, tuple(centre), tuple(scale), parameters)
     unset = AnomalyModel(*plain, threshold=1.0, window=1, time_step=time_step)
     window = max(1, round(_WINDOWS[monitor.kind] / time_step))
-    scores = np.concatenate([_averaged(unset.scores(item), window) for item in others])
+    scores = np.concatenate([_averaged(unset.scores(ticks), window) for ticks in others])
     hours = sum(map(len, others)) * time_step / 3600.0
     threshold = _threshold(scores, hours, training.false_alarms)
-    told = {
+    record = {
         "tool": f"pytest-dura {describe_tool()['version']}",
         "packages": {name: version(name) for name in _PACKAGES},
         "scenarios": sorted({tape.scenario for tape in tapes}),
@@ -160,7 +160,7 @@ def train(detector: str, training: Training) -> AnomalyModel:
         "false_alarms_per_hour": training.false_alarms,
         "data": _digest(rows, *others),
     }
-    return AnomalyModel(*plain, threshold, window, time_step, told)
+    return AnomalyModel(*plain, threshold, window, time_step, record)
 
 
 def detector_class(name: str) -> type[AnomalyMonitor]:
@@ -172,7 +172,7 @@ def detector_class(name: str) -> type[AnomalyMonitor]:
     short: dict[str, str] = {}
     for domain in DOMAINS.values():
         for known in domain.short_names.values():
-            short |= {item: path for item, path in known.items() if item in KINDS}
+            short |= {kind: path for kind, path in known.items() if kind in KINDS}
     if ":" not in name and name not in short:
         raise ConfigurationError(
             f"there is no learned detector {name!r}",
@@ -181,8 +181,10 @@ def detector_class(name: str) -> type[AnomalyMonitor]:
             expected=", ".join(sorted(short)) + ", or an import path package.module:Class",
             remedy=did_you_mean(name, short),
         )
-    found = RoleSpec(short.get(name, name)).resolve()
-    if not (inspect.isclass(found) and issubclass(found, AnomalyMonitor) and found.kind in FITS):
+    detector = RoleSpec(short.get(name, name)).resolve()
+    if not (
+        inspect.isclass(detector) and issubclass(detector, AnomalyMonitor) and detector.kind in FITS
+    ):
         raise ConfigurationError(
             f"{name} is no learned detector",
             key="--detector",
@@ -191,7 +193,7 @@ def detector_class(name: str) -> type[AnomalyMonitor]:
             + ", ".join(FITS),
             remedy=f"for example {min(short)}",
         )
-    return found
+    return detector
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
+from pytest_dura.core.deprecated import renamed
 from pytest_dura.core.errors import ConfigurationError
 
 BUDGET = 200
@@ -144,7 +145,7 @@ class SearchOutcome:
     Args:
         requirement: Its id.
         check: Its formula or function.
-        word: ``falsified`` for a violation that was confirmed, ``not repeatable`` for one whose
+        status: ``falsified`` for a violation that was confirmed, ``not repeatable`` for one whose
             replays differ, ``undecided`` where more than a fifth of the simulations said nothing,
             ``nothing found`` otherwise: never that it holds.
         simulations: Up to the first violation; all of them where there was none.
@@ -155,11 +156,13 @@ class SearchOutcome:
 
     requirement: str
     check: str
-    word: SearchStatus
+    status: SearchStatus
     simulations: int
     searcher: str | None
     best: float | None
     counterexample: FoundCounterexample | None = None
+
+    word = renamed("word", "status")
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,8 +213,8 @@ class Falsification:
         simulations: Those that it took.
         refused: Points whose values contradict each other; none of them was simulated.
         unknown: Simulations that said nothing of some requirement.
-        idle: Simulations in which an added fault never came to act; they say what the case does
-            without it.
+        not_manifested: Simulations in which an added fault never came to act; they say what the
+            case does without it.
         rule: How the budget is shared over the searchers.
         parameters: What it could change: ``{path, low, high}``, ``{path, choice}`` or
             ``{path, faults}`` by name.
@@ -229,7 +232,7 @@ class Falsification:
     simulations: int
     refused: int
     unknown: int
-    idle: int
+    not_manifested: int
     rule: str
     parameters: tuple[Data, ...]
     searchers: tuple[SearcherReport, ...]
@@ -237,14 +240,26 @@ class Falsification:
     coverage: SpaceCoverage
     outcomes: tuple[SearchOutcome, ...]
 
+    idle = renamed("idle", "not_manifested")
+    found = renamed("found", "violations")
+
     @property
-    def found(self) -> tuple[SearchOutcome, ...]:
+    def violations(self) -> tuple[SearchOutcome, ...]:
         """The outcomes with a violation, confirmed or not."""
         return tuple(outcome for outcome in self.outcomes if outcome.counterexample is not None)
 
     def to_json(self) -> Data:
-        """Plain data."""
-        return asdict(self)
+        """Plain data, with ``idle`` for ``not_manifested`` and ``word`` for an outcome's status."""
+        data = _with_old_key(asdict(self), "not_manifested", "idle")
+        data["outcomes"] = tuple(
+            _with_old_key(outcome, "status", "word") for outcome in data["outcomes"]
+        )
+        return data
+
+
+def _with_old_key(data: Data, name: str, key: str) -> Data:
+    """The data with a field under the key that the record has for it, in its place."""
+    return {key if field == name else field: value for field, value in data.items()}
 
 
 Falsifier = Callable[..., Falsification]

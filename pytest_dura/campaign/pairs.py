@@ -6,12 +6,14 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from pytest_dura.campaign.reasons import ComponentFailures
+from pytest_dura.campaign.reporting import ComponentFailures
 from pytest_dura.campaign.runs import CampaignRuns, finite_number
 from pytest_dura.core.episode import Episode
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.library.cases import Case
+from pytest_dura.requirements.campaign_verdicts import CampaignVerdict
 from pytest_dura.requirements.checks import Check, check_name
+from pytest_dura.requirements.episode_verdicts import EpisodeVerdict, JudgedEpisode, judge_episode
 from pytest_dura.requirements.model import FAULTS, Method, Paired, Requirement
 from pytest_dura.requirements.monitoring.quality import (
     MonitorQuality,
@@ -29,8 +31,6 @@ from pytest_dura.requirements.pairs import (
     measured,
     pair_verdict,
 )
-from pytest_dura.requirements.verdicts.campaigns import CampaignVerdict
-from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict, JudgedEpisode, judge_episode
 
 if TYPE_CHECKING:
     from pytest_dura.execution.task import EpisodeTask
@@ -51,31 +51,33 @@ def _monitor_qualities(
         ``refine``): a violation that was averted would make its true alarm a false one. Nor if
         one ended once all was decided: its false alarms were still to come.
     """
-    seen = []
+    timelines = []
     for episode in episodes():
         if episode.termination == "decided":
             return []
-        seen.append(monitor_timeline(episode))
-    if any(item.intervention is not None for item in seen):
+        timelines.append(monitor_timeline(episode))
+    if any(timeline.intervention is not None for timeline in timelines):
         return []
-    monitors = sorted({name for item in seen for name in item.alarms})
-    asked = [
+    monitors = sorted({name for timeline in timelines for name in timeline.alarms})
+    judged = [
         requirement
         for requirement in requirements
         if requirement.kind == "safety" and not requirement.paired and requirement.check
     ]
-    verdicts: list[list[EpisodeVerdict]] = [[] for _ in asked]
-    for episode in episodes() if asked and monitors else ():
-        for verdict, requirement in zip(verdicts, asked, strict=True):
+    verdicts: list[list[EpisodeVerdict]] = [[] for _ in judged]
+    for episode in episodes() if judged and monitors else ():
+        for verdict, requirement in zip(verdicts, judged, strict=True):
             verdict.append(judge_episode(requirement, episode))
-    found = [
-        judge_monitor(monitor, list(zip(verdict, seen, strict=True)))
+    qualities = [
+        judge_monitor(monitor, list(zip(verdict, timelines, strict=True)))
         for verdict in verdicts
         for monitor in monitors
     ]
-    if any(item.manifested_at is not None and item.alerts is not None for item in seen):
-        found.append(judge_alerts(seen))
-    return found
+    if any(
+        timeline.manifested_at is not None and timeline.alerts is not None for timeline in timelines
+    ):
+        qualities.append(judge_alerts(timelines))
+    return qualities
 
 
 _RECOVERY = "recovery_planner"
@@ -151,12 +153,12 @@ class PairedCampaign:
                 faulty.append(episode.spec.run)
         campaign.follow(faulty)
         self._tell_of_monitors(runs)
-        found = judge.verdict()
+        campaign_verdict = judge.verdict()
         table = {"without": self.without, "case": self.case.id, **compared.table()}
         doubt = self._doubt(compared)
-        if doubt is not None and found.verdict == "supported":
-            return replace(found, verdict="undecided", reason=doubt, pairs=table)
-        return replace(found, pairs=table)
+        if doubt is not None and campaign_verdict.verdict == "supported":
+            return replace(campaign_verdict, verdict="undecided", reason=doubt, pairs=table)
+        return replace(campaign_verdict, pairs=table)
 
     def monitors(self) -> list[MonitorQuality]:
         """How good the monitors are on all planned runs without recovery, where they cannot act.
@@ -176,7 +178,7 @@ class PairedCampaign:
 
     def _monitors(self, runs: Sequence[int]) -> list[MonitorQuality]:
         def twins() -> Iterator[JudgedEpisode]:
-            return (self.campaign.runner.again(self.case, run) for run in runs)
+            return (self.campaign.runner.fetch(self.case, run) for run in runs)
 
         return _monitor_qualities(twins, self._requirements())
 
@@ -266,8 +268,8 @@ class PairedCampaign:
         __tracebackhide__ = True
         try:
             values = {
-                item.id: (_measured_value(measure, item), _measured_value(measure, twin))
-                for item, twin in self
+                episode.id: (_measured_value(measure, episode), _measured_value(measure, twin))
+                for episode, twin in self
             }
         except ConfigurationError as error:
             raise error.with_traceback(None) from None

@@ -14,8 +14,8 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from pytest_dura.core.episode import Episode, EpisodeSpec
+from pytest_dura.requirements.episode_verdicts import judge_episode
 from pytest_dura.requirements.model import Requirement
-from pytest_dura.requirements.verdicts.episodes import judge_episode
 
 Run = Callable[[EpisodeSpec], Episode]
 FaultSet = tuple[str, ...]
@@ -89,9 +89,9 @@ def reduce_faults(
         smallest = True
     except BudgetUsedUp:
         # A set whose runs the budget cut short may have violated once by chance.
-        confirmed = (item for item, violates in trials.known.items() if violates)
+        confirmed = (faults for faults, violates in trials.known.items() if violates)
         best = min(confirmed, key=len)
-        one_minimal = one_minimal or all(_without(best, item) in trials.known for item in best)
+        one_minimal = one_minimal or all(_without(best, faults) in trials.known for faults in best)
     episode, violated = trials.violating[best]
     if trials.missing:
         one_minimal = smallest = False
@@ -131,13 +131,15 @@ class _Trials:
     def connected(self, faults: FaultSet) -> FaultSet:
         """The set without faults that wait for one that is not in it: they never become active."""
         planned = self._spec.faults
-        waits = {
-            item["id"]: (item["activation"].get("after") or {}).get("fault") for item in planned
+        awaited = {
+            fault["id"]: (fault["activation"].get("after") or {}).get("fault") for fault in planned
         }
-        kept = [item["id"] for item in planned if item["id"] in faults]
-        while orphans := [item for item in kept if waits[item] and waits[item] not in kept]:
-            kept = [item for item in kept if item not in orphans]
-        return tuple(kept)
+        connected = [fault["id"] for fault in planned if fault["id"] in faults]
+        while orphans := [
+            fault for fault in connected if awaited[fault] and awaited[fault] not in connected
+        ]:
+            connected = [fault for fault in connected if fault not in orphans]
+        return tuple(connected)
 
     def _confirmed(self, faults: FaultSet) -> bool:
         spec = with_faults(self._spec, faults)
@@ -170,12 +172,12 @@ class _Trials:
 
 def with_faults(spec: EpisodeSpec, faults: FaultSet) -> EpisodeSpec:
     """The spec with these of its faults only: all else, their draws included, stays as it was."""
-    kept = tuple(fault for fault in spec.faults if fault["id"] in faults)
-    if kept == spec.faults:
+    remaining = tuple(fault for fault in spec.faults if fault["id"] in faults)
+    if remaining == spec.faults:
         return replace(spec, timeouts=None)
     scenario = spec.case.partition("+")[0].partition("~")[0]
     case = "+".join([scenario, *(faults or ("none",))])
-    return replace(spec, case=case, faults=kept, timeouts=None)
+    return replace(spec, case=case, faults=remaining, timeouts=None)
 
 
 def _shrinking(whole: FaultSet, trials: _Trials) -> Iterator[FaultSet]:
@@ -183,7 +185,7 @@ def _shrinking(whole: FaultSet, trials: _Trials) -> Iterator[FaultSet]:
     current, parts = whole, 2
     while len(current) > 1:
         chunks = _chunks(current, min(parts, len(current)))
-        complements = [tuple(item for item in current if item not in chunk) for chunk in chunks]
+        complements = [tuple(fault for fault in current if fault not in chunk) for chunk in chunks]
         smaller = next((chunk for chunk in [*chunks, *complements] if trials.violates(chunk)), None)
         if smaller is not None:
             parts = 2 if smaller in chunks else max(parts - 1, 2)
@@ -195,10 +197,10 @@ def _shrinking(whole: FaultSet, trials: _Trials) -> Iterator[FaultSet]:
             parts = min(2 * parts, len(current))
 
 
-def _chunks(items: FaultSet, parts: int) -> list[FaultSet]:
-    size, rest = divmod(len(items), parts)
+def _chunks(faults: FaultSet, parts: int) -> list[FaultSet]:
+    size, rest = divmod(len(faults), parts)
     ends = list(itertools.accumulate(size + (i < rest) for i in range(parts)))
-    return [items[start:end] for start, end in zip([0, *ends], ends, strict=False)]
+    return [faults[start:end] for start, end in zip([0, *ends], ends, strict=False)]
 
 
 def _smallest(whole: FaultSet, best: FaultSet, trials: _Trials) -> FaultSet:
@@ -210,5 +212,5 @@ def _smallest(whole: FaultSet, best: FaultSet, trials: _Trials) -> FaultSet:
     return best
 
 
-def _without(faults: FaultSet, item: str) -> FaultSet:
-    return tuple(fault for fault in faults if fault != item)
+def _without(faults: FaultSet, left_out: str) -> FaultSet:
+    return tuple(fault for fault in faults if fault != left_out)

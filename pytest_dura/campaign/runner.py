@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
-from pytest_dura.campaign.causal_chains import CausalChain
 from pytest_dura.campaign.falsification import Falsification
-from pytest_dura.campaign.progress import RunningCampaign
+from pytest_dura.campaign.reporting import RunningCampaign
 from pytest_dura.core.boundary import ROLE_TIMEOUT
+from pytest_dura.core.deprecated import renamed
 from pytest_dura.core.episode import Episode, EpisodeSpec
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.role_spec import RoleSpec
@@ -27,14 +27,14 @@ from pytest_dura.library.fault_campaigns import NO_FAULTS, FaultCampaign
 from pytest_dura.library.loading import Library
 from pytest_dura.library.roles import ParameterResolver
 from pytest_dura.library.scenario import Scenario
+from pytest_dura.requirements.campaign_verdicts import CampaignVerdict
+from pytest_dura.requirements.episode_verdicts import JudgedEpisode, SearchedEpisode
 from pytest_dura.requirements.model import Requirement
 from pytest_dura.requirements.monitoring.quality import MonitorQuality
-from pytest_dura.requirements.verdicts.campaigns import CampaignVerdict
-from pytest_dura.requirements.verdicts.episodes import JudgedEpisode, SearchedEpisode
 
 
-def _ignore_event(*_: object) -> None:
-    """What a runner tells when nobody asked."""
+def ignore_event(*_: object) -> None:
+    """The listener of a runner that has none."""
 
 
 @dataclass(repr=False)
@@ -56,7 +56,6 @@ class EpisodeRunner:
         on_progress: Told before each run of a campaign how far it is, and when it ends.
         on_verdict: Told of every verdict of :meth:`Campaign.require`, and what it decides.
         on_monitors: Told how good the monitors of a case are, wherever that was measured.
-        on_chains: Told what came of each fault of an episode that a verdict rests on.
         on_search: Told what a search came to.
         on_searched: Told of every use of an episode of a case that a strategy chose.
         resolver: Resolves the parameters of roles, each class once.
@@ -75,13 +74,12 @@ class EpisodeRunner:
     time_budget: float | None = None
     end_when_decided: bool | None = None
     metrics: Metrics = NOTHING
-    on_episode: Callable[[Case, JudgedEpisode, int], None] = _ignore_event
-    on_progress: Callable[[RunningCampaign], None] = _ignore_event
-    on_verdict: Callable[[CampaignVerdict, Requirement], None] = _ignore_event
-    on_monitors: Callable[[Case, list[MonitorQuality]], None] = _ignore_event
-    on_chains: Callable[[Case, JudgedEpisode, list[CausalChain]], None] = _ignore_event
-    on_search: Callable[[Case, Falsification], None] = _ignore_event
-    on_searched: Callable[[SearchedCase, SearchedEpisode], None] = _ignore_event
+    on_episode: Callable[[Case, JudgedEpisode, int], None] = ignore_event
+    on_progress: Callable[[RunningCampaign], None] = ignore_event
+    on_verdict: Callable[[CampaignVerdict, Requirement], None] = ignore_event
+    on_monitors: Callable[[Case, list[MonitorQuality]], None] = ignore_event
+    on_search: Callable[[Case, Falsification], None] = ignore_event
+    on_searched: Callable[[SearchedCase, SearchedEpisode], None] = ignore_event
     twins: bool = True
     recorded: bool = False
     store: EpisodeStore = field(default_factory=EpisodeStore)
@@ -90,7 +88,7 @@ class EpisodeRunner:
     _cases: dict[str, dict[str, Case]] = field(default_factory=dict, init=False)
 
     def __repr__(self) -> str:
-        return f"Bench(base_seed={self.base_seed})"
+        return f"Runner(base_seed={self.base_seed})"
 
     def run(
         self,
@@ -172,16 +170,18 @@ class EpisodeRunner:
             self.on_searched(case, searched)
             return searched
         try:
-            episode = self.again(case, run, seed, ahead)
+            episode = self.fetch(case, run, seed, ahead)
         except ConfigurationError as error:
             raise error.with_traceback(None) from None
         self.on_episode(case, episode, planned if seed is None else 0)
         return episode
 
-    def again(
+    again = renamed("again", "fetch")
+
+    def fetch(
         self, case: Case, run: int = 0, seed: int | None = None, ahead: Iterable[EpisodeTask] = ()
     ) -> JudgedEpisode:
-        """Like :meth:`episode`, for whoever shows it: nobody is told that it was used.
+        """One run of a case, as :meth:`episode`, without a call of ``on_episode``.
 
         Args:
             case: The case.

@@ -9,22 +9,21 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from pytest_dura.campaign.fault_tracing import FaultTracer
-from pytest_dura.campaign.progress import RunningCampaign
-from pytest_dura.campaign.reasons import ComponentFailures, explain_verdict
+from pytest_dura.campaign.reporting import ComponentFailures, RunningCampaign, explain_verdict
 from pytest_dura.campaign.runner import EpisodeRunner
 from pytest_dura.core.errors import ConfigurationError, DuraError
 from pytest_dura.execution.task import EpisodeTask, UpcomingTasks
 from pytest_dura.library.cases import Case
 from pytest_dura.library.requirements import check_formula
+from pytest_dura.requirements.campaign_judge import CampaignJudge
+from pytest_dura.requirements.campaign_verdicts import CampaignVerdict, Situations, varies
 from pytest_dura.requirements.checks import Check
-from pytest_dura.requirements.model import Requirement
-from pytest_dura.requirements.verdicts.campaigns import CampaignVerdict, Situations, varies
-from pytest_dura.requirements.verdicts.episodes import (
+from pytest_dura.requirements.episode_verdicts import (
     EpisodeVerdict,
     JudgedEpisode,
     is_unseen_crash,
 )
-from pytest_dura.requirements.verdicts.judging import CampaignJudge
+from pytest_dura.requirements.model import Requirement
 
 _NUMERIC_FIELDS = ("at_most", "confidence", "p0")
 
@@ -85,14 +84,14 @@ def finite_number(key: str, value: Any) -> float:
         ConfigurationError: For what is no finite number.
     """
     try:
-        found = float(value)
+        number = float(value)
     except (TypeError, ValueError):
-        found = math.nan
-    if not math.isfinite(found):
+        number = math.nan
+    if not math.isfinite(number):
         raise ConfigurationError(
             f"{key} is a finite number", key=key, found=value, remedy=f"correct {key}"
         )
-    return found
+    return number
 
 
 _MAX_EXTRA_SHARE = 0.2
@@ -267,8 +266,8 @@ class CampaignRuns:
         Raises:
             ConfigurationError: For what is not as the requirement's file says.
         """
-        told = {key: value for key, value in given.items() if value is not None}
-        return _requirement_of_call(own, self.runner.library().requirements, told)
+        values = {key: value for key, value in given.items() if value is not None}
+        return _requirement_of_call(own, self.runner.library().requirements, values)
 
     def decided(self, verdict: CampaignVerdict, requirement: Requirement) -> CampaignVerdict:
         """Tell of a verdict, and return it if it is "supported".

@@ -13,14 +13,14 @@ from typing import Any, Literal
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.evidence.bundle import RECORD_FILE, load_record
 from pytest_dura.evidence.model import SessionRecord
-from pytest_dura.requirements.statistics.comparison import (
+from pytest_dura.requirements.campaign_judge import MAX_INVALID_SHARE
+from pytest_dura.requirements.comparison import (
     ComparisonStatus,
     compare_counts,
     compare_pairs,
     comparison_status,
     holm,
 )
-from pytest_dura.requirements.verdicts.judging import MAX_INVALID_SHARE
 
 _CONDITION_KEYS = ("simulator", "scenario", "faults", "termination", "time_step", "time_budget")
 """Of an episode's spec. Roles and policy are left out: they may be what is compared."""
@@ -371,8 +371,8 @@ def _comparison(own: Claim, other: Claim) -> BaselineComparison:
         comparison = replace(comparison, test="Fisher")
     return replace(
         comparison,
-        word=pairs.word,
-        uncorrected=pairs.word,
+        word=pairs.status,
+        uncorrected=pairs.status,
         p_worse=pairs.p_worse,
         p_better=pairs.p_better,
     )

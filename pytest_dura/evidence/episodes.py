@@ -24,7 +24,7 @@ from pytest_dura.core.propagation import switching
 from pytest_dura.evidence.metrics import with_chains
 from pytest_dura.evidence.model import plain_data
 from pytest_dura.evidence.sessions import OWN_ORIGIN
-from pytest_dura.requirements.verdicts.campaigns import Situations, varies
+from pytest_dura.requirements.campaign_verdicts import Situations, varies
 
 
 def episode_record(

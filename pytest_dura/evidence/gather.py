@@ -21,10 +21,10 @@ from pytest_dura.evidence.gate import REPEAT_KEYS, SearchRecords, worse_repeat
 from pytest_dura.evidence.metrics import CaseMetrics, PooledMetrics, SharedViolations, case_order
 from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.sessions import NO_REUSE, ReuseRecord
+from pytest_dura.requirements.campaign_judge import judge_campaign
+from pytest_dura.requirements.campaign_verdicts import Situation, Situations
+from pytest_dura.requirements.episode_verdicts import EpisodeVerdict
 from pytest_dura.requirements.model import Requirement
-from pytest_dura.requirements.verdicts.campaigns import Situation, Situations
-from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict
-from pytest_dura.requirements.verdicts.judging import judge_campaign
 
 Data = Mapping[str, Any]
 
@@ -146,12 +146,11 @@ WORST_FIRST = ("violated", "missing", "open", "invalid", "satisfied")
 
 def _worst_of_each_episode(final: list[JsonObject]) -> list[EpisodeVerdict]:
     """One verdict for each episode, at which other parameters of a test may look again."""
-    names = EpisodeVerdict.__dataclass_fields__
     worst: dict[str, JsonObject] = {}
     for item in sorted(final, key=lambda item: WORST_FIRST.index(item["verdict"])):
         worst.setdefault(item["episode"], item)
     found = sorted(worst.values(), key=lambda item: _run_number(item["episode"]))
-    return [EpisodeVerdict.from_json({name: item[name] for name in names}) for item in found]
+    return [EpisodeVerdict.from_json(item) for item in found]
 
 
 def _judge_test(

@@ -9,8 +9,8 @@ from xml.etree import ElementTree as ET
 
 from pytest_dura.evidence import text
 from pytest_dura.evidence.model import SessionRecord
-from pytest_dura.requirements.verdicts.campaigns import CAMPAIGN_STATUSES
-from pytest_dura.requirements.verdicts.episodes import EPISODE_STATUSES
+from pytest_dura.requirements.campaign_verdicts import CAMPAIGN_STATUSES
+from pytest_dura.requirements.episode_verdicts import EPISODE_STATUSES
 
 JunitKey = tuple[str, str, str]
 """Case, requirement, and node id of the test; see :func:`junit_key`."""

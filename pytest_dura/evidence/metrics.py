@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from pytest_dura.core.metrics import DISCOMFORT
-from pytest_dura.requirements.statistics.rate_tests import upper_bound
+from pytest_dura.requirements.rate_tests import upper_bound
 
 CONFIDENCE = 0.95
 """Of the bound on the rate of episodes in which a failure mode shows."""

@@ -43,9 +43,9 @@ from pytest_dura.evidence.traces import Trace, trace_path
 from pytest_dura.evidence.verify_record import record_problems
 from pytest_dura.evidence.verify_verdicts import verdict_problems
 from pytest_dura.requirements.checks import is_function_path
+from pytest_dura.requirements.episode_verdicts import EpisodeVerdict, JudgedEpisode, judge_episode
 from pytest_dura.requirements.model import Requirement
 from pytest_dura.requirements.monitoring.quality import MonitorQuality
-from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict, JudgedEpisode, judge_episode
 
 
 def _format_problems(record: SessionRecord, counts: Counts) -> Iterator[str]:

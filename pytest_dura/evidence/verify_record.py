@@ -26,7 +26,7 @@ from pytest_dura.evidence.model import Counts, SessionRecord, components_under_t
 from pytest_dura.evidence.redaction import holds_redaction
 from pytest_dura.evidence.sessions import shard_problems
 from pytest_dura.provenance import digest_of
-from pytest_dura.requirements.statistics.rate_tests import EXACT_METHOD, upper_bound
+from pytest_dura.requirements.rate_tests import EXACT_METHOD, upper_bound
 
 Data = Mapping[str, Any]
 

@@ -14,8 +14,8 @@ from typing import Any
 
 from pytest_dura.evidence.episodes import case_situations
 from pytest_dura.evidence.model import SessionRecord, plain_data
-from pytest_dura.requirements.model import Requirement
-from pytest_dura.requirements.verdicts.campaigns import (
+from pytest_dura.requirements.campaign_judge import CampaignJudge
+from pytest_dura.requirements.campaign_verdicts import (
     EQUAL_RUNS,
     EVERY_EPISODE,
     REPEATED,
@@ -24,8 +24,8 @@ from pytest_dura.requirements.verdicts.campaigns import (
     Situation,
     Situations,
 )
-from pytest_dura.requirements.verdicts.episodes import EARLY_ENDS, EpisodeStatus, EpisodeVerdict
-from pytest_dura.requirements.verdicts.judging import CampaignJudge
+from pytest_dura.requirements.episode_verdicts import EARLY_ENDS, EpisodeStatus, EpisodeVerdict
+from pytest_dura.requirements.model import Requirement
 
 Data = Mapping[str, Any]
 
@@ -111,7 +111,7 @@ def pair_problems(verdict: Data, recovered: int | None) -> Iterator[str]:
     if "change" in pairs:
         yield from _change_problems(verdict)
         return
-    from pytest_dura.requirements.statistics.comparison import mcnemar
+    from pytest_dura.requirements.comparison import mcnemar
 
     open_pairs = pairs["incomplete"]
     complete = sum(pairs[pair_count] for pair_count in _PAIR_COUNTS)

@@ -22,7 +22,7 @@ from pytest_dura.execution.codec import SERIES, pack, unpack
 from pytest_dura.execution.executors import MAX_SECONDS, Execution, time_limit_of
 from pytest_dura.execution.task import EpisodeTask, missing_episode
 from pytest_dura.execution.worker import CallFailedError, ProcessLostError
-from pytest_dura.requirements.verdicts.episodes import JudgedEpisode
+from pytest_dura.requirements.episode_verdicts import JudgedEpisode
 
 EpisodeKey = tuple[str, int, tuple[int, ...]]
 

@@ -18,7 +18,7 @@ from pytest_dura.core.orchestrator import Orchestrator
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.state import NOTHING, Event
 from pytest_dura.library.roles import LocalRole, local_object
-from pytest_dura.requirements.early_end import RequirementJudge
+from pytest_dura.requirements.checks import RequirementJudge
 from pytest_dura.requirements.model import Requirement
 
 

@@ -22,11 +22,11 @@ from pytest_dura.library.scenario import (
     proposal_signal_names,
     signal_names,
 )
+from pytest_dura.requirements.campaign_judge import CampaignJudge, method_of
 from pytest_dura.requirements.checks import Check, is_function_path, load_function, read_formula
 from pytest_dura.requirements.model import FAULTS, Kind, Method, Paired, Requirement
 from pytest_dura.requirements.pairs import check_comparison
 from pytest_dura.requirements.stl.formula import Formula, check_time_step
-from pytest_dura.requirements.verdicts.judging import CampaignJudge, method_of
 
 
 class PairedEntry(Entry):

@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from pytest_dura.evidence.traces import Trace
     from pytest_dura.library.cases import Case
     from pytest_dura.plugin.context import SessionContext
+    from pytest_dura.requirements.episode_verdicts import EpisodeVerdict
     from pytest_dura.requirements.model import Requirement
-    from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict
 
 
 EPIC = "dependability"
@@ -236,13 +236,13 @@ def _episode(context: SessionContext, result: ItemResult) -> Episode | None:
     spoilt = verdict.get("spoilt")
     shown = [*verdict["counterexamples"][:1], *([] if spoilt is None else [spoilt])]
     run = int(shown[0]["episode"].rpartition("#")[2]) if shown else 0
-    return context.runner.again(result.case, run)
+    return context.runner.fetch(result.case, run)
 
 
 def _judged(result: ItemResult, episode: Episode) -> EpisodeVerdict | None:
     """What the requirement says of this episode: its outcome, or by the check."""
     from pytest_dura.core.errors import ConfigurationError
-    from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict, judge_episode
+    from pytest_dura.requirements.episode_verdicts import EpisodeVerdict, judge_episode
 
     if result.outcome is not None:
         names = EpisodeVerdict.__dataclass_fields__

@@ -59,7 +59,7 @@ def _fault_line(name: str) -> str:
 
 def show_list(session: DuraSession) -> int:
     """Print everything and return the exit code."""
-    from pytest_dura.campaign.reasons import describe_check
+    from pytest_dura.campaign.reporting import describe_check
     from pytest_dura.domains import DOMAINS
     from pytest_dura.faults.catalogue import FAULT_TYPES
 
@@ -139,7 +139,7 @@ class RecordedEpisode:
             recorded: Whether to keep what a viewer shows of it.
         """
         from pytest_dura.execution.task import run_episode
-        from pytest_dura.requirements.early_end import RequirementJudge
+        from pytest_dura.requirements.checks import RequirementJudge
 
         end = self.spec.termination
         judge = RequirementJudge(self.requirements) if end.violation or end.decided else None
@@ -438,7 +438,7 @@ def _write_player(one: RecordedEpisode, episode: Episode, trace: Trace, evidence
 
 def _verdicts(one: RecordedEpisode, episode: Episode) -> list[dict[str, Any]]:
     """What the requirements of the episode's case say of it now."""
-    from pytest_dura.requirements.verdicts.episodes import judge_episode
+    from pytest_dura.requirements.episode_verdicts import judge_episode
 
     found: list[dict[str, Any]] = []
     for requirement in one.requirements:

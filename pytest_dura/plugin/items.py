@@ -96,7 +96,7 @@ def scenario_items(context: SessionContext, root: pytest.Session) -> list[pytest
 
 def _judge(request: pytest.FixtureRequest, _dura_roles: None, orchestrator: Runner) -> None:
     """What each item runs, whose case and requirement it is that it asks for."""
-    from pytest_dura.campaign.reasons import explain_verdict
+    from pytest_dura.campaign.reporting import explain_verdict
     from pytest_dura.plugin.junit import ending_events
     from pytest_dura.plugin.outcomes import ItemResult
 

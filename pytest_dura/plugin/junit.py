@@ -135,7 +135,7 @@ def ending_events(context: SessionContext, result: ItemResult) -> list[str]:
     shown = (result.verdict or {}).get("counterexamples")
     if episode is None and shown and result.case is not None:
         run = int(shown[0]["episode"].rpartition("#")[2])
-        episode = context.runner.again(result.case, run)
+        episode = context.runner.fetch(result.case, run)
     if episode is None:
         return []
     return [

@@ -20,12 +20,12 @@ if TYPE_CHECKING:
     from pytest_dura.evidence.episodes import ItemReport
     from pytest_dura.library.cases import Case
     from pytest_dura.plugin.context import SessionContext
-    from pytest_dura.requirements.model import Requirement
-    from pytest_dura.requirements.verdicts.episodes import (
+    from pytest_dura.requirements.episode_verdicts import (
         EpisodeStatus,
         EpisodeVerdict,
         JudgedEpisode,
     )
+    from pytest_dura.requirements.model import Requirement
     from pytest_dura.runner import Runner
 
 
@@ -61,12 +61,12 @@ class UsedEpisodes:
         """The episode of this id that the item looked at last, if it looked at one."""
         if name not in self._seeds:
             return None
-        return runner.again(self.case, int(name.rpartition("#")[2]), self._seeds[name])
+        return runner.fetch(self.case, int(name.rpartition("#")[2]), self._seeds[name])
 
     @property
     def doubt(self) -> str | None:
         """Why they leave a campaign undecided that no verdict was asked of, if they do."""
-        from pytest_dura.requirements.verdicts.judging import MAX_INVALID_SHARE
+        from pytest_dura.requirements.campaign_judge import MAX_INVALID_SHARE
 
         if len(self._invalid) <= MAX_INVALID_SHARE * len(self._seeds):
             return None
@@ -165,7 +165,7 @@ def target_of(item: pytest.Item) -> Any:
 
 def episode_of(item: pytest.Item) -> JudgedEpisode | None:
     """The episode that the item looks at, if it looks at one and there is one."""
-    from pytest_dura.requirements.verdicts.episodes import JudgedEpisode
+    from pytest_dura.requirements.episode_verdicts import JudgedEpisode
 
     episode = getattr(item, "funcargs", {}).get("episode")
     return episode if isinstance(episode, JudgedEpisode) else None
@@ -215,7 +215,7 @@ def _undecided_result(
     parameters = getattr(getattr(item, "callspec", None), "params", {})
     if case is None or "episode" in parameters:
         return ItemResult(requirement, case, episode=episode_of(item))
-    from pytest_dura.requirements.verdicts.judging import judge_campaign
+    from pytest_dura.requirements.campaign_judge import judge_campaign
 
     campaign = getattr(item, "funcargs", {}).get("campaign")
     verdict = judge_campaign(
@@ -258,7 +258,7 @@ def outcome_of_test(
         failed: Which of its own assertions failed, of :func:`failed_assertion`; empty if none did.
     """
     from pytest_dura.plugin.observed_episode import observations_of
-    from pytest_dura.requirements.verdicts.episodes import EARLY_ENDS, is_unseen_crash
+    from pytest_dura.requirements.episode_verdicts import EARLY_ENDS, is_unseen_crash
 
     word, detail = status_of_test(episode, error)
     failed = failed if word == "violated" else ""
@@ -316,7 +316,7 @@ def judged_by_own_check(requirement: Requirement, episode: JudgedEpisode) -> Epi
     """What the requirement's own check says; ``None`` without one, and where none can be asked."""
     if not requirement.check or requirement.paired is not None:
         return None
-    from pytest_dura.requirements.verdicts.episodes import judge_episode
+    from pytest_dura.requirements.episode_verdicts import judge_episode
 
     try:
         return judge_episode(requirement, episode)
@@ -361,7 +361,7 @@ def check_passed(
         decided: Requirement and case of the verdicts that it asked for.
     """
     from pytest_dura.campaign.campaign import Campaign
-    from pytest_dura.requirements.verdicts.episodes import JudgedEpisode
+    from pytest_dura.requirements.episode_verdicts import JudgedEpisode
 
     for one in used.values():
         if one.failure:

@@ -205,7 +205,7 @@ class PropertyTests:
         episode = runner.searched(case)
         for one in named.values():
             asked = Objective(one)
-            if one.check and not one.paired and asked.judge(episode).word == "violated":
+            if one.check and not one.paired and asked.judge(episode).status == "violated":
                 return asked
         return None
 

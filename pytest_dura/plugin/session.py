@@ -29,7 +29,7 @@ from pytest_dura.plugin.shards import Selection, ShardHooks
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from pytest_dura.campaign.progress import RunningCampaign
+    from pytest_dura.campaign.reporting import RunningCampaign
     from pytest_dura.plugin.progress import WorkerFile
     from pytest_dura.runner import Runner
 
@@ -310,7 +310,7 @@ class DuraSession(SessionContext):
             on_chains=self.recorder.faults_followed,
             on_search=lambda case, found: self.recorder.search_ended(case, found.to_json()),
             on_searched=self.recorder.searched_used,
-            keep=counterexample_store(self),
+            counterexamples=counterexample_store(self),
             twins=self.options.twins,
             recorded=self.options.evidence_level != "summary",
             store=self.shared.store(),

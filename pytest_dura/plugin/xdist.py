@@ -62,7 +62,7 @@ def _silenced(runner: Runner) -> Runner:
     silent: dict[str, Any] = {
         one.name: one.default for one in fields(runner) if one.name.startswith("on_")
     }
-    return replace(runner, **silent, keep=None)
+    return replace(runner, **silent, counterexamples=None)
 
 
 def _last_items(

@@ -40,7 +40,7 @@ from pytest_dura.reports.wording import (
     shard_text,
     valid_sha256,
 )
-from pytest_dura.requirements.verdicts.campaigns import CAMPAIGN_STATUSES
+from pytest_dura.requirements.campaign_verdicts import CAMPAIGN_STATUSES
 
 PREFIX = "pytest-dura:"
 NAME_LIMIT = 400

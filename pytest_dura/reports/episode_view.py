@@ -19,9 +19,9 @@ from pytest_dura.core.simulator import Recording
 from pytest_dura.evidence.text import one_line
 from pytest_dura.evidence.traces import Trace
 from pytest_dura.requirements.checks import is_function_path
+from pytest_dura.requirements.stl.evaluation import robustness
 from pytest_dura.requirements.stl.formula import Boolean, Formula, Node, Temporal
 from pytest_dura.requirements.stl.parser import parse
-from pytest_dura.requirements.stl.robustness import robustness
 
 Column = NDArray[np.float64]
 _TIME_DECIMALS = 9

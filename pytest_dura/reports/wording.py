@@ -19,7 +19,7 @@ from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.sessions import outdated_reason
 from pytest_dura.evidence.text import name
 from pytest_dura.reports.tables import NOTHING_SUPPORTED
-from pytest_dura.requirements.verdicts.campaigns import SITUATIONS
+from pytest_dura.requirements.campaign_verdicts import SITUATIONS
 
 Data = Mapping[str, Any]
 UNREVIEWED = "generated, unreviewed"

@@ -289,7 +289,7 @@ def confirm_violation(
     if repeats.confirmed and budget:
 
         def violates(trial: SearchedCase) -> bool:
-            return asked.judge(trials.runner.searched(trial)).word == "violated"
+            return asked.judge(trials.runner.searched(trial)).status == "violated"
 
         shrunk = shrink(
             trials.space.case, case, violates, budget=budget, simulator=trials.runner.simulator
@@ -342,12 +342,12 @@ def store_counterexample(
     # A requirement of its own is not among those that this session has read.
     again = replace(read, requirements=confirmed.case.requirements)
     verdict = asked.judge(trials.runner.searched(again))
-    if verdict.word != "violated" or verdict.margin != found.margin:
+    if verdict.status != "violated" or verdict.margin != found.margin:
         made.file.unlink()
         raise ConfigurationError(
             f"a counterexample to {asked.requirement.id} does not come up again from its file",
             file=file,
-            found=f"{verdict.word}, margin {verdict.margin}",
+            found=f"{verdict.status}, margin {verdict.margin}",
             expected=f"violated, margin {found.margin}",
             remedy="please report this with the scenario and the command",
         )

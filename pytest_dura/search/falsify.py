@@ -16,16 +16,16 @@ from pytest_dura.campaign.falsification import (
     SearchOutcome,
     SearchStatus,
 )
-from pytest_dura.campaign.progress import RunningCampaign
+from pytest_dura.campaign.reporting import RunningCampaign
 from pytest_dura.campaign.runner import EpisodeRunner
 from pytest_dura.core.errors import ConfigurationError, DuraError, did_you_mean
 from pytest_dura.core.seeding import derive_seed
 from pytest_dura.library.cases import Case, SearchedCase
 from pytest_dura.library.fault_campaigns import FaultCampaign
 from pytest_dura.library.requirements import check_formula
+from pytest_dura.requirements.campaign_judge import MAX_INVALID_SHARE
 from pytest_dura.requirements.checks import check_name, is_function_path
 from pytest_dura.requirements.model import Requirement
-from pytest_dura.requirements.verdicts.judging import MAX_INVALID_SHARE
 from pytest_dura.search.counterexamples import (
     CounterexampleStore,
     confirm_violation,
@@ -67,8 +67,8 @@ def _describe_no_violation(falsification: Falsification, outcome: SearchOutcome)
     if falsification.coverage.pairs is not None:
         covered += f", {falsification.coverage.pairs:.0%} of their pairs"
     idle = (
-        f"; in {falsification.idle} of them no added fault came to act"
-        if falsification.idle
+        f"; in {falsification.not_manifested} of them no added fault came to act"
+        if falsification.not_manifested
         else ""
     )
     return (
@@ -83,7 +83,7 @@ def _outcome(falsification: Falsification, outcome: SearchOutcome) -> Iterator[s
     on = f"{name} on {falsification.case} ({falsification.component})"
     counterexample = outcome.counterexample
     if counterexample is None:
-        if outcome.word == "undecided":
+        if outcome.status == "undecided":
             yield (
                 f"undecided: {on}: {falsification.unknown} of {falsification.simulations}"
                 " simulations said nothing"
@@ -95,7 +95,7 @@ def _outcome(falsification: Falsification, outcome: SearchOutcome) -> Iterator[s
     after = (
         f"after {outcome.simulations} of {falsification.budget} simulations ({outcome.searcher})"
     )
-    if outcome.word == "falsified":
+    if outcome.status == "falsified":
         yield f"falsified: {on}: violated {after}, confirmed by replay with an equal digest"
     else:
         yield (
@@ -216,7 +216,7 @@ def falsify(
         simulations=log.simulations,
         refused=log.refused,
         unknown=log.silent,
-        idle=log.idle,
+        not_manifested=log.idle,
         rule=portfolio.RULE,
         parameters=tuple(parameter_report(parameter) for parameter in space.parameters),
         searchers=tuple(
@@ -363,7 +363,7 @@ def falsify_campaign(
         keep=keep,
         unkept=unkept.append,
     )
-    if any(outcome.word != "nothing found" for outcome in found.outcomes):
+    if any(outcome.status != "nothing found" for outcome in found.outcomes):
         lost = [f"not kept: {error}" for error in unkept]
         raise Falsified("\n".join([*_describe_falsification(found), *lost]), found)
     return found

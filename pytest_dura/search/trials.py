@@ -15,12 +15,12 @@ from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.execution.task import UpcomingTasks
 from pytest_dura.library.cases import Case, SearchedCase, make_searched_case
 from pytest_dura.requirements.checks import Check, check_name
-from pytest_dura.requirements.model import Requirement
-from pytest_dura.requirements.verdicts.episodes import (
+from pytest_dura.requirements.episode_verdicts import (
     SearchedEpisode,
     SearchVerdict,
     judge_searched,
 )
+from pytest_dura.requirements.model import Requirement
 from pytest_dura.search.portfolio import Batch, Outcome, SearchLog, search, trivial_searchers
 from pytest_dura.search.searchers import Searcher
 from pytest_dura.search.space import SearchSpace
@@ -122,9 +122,9 @@ class Trials:
         verdicts = [item.judge(episode) for item in self.asked]
         return Outcome(
             tuple(_margin(verdict, episode) for verdict in verdicts),
-            tuple(verdict.word == "violated" for verdict in verdicts),
+            tuple(verdict.status == "violated" for verdict in verdicts),
             tuple(
-                verdict.word in _CONCLUSIVE or _is_not_manifested(verdict, episode)
+                verdict.status in _CONCLUSIVE or _is_not_manifested(verdict, episode)
                 for verdict in verdicts
             ),
             idle=any(_is_not_manifested(verdict, episode) for verdict in verdicts),
@@ -149,7 +149,7 @@ class Trials:
         while runs < (1 if equal == runs else _REPLAYS):
             runs += 1
             again = self.runner.searched(case, run, again=runs)
-            violated += asked.judge(again).word == "violated"
+            violated += asked.judge(again).status == "violated"
             equal += again.digest == first.digest
         return first, ReplayCount(runs, violated, equal)
 
@@ -165,12 +165,12 @@ class Trials:
 def _is_not_manifested(verdict: SearchVerdict, episode: SearchedEpisode) -> bool:
     """Whether all that is amiss is a fault that never came to act: the rest is a run without it."""
     whole = episode.failure is None and not episode.ended_early
-    return verdict.word == "invalid" and whole and bool(episode.idle_faults)
+    return verdict.status == "invalid" and whole and bool(episode.idle_faults)
 
 
 def _margin(verdict: SearchVerdict, episode: SearchedEpisode) -> float:
     if verdict.margin is None or not (
-        verdict.word in _CONCLUSIVE or _is_not_manifested(verdict, episode)
+        verdict.status in _CONCLUSIVE or _is_not_manifested(verdict, episode)
     ):
         return math.nan
     return float(verdict.margin)

@@ -12,8 +12,8 @@ from pytest_dura import ConfigurationError, Runner
 from pytest_dura.campaign.falsification import Limits
 from pytest_dura.library.cases import case_with_faults
 from pytest_dura.library.loading import load_library
+from pytest_dura.requirements.stl.evaluation import robustness
 from pytest_dura.requirements.stl.parser import parse
-from pytest_dura.requirements.stl.robustness import robustness
 from pytest_dura.search.falsify import falsify
 from pytest_dura.search.space import Group, SearchSpace
 from pytest_dura.search.trials import Objective
@@ -85,7 +85,7 @@ def test_a_search_in_the_loop_finds_and_confirms_a_violation(library, bench) -> 
     asked = [Objective(library.requirements["CC3"])]
     found = falsify(bench, case, asked, limits=Limits(budget=40, baselines=False), seed=0)
     (outcome,) = found.outcomes
-    assert outcome.word == "falsified"
+    assert outcome.status == "falsified"
     assert outcome.counterexample.repeats.confirmed
     assert outcome.counterexample.margin < 0
 

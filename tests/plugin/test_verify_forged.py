@@ -29,7 +29,7 @@ from pytest_dura.evidence.verify import (
     verify_bundle,
 )
 from pytest_dura.evidence.verify_record import record_problems
-from pytest_dura.requirements.statistics.rate_tests import upper_bound
+from pytest_dura.requirements.rate_tests import upper_bound
 
 PROJECT = Path(__file__).with_name("project")
 NUDGED = """

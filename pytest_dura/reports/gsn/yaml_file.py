@@ -9,7 +9,7 @@ from typing import Any, NoReturn
 from pytest_dura.evidence.model import Counts, SessionRecord
 from pytest_dura.reports.gsn.element import rule_problems
 from pytest_dura.reports.gsn.user_argument import session_argument
-from pytest_dura.requirements.verdicts.campaigns import CAMPAIGN_STATUSES
+from pytest_dura.requirements.campaign_verdicts import CAMPAIGN_STATUSES
 
 FILE = "assurance-case.gsn.yaml"
 _MODULE = "module"

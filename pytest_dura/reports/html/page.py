@@ -26,7 +26,7 @@ from pytest_dura.reports.html.contents import (
 )
 from pytest_dura.reports.html.player import content_hash
 from pytest_dura.reports.wording import model_options, replay_command
-from pytest_dura.requirements.verdicts.campaigns import CAMPAIGN_STATUSES
+from pytest_dura.requirements.campaign_verdicts import CAMPAIGN_STATUSES
 
 if TYPE_CHECKING:
     from jinja2 import Environment

@@ -37,8 +37,8 @@ from pytest_dura.reports.wording import (
     selection_text,
     shard_text,
 )
+from pytest_dura.requirements.campaign_verdicts import SITUATIONS
 from pytest_dura.requirements.model import FAULTS
-from pytest_dura.requirements.verdicts.campaigns import SITUATIONS
 
 Data = Mapping[str, Any]
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from pytest_dura.core.episode import Episode, Validity
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict
+from pytest_dura.requirements.episode_verdicts import EpisodeVerdict
 
 Stretch = tuple[float, float]
 """The first and the last tick of an alarm, in seconds."""
@@ -272,25 +272,25 @@ def judge_monitor(
             expected="a number above 0, such as 5.0",
         )
     pairs = list(judged)
-    _check_uninvolved(seen for _, seen in pairs)
-    _check_asked(monitor, [seen for _, seen in pairs])
+    _check_uninvolved(timeline for _, timeline in pairs)
+    _check_asked(monitor, [timeline for _, timeline in pairs])
     tally = _Tally()
     claims = set()
-    for verdict, seen in pairs:
-        if (verdict.episode, verdict.component) != (seen.episode, seen.component):
+    for verdict, timeline in pairs:
+        if (verdict.episode, verdict.component) != (timeline.episode, timeline.component):
             raise ConfigurationError(
                 "a verdict and what the monitors said are about one episode",
-                found=f"{verdict.episode} and {seen.episode}",
+                found=f"{verdict.episode} and {timeline.episode}",
                 remedy="give each episode's verdict with its own watch",
             )
         claims.add((verdict.requirement, verdict.component))
-        alarms = seen.alarms.get(monitor, ())
+        alarms = timeline.alarms.get(monitor, ())
         if verdict.verdict == "missing":
             tally.counts["missing"] += 1
         elif not verdict.valid or verdict.verdict == "open":  # an open one may yet be violated
             tally.counts["invalid"] += 1
         elif verdict.verdict == "satisfied":
-            tally.negative(alarms, seen.duration)
+            tally.negative(alarms, timeline.duration)
         elif verdict.time is None:
             tally.counts["untimed"] += 1
         else:
@@ -310,24 +310,24 @@ def judge_alerts(watches: Iterable[MonitorTimeline]) -> MonitorQuality:
         ConfigurationError: If a monitor's word changed what was carried out in an episode, if no
             assessor was asked in a valid one, or the episodes are of several components.
     """
-    found = list(watches)
-    _check_uninvolved(found)
+    timelines = list(watches)
+    _check_uninvolved(timelines)
     tally = _Tally()
-    for seen in found:
-        if seen.validity != "valid":
-            tally.counts[seen.validity] += 1
-        elif seen.alerts is None:
+    for timeline in timelines:
+        if timeline.validity != "valid":
+            tally.counts[timeline.validity] += 1
+        elif timeline.alerts is None:
             raise ConfigurationError(
                 "alerts are judged where there is somebody to raise them",
-                found=f"no assessor was asked in {seen.episode}",
+                found=f"no assessor was asked in {timeline.episode}",
                 expected="a loop with a SecurityAssessor in it",
             )
-        elif seen.manifested_at is None:
-            tally.negative(seen.alerts, seen.duration)
+        elif timeline.manifested_at is None:
+            tally.negative(timeline.alerts, timeline.duration)
         else:
-            began = seen.manifested_at if seen.began_at is None else seen.began_at
-            tally.attacked(seen.alerts, began, seen.detected_at)
-    target, component = _one_claim({(FAULTS, seen.component) for seen in found})
+            began = timeline.manifested_at if timeline.began_at is None else timeline.began_at
+            tally.attacked(timeline.alerts, began, timeline.detected_at)
+    target, component = _one_claim({(FAULTS, timeline.component) for timeline in timelines})
     return tally.quality(_ALERTS, target, component, None)
 
 
@@ -385,21 +385,21 @@ class _Tally:
         )
 
 
-def _check_uninvolved(watches: Iterable[MonitorTimeline]) -> None:
-    for seen in watches:
-        if seen.intervention is not None:
+def _check_uninvolved(timelines: Iterable[MonitorTimeline]) -> None:
+    for timeline in timelines:
+        if timeline.intervention is not None:
             raise ConfigurationError(
                 "a monitor is judged where nobody acts on its word: a violation that was averted"
                 " would make its true alarm a false one",
-                found=f"{seen.intervention} in {seen.episode}",
+                found=f"{timeline.intervention} in {timeline.episode}",
                 expected="episodes of the policy log_only",
                 remedy="run the case with the policy log_only, or without the recovery planner",
             )
 
 
-def _check_asked(monitor: str, watches: list[MonitorTimeline]) -> None:
-    known = sorted({name for seen in watches for name in seen.alarms})
-    if watches and monitor not in known:
+def _check_asked(monitor: str, timelines: list[MonitorTimeline]) -> None:
+    known = sorted({name for timeline in timelines for name in timeline.alarms})
+    if timelines and monitor not in known:
         raise ConfigurationError(
             f"no monitor {monitor!r} was asked in any of these episodes",
             key="monitor",
@@ -412,7 +412,8 @@ def _one_claim(claims: set[tuple[str, str]]) -> tuple[str, str]:
     if len(claims) != 1:
         raise ConfigurationError(
             "a monitor is judged on episodes of one component, against one requirement",
-            found=" and ".join(f"{item} of {who}" for item, who in sorted(claims)) or "no episodes",
+            found=" and ".join(f"{target} of {component}" for target, component in sorted(claims))
+            or "no episodes",
             remedy="judge it apart for each",
         )
     return claims.pop()

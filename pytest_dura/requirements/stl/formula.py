@@ -150,9 +150,9 @@ def walk(node: Node | Expression) -> Iterator[Node | Expression]:
     """The node and all below it, parents first, from left to right."""
     stack: list[Node | Expression] = [node]
     while stack:
-        item = stack.pop()
-        yield item
-        stack.extend(reversed(children(item)))
+        current = stack.pop()
+        yield current
+        stack.extend(reversed(children(current)))
 
 
 def conjuncts(root: Node) -> list[Node]:
@@ -268,12 +268,12 @@ class Formula:
 
         ``unless`` is read as ``always .. or .. until``: both are told, at the place of ``unless``.
         """
-        found = [
+        operators = [
             (node.operator, node.position)
             for node in walk(self.root)
             if isinstance(node, (Temporal, TemporalPair, Step)) and node.operator in FUTURE
         ]
-        return tuple(sorted(found, key=lambda item: item[1]))
+        return tuple(sorted(operators, key=lambda operator: operator[1]))
 
     @property
     def past_only(self) -> bool:
@@ -355,11 +355,11 @@ def past_only_or_refuse(formula: Formula, what: str) -> None:
     name, position = formula.future_operators[0]
     # The text's own word, where there is one: `G` and `unless` have other names in the nodes.
     match = re.compile(r"[A-Za-z_]\w*", re.ASCII).match(formula.text, position)
-    group = match.group() if match else name
+    written = match.group() if match else name
     raise ConfigurationError(
-        f"{what} cannot know the future: `{group}` looks ahead at column {position + 1}"
+        f"{what} cannot know the future: `{written}` looks ahead at column {position + 1}"
         f"{marked(formula.text, position)}",
-        found=group,
+        found=written,
         expected="operators that look back: once, historically, since, prev, rise, fall. Rewriting "
         "a formula into the past (pastification) is not done: it was measured to flip verdicts",
         remedy="say it with once, historically or since, as `historically[0:2] (gap > 1)`, or "

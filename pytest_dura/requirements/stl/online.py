@@ -176,8 +176,8 @@ def comparison(node: Comparison) -> Callable[[Samples], Value]:
     margin, on_bound = _MARGINS[node.operator], node.operator in (">=", "<=", "==")
 
     def compared(samples: Samples) -> Value:
-        found = margin(left(samples), right(samples))
-        return found, found > 0.0 or (on_bound and found == 0.0)
+        value = margin(left(samples), right(samples))
+        return value, value > 0.0 or (on_bound and value == 0.0)
 
     return compared
 
@@ -202,12 +202,12 @@ def _finite(
 ) -> Callable[[Samples], float]:
     def computed(samples: Samples) -> float:
         try:
-            nan = compute(samples)
+            value = compute(samples)
         except (ZeroDivisionError, ValueError):  # x / 0 and sqrt(-1)
-            nan = math.nan
-        if not math.isfinite(nan):
-            raise NotFiniteError(node, nan)
-        return nan
+            value = math.nan
+        if not math.isfinite(value):
+            raise NotFiniteError(node, value)
+        return value
 
     return computed
 

@@ -112,8 +112,8 @@ def _negation_step(_frame: Frame, values: Array) -> Array:
 
 def _joined_step(_frame: Frame, left: Array, right: Array, join: np.ufunc) -> Array:
     """The lesser or the greater of two margins."""
-    text: Array = join(left, right)
-    return text
+    joined: Array = join(left, right)
+    return joined
 
 
 def _everywhere_step(frame: Frame, value: float) -> Array:
@@ -162,9 +162,9 @@ def _until_beyond_step(_frame: Frame, known: Array, least: Array, last: int | No
         last: Last sample of the window, ``None`` for one without end.
     """
     cut = 0 if last is None else max(known.shape[-1] - last, 0)
-    array: Array = known.copy()
-    np.maximum(known[..., cut:], least[..., cut:], out=array[..., cut:])
-    return array
+    values: Array = known.copy()
+    np.maximum(known[..., cut:], least[..., cut:], out=values[..., cut:])
+    return values
 
 
 def _open_tail_step(_frame: Frame, values: Array, last: int, unknown: float) -> Array:
@@ -255,12 +255,12 @@ class Program:
             needed: set[int] = set()
             stack = [slot]
             while stack:
-                item = stack.pop()
-                if item not in needed:
-                    needed.add(item)
-                    stack.extend(self._steps[item][1])
+                step = stack.pop()
+                if step not in needed:
+                    needed.add(step)
+                    stack.extend(self._steps[step][1])
             # A step's inputs were added before it.
-            order = [(item, self._steps[item]) for item in sorted(needed)]
+            order = [(step, self._steps[step]) for step in sorted(needed)]
             self._orders[slot] = order
         return order
 
@@ -274,7 +274,7 @@ class Program:
         if slot is None:
             slot = self._numbers[operation] = len(self._steps)
             self._steps.append(operation)
-            inputs_causal = all(self._causal[item] for item in inputs)
+            inputs_causal = all(self._causal[slot] for slot in inputs)
             self._causal.append(inputs_causal and kernel not in _AHEAD)
         return slot
 
@@ -293,11 +293,11 @@ class Program:
 
     def _comparison(self, node: Comparison, mode: Mode) -> int:
         sides = self._expression(node.left), self._expression(node.right)
-        add = self._add(_margin_step, *sides, options=(node.operator,))
+        margins = self._add(_margin_step, *sides, options=(node.operator,))
         if mode.truth:
             on_bound = node.operator in (">=", "<=", "==")
-            return self._add(_truth_step, add, options=(on_bound,))
-        return add
+            return self._add(_truth_step, margins, options=(on_bound,))
+        return margins
 
     def _expression(self, node: Expression) -> int:
         if isinstance(node, Arithmetic):
@@ -341,10 +341,10 @@ class Program:
         first, last = self.samples(node.window)
         sliding = _sliding_step if ahead else _sliding_past_step
         operand = self.slot(node.operand, mode)
-        add = self._add(sliding, operand, options=(join, first, last))
+        windowed = self._add(sliding, operand, options=(join, first, last))
         if shows and last > 0:
-            return self._add(_open_tail_step, add, options=(last, mode.unknown))
-        return add
+            return self._add(_open_tail_step, windowed, options=(last, mode.unknown))
+        return windowed
 
     def _pair(self, node: TemporalPair, mode: Mode) -> int:
         left, right = self.slot(node.left, mode), self.slot(node.right, mode)
@@ -353,12 +353,12 @@ class Program:
             bounds = self.samples(node.window)
         if node.operator == "since":
             return self._add(_since_step, left, right, options=bounds)
-        add = self._add(_until_step, left, right, options=bounds)
+        until = self._add(_until_step, left, right, options=bounds)
         last = bounds[1]
         if mode.unknown == math.inf and (mode.open_end if last is None else last > 0):
             least = self._add(_running_step, left, options=(np.minimum,))
-            return self._add(_until_beyond_step, add, least, options=(last,))
-        return add
+            return self._add(_until_beyond_step, until, least, options=(last,))
+        return until
 
     def _step(self, node: Step, mode: Mode) -> int:
         operand = self.slot(node.operand, mode)
@@ -380,12 +380,12 @@ class Program:
 
 def _depends_on_the_end(node: Node, open_end: bool) -> bool:
     """Whether the formula looks behind the last sample, and may see something there."""
-    for item in walk(node):
-        if isinstance(item, Step) and item.operator in FUTURE:
+    for part in walk(node):
+        if isinstance(part, Step) and part.operator in FUTURE:
             return True
-        if isinstance(item, (Temporal, TemporalPair)):
-            sees = open_end or item.window is not None
-            if sees and item.operator in FUTURE:
+        if isinstance(part, (Temporal, TemporalPair)):
+            sees = open_end or part.window is not None
+            if sees and part.operator in FUTURE:
                 return True
     return False
 
@@ -416,11 +416,11 @@ class Values:
         known = self._known
         if slot not in known:
             frame = self.frame
-            for item, (kernel, inputs, options) in self._program.order(slot):
-                if item not in known:
-                    known[item] = kernel(frame, *[known[i] for i in inputs], *options)
-        array: Array = known[slot]
-        return array
+            for step, (kernel, inputs, options) in self._program.order(slot):
+                if step not in known:
+                    known[step] = kernel(frame, *[known[i] for i in inputs], *options)
+        values: Array = known[slot]
+        return values
 
     def prefixes(self) -> Callable[[int], Values]:
         """Gives the values on the first so many samples, with what is known of them already."""

@@ -133,7 +133,7 @@ def _read_window(text: str, tokens: Sequence[Token], at: int) -> tuple[Window, i
     if tokens[at].text != "]":
         _unexpected(text, tokens[at])
     if (first.unit or last.unit) and any(
-        item.unit is None and item.value for item in (first, last)
+        bound.unit is None and bound.value for bound in (first, last)
     ):
         remedy = "give both bounds a unit, such as [500ms:2s]"
         refuse(text, opening, "only one bound of the window has a unit", _SHAPE, remedy)
@@ -427,17 +427,17 @@ class _Reader:
 
     def _kind_of_word(self) -> str:
         """What a word is where an operand begins."""
-        word, after = self._token.text, self._after.text
-        if word == "not":
+        name, after = self._token.text, self._after.text
+        if name == "not":
             return "not"
-        if word in _CONNECTIVES and (word not in _SHORT or after in ("(", "[")):
-            refuse(self._text, self._token.position, f"found `{word}`", "a formula before it")
-        if word in _FUNCTIONS:
-            return word if after == "(" else "signal"
-        if word in _PREFIXES:
-            return _PREFIXES[word] if self._is_prefix() else "signal"
-        if word in _TRUTH and not (self._signals and word in self._signals):
-            problem = f"found the truth value `{word}`"
+        if name in _CONNECTIVES and (name not in _SHORT or after in ("(", "[")):
+            refuse(self._text, self._token.position, f"found `{name}`", "a formula before it")
+        if name in _FUNCTIONS:
+            return name if after == "(" else "signal"
+        if name in _PREFIXES:
+            return _PREFIXES[name] if self._is_prefix() else "signal"
+        if name in _TRUTH and not (self._signals and name in self._signals):
+            problem = f"found the truth value `{name}`"
             remedy = "compare a signal, as in `flag > 0.5`"
             refuse(self._text, self._token.position, problem, "comparisons", remedy)
         if after in ("(", "["):
@@ -446,16 +446,16 @@ class _Reader:
 
     def _is_prefix(self) -> bool:
         """Whether the name of a prefix operator is meant as such, and not as a signal."""
-        word, after = self._token.text, self._after
+        name, after = self._token.text, self._after
         in_value = self._at > 0 and self._tokens[self._at - 1].text in _BETWEEN_VALUES
         if after.text in ("(", "[", "!"):
             return True
         if after.text == "-" and not in_value and self._tokens[self._at + 2].kind == "number":
             number = self._tokens[self._at + 2].text
-            problem = f"`{word} - {number}` can be read in two ways"
+            problem = f"`{name} - {number}` can be read in two ways"
             remedy = (
-                f"write `({word}) - {number}` for the signal `{word}`, or "
-                f"`{word} (-{number} ...)` for the operator"
+                f"write `({name}) - {number}` for the signal `{name}`, or "
+                f"`{name} (-{number} ...)` for the operator"
             )
             refuse(self._text, self._token.position, problem, "parentheses", remedy)
         operand = after.kind == "number" or (
@@ -465,10 +465,10 @@ class _Reader:
 
     def _unknown_word(self) -> NoReturn:
         """Refuse a word that is used as an operator, and name the nearest one."""
-        text = self._token.text
-        near = difflib.get_close_matches(text.lower(), _KEYWORDS, n=1)
+        name = self._token.text
+        near = difflib.get_close_matches(name.lower(), _KEYWORDS, n=1)
         remedy = f"did you mean `{near[0]}`?" if near else "check its spelling"
-        problem, expected = f"`{text}` is no operator or function", "one of " + ", ".join(_KEYWORDS)
+        problem, expected = f"`{name}` is no operator or function", "one of " + ", ".join(_KEYWORDS)
         refuse(self._text, self._token.position, problem, expected, remedy)
 
     def _no_window(self) -> NoReturn:
@@ -487,5 +487,5 @@ class _Reader:
         self._wrong(_OPERATOR)
 
     def _wrong(self, expected: str, remedy: str = _EXAMPLE) -> NoReturn:
-        text = f"`{self._token.text}`" if self._token.kind != "end" else "the end"
-        refuse(self._text, self._token.position, f"found {text}", expected, remedy)
+        unexpected = f"`{self._token.text}`" if self._token.kind != "end" else "the end"
+        refuse(self._text, self._token.position, f"found {unexpected}", expected, remedy)

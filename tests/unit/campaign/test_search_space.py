@@ -14,8 +14,8 @@ from pytest_dura.campaign.falsification import Limits
 from pytest_dura.library.cases import Case, case_with_faults, expand_cases
 from pytest_dura.library.loading import Library
 from pytest_dura.library.scenario import Scenario
-from pytest_dura.requirements.verdicts.episodes import SearchVerdict, judge_episode, judge_searched
-from pytest_dura.requirements.verdicts.judging import CampaignJudge
+from pytest_dura.requirements.campaign_judge import CampaignJudge
+from pytest_dura.requirements.episode_verdicts import SearchVerdict, judge_episode, judge_searched
 from pytest_dura.search.falsify import falsify
 from pytest_dura.search.space import CoverageCount, Group, Layout, SearchSpace, on_grid
 from pytest_dura.search.trials import Objective
@@ -166,7 +166,7 @@ def test_no_rate_is_made_of_what_a_search_chose() -> None:
         judge_episode(WARM, episode)
     verdict = judge_searched(WARM, episode)
     assert isinstance(verdict, SearchVerdict)
-    assert (verdict.word, verdict.margin) == ("satisfied", episode.robustness(WARM.check))
+    assert (verdict.status, verdict.margin) == ("satisfied", episode.robustness(WARM.check))
     judge = CampaignJudge(WARM, "room", planned=1)
     with pytest.raises(ConfigurationError, match="rests on verdicts on its own episodes"):
         judge.add(verdict)  # type: ignore[arg-type]
@@ -221,7 +221,7 @@ def test_a_violation_that_only_a_baseline_met_is_confirmed_and_claimed() -> None
     bench.on_search = lambda *one: told.append(one)
     found = falsify(bench, case(), [Objective(ends), Objective(middle)], limits=Limits(2, shrink=0))
     by_end, by_middle = found.outcomes
-    assert (by_end.word, by_middle.word) == ("falsified", "falsified")
+    assert (by_end.status, by_middle.status) == ("falsified", "falsified")
     assert by_end.searcher in {one.name for one in found.searchers}
     assert all(one.first["MIDDLE"] is None for one in found.searchers)
     met = {one.name: one.first["MIDDLE"] for one in found.baselines}

@@ -15,10 +15,9 @@ from thermostat import Bias, Overheater, Thermostat
 from pytest_dura import Episode, EpisodeSpec, Proposal, RoleSpec, Termination, Tick
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.propagation import Divergence
-from pytest_dura.requirements.checks import CheckResult
-from pytest_dura.requirements.early_end import RequirementJudge
+from pytest_dura.requirements.checks import CheckResult, RequirementJudge
+from pytest_dura.requirements.episode_verdicts import judge_episode
 from pytest_dura.requirements.model import Paired, Requirement
-from pytest_dura.requirements.verdicts.episodes import judge_episode
 
 WARM = "eventually (temperature > 15.5)"
 HOT = "always (temperature < 15.5)"

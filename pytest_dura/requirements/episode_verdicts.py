@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_dura.core.boundary import Boundary
+from pytest_dura.core.deprecated import renamed
 from pytest_dura.core.episode import Episode
 from pytest_dura.core.errors import ConfigurationError, describe_error
 from pytest_dura.core.loop_signals import LOOP_PREFIX, loop_signals
@@ -117,8 +118,8 @@ class EpisodeVerdict:
             have shown the failure mode that it looks at.
         proposals: How often the component was asked.
         valid_proposals: How often it answered with a valid action.
-        idle: Ids of planned faults that never manifested. A valid episode has such where hits are
-            drawn.
+        not_manifested: Ids of planned faults that never manifested. A valid episode has such where
+            hits are drawn.
         without_effect: Whether it is violated in a run that is invalid, since a planned fault never
             manifested: the violation counts, and the run is no sample of runs with that fault.
         ended: How the episode ended, if that was an early end: a key of :data:`EARLY_ENDS`.
@@ -135,10 +136,12 @@ class EpisodeVerdict:
     proposals: int
     valid_proposals: int
     vacuous: bool = False
-    idle: tuple[str, ...] = ()
+    not_manifested: tuple[str, ...] = ()
     without_effect: bool = False
     ended: str = ""
     unseen_crash: bool = False
+
+    idle = renamed("idle", "not_manifested")
 
     @property
     def valid(self) -> bool:
@@ -146,13 +149,15 @@ class EpisodeVerdict:
         return self.verdict in ("satisfied", "violated", "open") and not self.without_effect
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data."""
-        return asdict(self)
+        """Plain data, in which ``not_manifested`` has the key ``idle``."""
+        data = asdict(self)
+        return {"idle" if name == "not_manifested" else name: data[name] for name in data}
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> EpisodeVerdict:
-        """The inverse of :meth:`to_json`."""
-        return cls(**{**data, "idle": tuple(data.get("idle", ()))})
+        """The inverse of :meth:`to_json`; it passes over keys of others."""
+        own = {name: data[name] for name in cls.__dataclass_fields__ if name in data}
+        return cls(**own, not_manifested=tuple(data.get("idle", ())))
 
 
 def judge_episode(
@@ -184,21 +189,21 @@ def judge_episode(
             expected="a formula such as `always (gap > 0)`, or the path of a function",
             remedy="add a check, or judge it in test code",
         )
-    word, result = judged(check, episode)
+    status, result = judged(check, episode)
     early = episode.termination in EARLY_ENDS
     return EpisodeVerdict(
         requirement=requirement.id,
         episode=episode.id,
         component=episode.spec.component,
-        verdict=word,
+        verdict=status,
         margin=result.margin,
-        time=result.time if word == "violated" else None,
+        time=result.time if status == "violated" else None,
         detail=result.detail,
         proposals=episode.metrics.proposals,
         valid_proposals=episode.metrics.valid_proposals,
-        vacuous=result.vacuous and word == "satisfied",
-        idle=episode.idle_faults,
-        without_effect=word == "violated" and episode.validity == "invalid",
+        vacuous=result.vacuous and status == "satisfied",
+        not_manifested=episode.idle_faults,
+        without_effect=status == "violated" and episode.validity == "invalid",
         ended=episode.termination if early else "",
     )
 
@@ -244,27 +249,27 @@ def judged(check: Check, episode: Episode) -> tuple[EpisodeStatus, CheckResult]:
 
 
 def _by_formula(formula: Formula, episode: Episode) -> tuple[EpisodeStatus, CheckResult]:
-    found, gap = evaluate_episode(formula, episode)
-    if found is None:
+    evaluation, gap = evaluate_episode(formula, episode)
+    if evaluation is None:
         return "missing", CheckResult(False, detail=episode.failure or "the episode has no samples")
-    margin = found.margin if math.isfinite(found.margin) else None
+    margin = evaluation.margin if math.isfinite(evaluation.margin) else None
 
     def result(detail: str, *, holds: bool = False) -> CheckResult:
-        vacuous = found.vacuous or bool(_unmeasured_failure_modes(formula, episode))
-        return CheckResult(holds, margin, found.time, detail, holds and vacuous)
+        vacuous = evaluation.vacuous or bool(_unmeasured_failure_modes(formula, episode))
+        return CheckResult(holds, margin, evaluation.time, detail, holds and vacuous)
 
-    if found.status == "violated":
-        return "violated", result(found.detail)
+    if evaluation.status == "violated":
+        return "violated", result(evaluation.detail)
     spoilt = _uncounted(episode)
     if spoilt is not None:
         return spoilt[0], result(spoilt[1])
-    if found.status == "undecided":
-        range_ = f"robustness between {found.lower:.3g} and {found.upper:.3g}"
+    if evaluation.status == "undecided":
+        interval = f"robustness between {evaluation.lower:.3g} and {evaluation.upper:.3g}"
         early = EARLY_ENDS.get(episode.termination)
         if gap is None and early is not None:
-            return "open", result(f"{early}: {found.detail}: {range_}")
-        return "invalid", result(gap or f"{found.detail}: {range_}")
-    return "satisfied", result(found.detail, holds=True)
+            return "open", result(f"{early}: {evaluation.detail}: {interval}")
+        return "invalid", result(gap or f"{evaluation.detail}: {interval}")
+    return "satisfied", result(evaluation.detail, holds=True)
 
 
 def _by_function(
@@ -341,17 +346,17 @@ def evaluate_episode(formula: Formula, episode: Episode) -> tuple[Evaluation | N
     # Who judged that the episode may end early did not ask for every formula.
     whole = samples == episode.ticks and episode.failure is None
     cut = {name: column[:samples] for name, column in columns.items()}
-    text = evaluate(
+    evaluation = evaluate(
         formula,
         episode.time[:samples],
         cut,
         ending=_ENDINGS.get(episode.termination, "time") if whole else "open",
         time_step=episode.spec.time_step,
     )
-    if episode.termination == "decided" and text.status == "satisfied":
+    if episode.termination == "decided" and evaluation.status == "satisfied":
         # So far it may be more: what would have followed can lessen it to this.
-        text = replace(text, margin=text.lower)
-    return text, gap
+        evaluation = replace(evaluation, margin=evaluation.lower)
+    return evaluation, gap
 
 
 def _without_account(
@@ -362,9 +367,9 @@ def _without_account(
     for part in conjuncts(formula.root):
         known = Formula(part, formula.text)
         if not set(missing) & set(known.signals):
-            found, _ = evaluate_episode(known, episode)
-            if found is not None and found.status == "violated":
-                return found, detail
+            evaluation, _ = evaluate_episode(known, episode)
+            if evaluation is not None and evaluation.status == "violated":
+                return evaluation, detail
     return Evaluation("undecided", np.nan, -np.inf, np.inf, None, 0.0, detail), detail
 
 
@@ -410,8 +415,8 @@ class JudgedEpisode(Episode):
         Raises:
             ConfigurationError: If the formula cannot be read or names an unknown signal.
         """
-        found, _ = evaluate_episode(read_formula(formula), self)
-        return -math.inf if found is None else found.robustness
+        evaluation, _ = evaluate_episode(read_formula(formula), self)
+        return -math.inf if evaluation is None else evaluation.robustness
 
     def satisfies(self, check: Check) -> bool:
         """Whether a check is decided and holds on this episode, which is itself valid.
@@ -435,7 +440,7 @@ class SearchVerdict:
     Args:
         requirement: Id of the requirement.
         episode: Id of the episode.
-        word: ``satisfied``, ``violated``, ``open``, ``invalid`` or ``missing``.
+        status: ``satisfied``, ``violated``, ``open``, ``invalid`` or ``missing``.
         margin: Robustness; ``None`` where there is no trace to measure it on, and for a check that
             gives none.
         time: Seconds at which it was violated first, for a violation.
@@ -445,7 +450,7 @@ class SearchVerdict:
 
     requirement: str
     episode: str
-    word: EpisodeStatus
+    status: EpisodeStatus
     margin: float | None
     time: float | None
     detail: str
@@ -466,13 +471,13 @@ def judge_searched(
         ConfigurationError: If the check cannot be read or imported, or names a signal that the
             episode does not have.
     """
-    word, result = judged(requirement.check if check is None else check, episode)
+    status, result = judged(requirement.check if check is None else check, episode)
     return SearchVerdict(
         requirement.id,
         episode.id,
-        word,
+        status,
         result.margin,
-        result.time if word == "violated" else None,
+        result.time if status == "violated" else None,
         result.detail,
-        result.vacuous and word == "satisfied",
+        result.vacuous and status == "satisfied",
     )

@@ -15,7 +15,7 @@ from itertools import islice
 from typing import Literal
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.requirements.statistics.sequential import (
+from pytest_dura.requirements.sequential import (
     CountingTest,
     Decision,
     SequentialTest,
@@ -397,15 +397,15 @@ class EProcess(CountingTest):
 
         The limit is looked at first: whatever the rounding, the bound lies on its side of it.
         """
-        kept, middle = violations / episodes, self.limit
-        if not min(kept, rejected) < middle < max(kept, rejected):
-            middle = (kept + rejected) / 2
-        while middle not in (kept, rejected):
+        accepted, middle = violations / episodes, self.limit
+        if not min(accepted, rejected) < middle < max(accepted, rejected):
+            middle = (accepted + rejected) / 2
+        while middle not in (accepted, rejected):
             if self._rejects(side, violations, episodes, middle):
                 rejected = middle
             else:
-                kept = middle
-            middle = (kept + rejected) / 2
+                accepted = middle
+            middle = (accepted + rejected) / 2
         return rejected
 
 

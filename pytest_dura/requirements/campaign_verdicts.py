@@ -12,7 +12,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from pytest_dura.core.episode import Episode
-from pytest_dura.requirements.statistics.rate_tests import EXACT_METHOD
+from pytest_dura.requirements.rate_tests import EXACT_METHOD
 
 Situation = Literal["repeated", "without effect"]
 REPEATED: Situation = "repeated"

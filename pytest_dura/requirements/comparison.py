@@ -8,7 +8,7 @@ from fractions import Fraction
 from math import comb
 from typing import Literal
 
-from pytest_dura.requirements.statistics.sequential import error_level, require_between
+from pytest_dura.requirements.sequential import error_level, require_between
 
 ComparisonStatus = Literal["better", "worse", "no evidence of a change"]
 
@@ -18,12 +18,12 @@ class Comparison:
     """What two counts say of a change.
 
     Args:
-        word: ``better`` or ``worse`` at the confidence asked for, or neither.
+        status: ``better`` or ``worse`` at the confidence asked for, or neither.
         p_better: One-sided p-value against "the rate is not lower than the baseline's".
         p_worse: One-sided p-value against "the rate is not higher than the baseline's".
     """
 
-    word: ComparisonStatus
+    status: ComparisonStatus
     p_better: float
     p_worse: float
 
@@ -160,9 +160,9 @@ def _as_few(violations: int, n: int, others: int, other_n: int) -> Fraction:
     """Probability of so few violations among the n, given the sum of both counts."""
     total = violations + others
     fewest = max(0, total - other_n)
-    ways, found = comb(n, fewest) * comb(other_n, total - fewest), 0
+    ways, as_few = comb(n, fewest) * comb(other_n, total - fewest), 0
     for k in range(fewest, violations + 1):
-        found += ways
+        as_few += ways
         # From C(n, k) C(m, t - k) to k + 1; the division leaves no remainder.
         ways = ways * (n - k) * (total - k) // ((k + 1) * (other_n - total + k + 1))
-    return Fraction(found, comb(n + other_n, total))
+    return Fraction(as_few, comb(n + other_n, total))
