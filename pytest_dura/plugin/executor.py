@@ -110,7 +110,7 @@ class SessionExecutor:
         """
         choice = self.session.options.executor
         if choice is not None and not self.session.is_worker:
-            choice.knock()
+            choice.connect()
 
     def begin(self) -> None:
         """Have what simulates, once all is collected: processes find what is imported by then.
