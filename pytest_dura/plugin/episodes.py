@@ -79,7 +79,7 @@ class SessionExecutor:
         """
         choice = self.context.options.executor
         if choice is not None and not self.context.is_worker:
-            choice.knock()
+            choice.connect()
 
     def start(self) -> None:
         """Have what simulates, once all is collected: processes find what is imported by then.

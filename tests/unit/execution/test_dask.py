@@ -175,9 +175,9 @@ def test_nothing_is_left_on_the_workers(workers):
 
 def test_what_dask_tells_of_a_lost_worker(executor):
     killed = KilledWorker("task", last_worker=None, allowed_failures=3)
-    assert str(executor._told_as(killed)) == "it ended 4 workers"
-    assert isinstance(executor._told_as(killed), ProcessLostError)
-    assert isinstance(executor._told_as(ModuleNotFoundError("x")), CallFailedError)
+    assert str(executor._episode_error(killed)) == "it ended 4 workers"
+    assert isinstance(executor._episode_error(killed), ProcessLostError)
+    assert isinstance(executor._episode_error(ModuleNotFoundError("x")), CallFailedError)
 
 
 def test_a_scheduler_that_is_gone_is_told_and_nobody_waits(tmp_path):
