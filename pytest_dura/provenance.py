@@ -113,22 +113,22 @@ def sources_of(
         base = package.parent
     else:
         base = package
-    told, named = [], {}
+    hashed, named = [], {}
     try:
-        for item in files:
-            sha256 = hashlib.sha256(item.read_bytes()).hexdigest()
+        for path in files:
+            sha256 = hashlib.sha256(path.read_bytes()).hexdigest()
             # Names within the package: it is the same component wherever it is installed.
-            named[item.relative_to(base).as_posix()] = sha256
-            told.append((item, sha256))
+            named[path.relative_to(base).as_posix()] = sha256
+            hashed.append((path, sha256))
     except OSError:  # gone, or not for us to read
         return None
-    listed = told if len(told) <= MAX_LISTED_FILES and not is_installed(file) else []
-    listed = listed or [item for item in told if item[0] == file]
+    listed = hashed if len(hashed) <= MAX_LISTED_FILES and not is_installed(file) else []
+    listed = listed or [entry for entry in hashed if entry[0] == file]
     return Sources(
         digest=digest_of(named),
         named=named,
-        files=[{"path": recorded_path(item, root), "sha256": sha256} for item, sha256 in listed],
-        read=tuple(item for item, _ in listed),
+        files=[{"path": recorded_path(path, root), "sha256": sha256} for path, sha256 in listed],
+        read=tuple(path for path, _ in listed),
     )
 
 
@@ -153,14 +153,18 @@ def _top_package(file: Path, module: str) -> Path | None:
 
 def _python_files(package: Path, most: int) -> Iterator[Path]:
     """The files below a package, one more than ``most`` at most."""
-    found = 0
+    count = 0
     for folder, inner, names in os.walk(package):
-        inner[:] = [item for item in inner if not item.startswith(".") and item not in _NO_SOURCES]
+        inner[:] = [
+            folder_name
+            for folder_name in inner
+            if not folder_name.startswith(".") and folder_name not in _NO_SOURCES
+        ]
         for name in names:
             if name.endswith(".py"):
                 yield Path(folder, name)
-                found += 1
-                if found > most:
+                count += 1
+                if count > most:
                     return
 
 
@@ -231,12 +235,12 @@ def user_code(file: Path, module: str) -> UserCode | None:
         file: The file that defines it.
         module: The dotted name of that file's module.
     """
-    found = _FileCollector()
+    collector = _FileCollector()
     try:
-        found.add(file, module)
+        collector.add(file, module)
     except OSError:  # gone, or not for us to read
         return None
-    return found.told()
+    return collector.user_code()
 
 
 class _FileCollector:
@@ -247,7 +251,7 @@ class _FileCollector:
         self._looked_for: set[str] = set()
         self._variables: set[str] = set()
 
-    def told(self) -> UserCode | None:
+    def user_code(self) -> UserCode | None:
         """What was found; ``None`` if there are too many files."""
         if len(self._files) > _MAX_PACKAGE_FILES:
             return None
@@ -267,8 +271,8 @@ class _FileCollector:
         files = [] if package is None else list(_python_files(package, _MAX_PACKAGE_FILES))
         if package is None or file not in files:
             self._read(file, file.parent)
-        for item in files:
-            self._read(item, (package or item).parent)
+        for path in files:
+            self._read(path, (package or path).parent)
 
     def _read(self, file: Path, base: Path) -> None:
         if file in self._files or len(self._files) > _MAX_PACKAGE_FILES:
@@ -307,8 +311,8 @@ def _origins(top: str, beside: Path) -> Iterator[Path]:
         spec = None
     if spec is None:
         # Some ways to import tests leave their folder out of the path.
-        found = [beside / f"{top}.py", beside / top / "__init__.py"]
-        yield from (item for item in found if item.is_file())
+        candidates = [beside / f"{top}.py", beside / top / "__init__.py"]
+        yield from (candidate for candidate in candidates if candidate.is_file())
     elif spec.origin is not None and Path(spec.origin).is_file():
         yield Path(spec.origin).absolute()
     else:
@@ -381,12 +385,12 @@ def describe_arithmetic() -> dict[str, Any]:
     """
     import numpy as np
 
-    show_config: Any = np.show_config(mode="dicts")
-    simd = show_config.get("SIMD Extensions")
-    blas = show_config.get("Build Dependencies", {}).get("blas")
+    configuration: Any = np.show_config(mode="dicts")
+    simd = configuration.get("SIMD Extensions")
+    blas = configuration.get("Build Dependencies", {}).get("blas")
     features = None if simd is None else [*simd.get("baseline", []), *simd.get("found", [])]
-    strip = None if not blas else f"{blas.get('name', '')} {blas.get('version', '')}".strip()
-    return {"cpu_features": features, "blas": strip}
+    library = None if not blas else f"{blas.get('name', '')} {blas.get('version', '')}".strip()
+    return {"cpu_features": features, "blas": library}
 
 
 def describe_hypothesis() -> dict[str, Any] | None:
@@ -420,18 +424,18 @@ def describe_packages() -> dict[str, str]:
     Components may rest on any package; the names of the metadata folders on the path say which are
     there, in what versions, without reading them.
     """
-    found: set[str] = set()
+    folders: set[str] = set()
     for place in sys.path:
         try:
             names = [path.name for path in Path(place or ".").iterdir()]
         except OSError:  # no folder, or not for us to read
             continue
-        found.update(
+        folders.update(
             Path(name).stem for name in names if name.endswith((".dist-info", ".egg-info"))
         )
-    rest = sorted(name for name in found if not name.lower().startswith((*_TOOLS, "pytest_dura")))
-    told = {name: version for name in _NUMERIC if (version := _version(name))}
-    return {**told, "other packages": hashlib.sha256("\n".join(rest).encode()).hexdigest()}
+    rest = sorted(name for name in folders if not name.lower().startswith((*_TOOLS, "pytest_dura")))
+    versions = {name: version for name in _NUMERIC if (version := _version(name))}
+    return {**versions, "other packages": hashlib.sha256("\n".join(rest).encode()).hexdigest()}
 
 
 def describe_component(
@@ -487,12 +491,12 @@ def _packages() -> list[str]:
         required = metadata.requires(_DISTRIBUTION) or []
     except metadata.PackageNotFoundError:  # run from its sources
         required = []
-    found = {name.lower(): name for name in _PACKAGES}
-    for item in required:
-        name = re.split(r"[^A-Za-z0-9._-]", item, maxsplit=1)[0]
-        if "extra ==" not in item:
-            found.setdefault(name.lower(), name)
-    return list(found.values())
+    names = {name.lower(): name for name in _PACKAGES}
+    for requirement in required:
+        name = re.split(r"[^A-Za-z0-9._-]", requirement, maxsplit=1)[0]
+        if "extra ==" not in requirement:
+            names.setdefault(name.lower(), name)
+    return list(names.values())
 
 
 def _version(distribution: str) -> str | None:
@@ -535,9 +539,9 @@ def _git(root: Path, evidence: Path) -> dict[str, Any]:
 
 def _ask_git(root: Path, *command: str) -> str | None:
     try:
-        found = subprocess.run(
+        completed = subprocess.run(
             ["git", *command], cwd=root, capture_output=True, text=True, timeout=10, check=False
         )
     except (OSError, subprocess.TimeoutExpired):  # no git here
         return None
-    return found.stdout.strip() if found.returncode == 0 else None
+    return completed.stdout.strip() if completed.returncode == 0 else None

@@ -239,7 +239,7 @@ class TextCache:
         if isinstance(value, str):
             return self.shown(value)
         if isinstance(value, Mapping):
-            return {self.shown(str(key)): self._plain(item) for key, item in value.items()}
+            return {self.shown(str(key)): self._plain(entry) for key, entry in value.items()}
         return [*map(self._plain, value)] if isinstance(value, (list, tuple)) else value
 
 
@@ -291,23 +291,23 @@ def decision_messages(trace: Trace, texts: TextCache) -> Iterator[Message]:
     time = trace.time.tolist()
     columns = {name: column for name, column in trace.decisions.items() if column.ndim == 1}
     length = min([len(time), *map(len, columns.values())]) if columns else 0
-    shown = [
+    cells = [
         [*map(texts, column.tolist())] if column.dtype.kind == "U" else _numbers(column)
         for column in columns.values()
     ]
-    decisions = _rows([*map(texts, columns)], [item[:length] for item in shown], length)
+    decisions = _rows([*map(texts, columns)], [column[:length] for column in cells], length)
     monitors = [(name, flag) for name, flag in recording.flags.items() if len(flag) >= length]
     flags = _rows(
-        [texts(name) for name, _ in monitors], [_numbers(item[:length]) for _, item in monitors],
+        [texts(name) for name, _ in monitors], [_numbers(flag[:length]) for _, flag in monitors],
         length,
     )  # fmt: skip
-    said = [
+    remarks = [
         (*map(texts, column[:length]), *['""'] * (length - len(column)))
         for column in (recording.explanations, recording.reasons, recording.recoveries)
     ]
     accounts = map(texts.any, recording.accounts[:length])
-    told = (*accounts, *["{}"] * (length - len(recording.accounts)))
-    rows = zip(decisions, flags, *said, told, strict=True)
+    account_texts = (*accounts, *["{}"] * (length - len(recording.accounts)))
+    rows = zip(decisions, flags, *remarks, account_texts, strict=True)
     for tick, (own, flag, explanation, reason, recovery, account) in enumerate(rows):
         message = (
             f'"tick":{tick},"time":{_number(time[tick])},"columns":{own},'

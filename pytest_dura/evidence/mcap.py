@@ -118,10 +118,10 @@ def _pack_scene(arrays: dict[str, Column], scene: Scene) -> dict[str, Any]:
 
 
 def _float64(name: str, column: Column, shape: tuple[int, ...]) -> NDArray[np.float64]:
-    asarray = np.asarray(column)
-    if asarray.dtype != np.float64 or asarray.shape != shape or len(shape) != 1:
-        raise ValueError(f"the column {name!r} is {asarray.dtype} of the shape {asarray.shape}")
-    return asarray
+    values = np.asarray(column)
+    if values.dtype != np.float64 or values.shape != shape or len(shape) != 1:
+        raise ValueError(f"the column {name!r} is {values.dtype} of the shape {values.shape}")
+    return values
 
 
 def _coded(values: Sequence[str]) -> tuple[NDArray[np.int32], list[str]]:
@@ -135,14 +135,14 @@ def _zipped(arrays: Mapping[str, Column]) -> bytes:
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w") as archive:
         for name, array in arrays.items():
-            ascontiguousarray = np.ascontiguousarray(array)
+            contiguous = np.ascontiguousarray(array)
             head = io.BytesIO()
             np.lib.format.write_array_header_1_0(
-                head, np.lib.format.header_data_from_array_1_0(ascontiguousarray)
+                head, np.lib.format.header_data_from_array_1_0(contiguous)
             )
             member = zipfile.ZipInfo(f"{name}.npy")  # of the date 1980-01-01, whatever the clock
             member.create_system = 3  # on any system
-            data = head.getvalue() + ascontiguousarray.tobytes()
+            data = head.getvalue() + contiguous.tobytes()
             archive.writestr(member, data, zipfile.ZIP_DEFLATED, compresslevel=1)
     return stream.getvalue()
 
@@ -199,11 +199,11 @@ def _trace(arrays: Mapping[str, Column]) -> Trace:
     _require(time.dtype == np.float64 and time.ndim == 1, "time")
     _require(signals.dtype == np.float64 and signals.shape == (len(names), len(time)), "signals")
     decisions: dict[str, Column] = {}
-    for number, (name, told) in enumerate(texts["decisions"].items()):
+    for number, (name, encoding) in enumerate(texts["decisions"].items()):
         codes = arrays[f"decisions.{number}"]
-        if told is not None:
-            dtype = np.dtype(str(told["dtype"]))
-            table = _names(told["table"])
+        if encoding is not None:
+            dtype = np.dtype(str(encoding["dtype"]))
+            table = _names(encoding["table"])
             _require(dtype.kind == "U" and dtype.itemsize * codes.size <= MAX_UNPACKED_BYTES, name)
             decoded = _decoded(codes, table)
             _require(max(map(len, table), default=0) * 4 <= dtype.itemsize, name)
@@ -211,17 +211,17 @@ def _trace(arrays: Mapping[str, Column]) -> Trace:
         else:
             _require(codes.ndim == 1, name)
             decisions[name] = codes
-    said: dict[str, Any] = {
+    columns: dict[str, Any] = {
         name: tuple(_decoded(arrays[f"said.{name}"], texts["said"][name])) for name in _TEXT_COLUMNS
     }
-    said["accounts"] = tuple(_accounts(arrays, texts)) if "accounts" in texts else ()
+    columns["accounts"] = tuple(_accounts(arrays, texts)) if "accounts" in texts else ()
     monitors, flags = _names(texts["flags"]), arrays["flags"]
     _require(flags.dtype == np.int8 and flags.ndim == 2 and len(flags) == len(monitors), "flags")
     scene = None if texts["scene"] is None else _scene(arrays, texts["scene"])
     problem = texts["problem"]
     _require(problem is None or isinstance(problem, str), "problem")
     recording = Recording(
-        **said, flags=dict(zip(monitors, flags, strict=True)), scene=scene, problem=problem
+        **columns, flags=dict(zip(monitors, flags, strict=True)), scene=scene, problem=problem
     )
     rows = dict(zip(names, signals, strict=True))
     _require(isinstance(texts["about"], dict), "about")
@@ -242,21 +242,21 @@ def _accounts(arrays: Mapping[str, Column], texts: Mapping[str, Any]) -> list[Ma
     return [known[text] for text in _decoded(arrays["accounts"], texts["accounts"])]
 
 
-def _scene(arrays: Mapping[str, Column], told: Mapping[str, Any]) -> Scene:
+def _scene(arrays: Mapping[str, Column], layout: Mapping[str, Any]) -> Scene:
     tracks = {}
     for name in ("truth", "percept"):
-        ids, poses = _names(told[name]), arrays[name]
+        ids, poses = _names(layout[name]), arrays[name]
         _require(poses.dtype == np.float32 and poses.ndim == 3, name)
         _require(poses.shape[1:] == (len(ids), len(POSE)), name)
         tracks[name] = Tracks(tuple(ids), poses)
     points = arrays["lines"]
     _require(points.dtype == np.float32 and points.ndim == 2 and points.shape[1] == 2, "lines")
-    return Scene(tuple(_lines(points, told["lines"])), ego=str(told["ego"]), **tracks)
+    return Scene(tuple(_lines(points, layout["lines"])), ego=str(layout["ego"]), **tracks)
 
 
-def _lines(points: NDArray[np.float32], told: Sequence[Any]) -> Iterator[Line]:
+def _lines(points: NDArray[np.float32], lengths: Sequence[Any]) -> Iterator[Line]:
     start = 0
-    for kind, length in told:
+    for kind, length in lengths:
         _require(isinstance(length, int) and 0 <= length <= len(points) - start, "lines")
         yield Line(str(kind), points[start : start + length])
         start += length
@@ -270,9 +270,9 @@ def _decoded(codes: Column, table: Sequence[str]) -> list[str]:
     return [texts[code] for code in codes.tolist()]
 
 
-def _names(found: Any) -> list[str]:
-    _require(isinstance(found, list) and all(isinstance(item, str) for item in found), "names")
-    return list(found)
+def _names(value: Any) -> list[str]:
+    _require(isinstance(value, list) and all(isinstance(name, str) for name in value), "names")
+    return list(value)
 
 
 def _require(holds: bool, what: str) -> None:
@@ -330,17 +330,19 @@ def trace_bytes(trace: Trace, verdicts: Sequence[Mapping[str, Any]] = ()) -> byt
         if title not in schemas:
             schemas[title] = writer.register_schema(title, "jsonschema", schema_text(channel))
         ids[channel] = writer.register_channel(channel, "json", schemas[title])
-    made = zip(CHANNELS, _MESSAGES, strict=True)
-    found = [(time, ids[name], data) for name, make in made for time, data in make(trace, texts)]
-    found.sort(key=lambda item: item[0])
-    for time, channel_id, data in found:
+    channels = zip(CHANNELS, _MESSAGES, strict=True)
+    messages = [
+        (time, ids[name], data) for name, make in channels for time, data in make(trace, texts)
+    ]
+    messages.sort(key=lambda message: message[0])
+    for time, channel_id, data in messages:
         writer.add_message(channel_id, time, data.encode("ascii"), time)
     about = {texts.shown(key): texts.any(value) for key, value in trace.about.items()}
     writer.add_metadata("trace", {"schema_version": _TRACE_VERSION})
     writer.add_metadata("about", about)
     if verdicts:
-        told = {str(n): texts.any(dict(verdict)) for n, verdict in enumerate(verdicts)}
-        writer.add_metadata("verdicts", told)
+        verdict_texts = {str(n): texts.any(dict(verdict)) for n, verdict in enumerate(verdicts)}
+        writer.add_metadata("verdicts", verdict_texts)
     writer.add_attachment(0, 0, COLUMNS_ATTACHMENT, "application/x-npz", columns)
     writer.finish()  # type: ignore[no-untyped-call]
     return stream.getvalue()
@@ -402,9 +404,9 @@ def _read(data: bytes) -> tuple[str, bytes]:
 
 
 def _version(reader: McapReader) -> str:
-    for item in reader.iter_metadata():
-        if item.name == "trace":
-            return str(item.metadata["schema_version"])
+    for metadata in reader.iter_metadata():
+        if metadata.name == "trace":
+            return str(metadata.metadata["schema_version"])
     raise ValueError("it does not say that it is one")
 
 

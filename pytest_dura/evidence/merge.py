@@ -84,17 +84,17 @@ def _shard_summary(part: ShardBundle) -> dict[str, Any]:
 def merged_command(command: str, output: Path) -> str:
     """The command of the whole session: that of a shard, without it, and with this evidence."""
     try:
-        words = shlex.split(command)
+        arguments = shlex.split(command)
     except ValueError:  # no shell reads such a command
-        words = ["pytest"]
+        arguments = ["pytest"]
     kept: list[str] = []
-    given = iter(words)
-    for word in given:
-        name, equals, _ = word.partition("=")
+    remaining = iter(arguments)
+    for argument in remaining:
+        name, equals, _ = argument.partition("=")
         if name not in ("--dura-shard", "--dura-evidence"):
-            kept.append(word)
+            kept.append(argument)
         elif not equals:
-            next(given, None)
+            next(remaining, None)
     return shlex.join([*kept, f"--dura-evidence={output}"])
 
 
@@ -108,28 +108,28 @@ def _join_records(record: RecordBuilder, parts: Sequence[ShardBundle]) -> None:
         ConfigurationError: If the episodes cannot be kept.
     """
     for part in parts:
-        told = part.record
+        shard = part.record
         report = ItemReport("")
         report.components += [
-            _without(item, _KEYS_OF_ALL_COMPONENTS)
-            for item in components_under_test(told)
-            if item["name"]
+            _without(component, _KEYS_OF_ALL_COMPONENTS)
+            for component in components_under_test(shard)
+            if component["name"]
         ]
-        report.sources.update(told["component_under_test"].get("sources", {}))
-        report.cases += [_without(case, _KEYS_MADE_ANEW) for case in told["cases"]]
+        report.sources.update(shard["component_under_test"].get("sources", {}))
+        report.cases += [_without(case, _KEYS_MADE_ANEW) for case in shard["cases"]]
         report.repeats += [
             {**case["repeat"], "case": case["id"], "component": case["component"]}
-            for case in told["cases"]
+            for case in shard["cases"]
             if case["repeat"] is not None
         ]
-        report.requirements += map(dict, told["requirements"])
-        report.monitors += map(dict, told["monitors"])
-        report.models += [{**model, "process": part.name} for model in told["models"]]
-        report.notes += told["reuse"]["problems"]
+        report.requirements += map(dict, shard["requirements"])
+        report.monitors += map(dict, shard["monitors"])
+        report.models += [{**model, "process": part.name} for model in shard["models"]]
+        report.notes += shard["reuse"]["problems"]
         record.add(report.to_json())
-        for verdict in told["verdicts"]:
+        for verdict in shard["verdicts"]:
             record.adopt(dict(verdict))
-        for search in told["searches"]:
+        for search in shard["searches"]:
             record.searches.adopt(search)
     traced = _trace_owners(parts)
     # What is told of an episode first holds, and a trace is that of the part which told it.
@@ -142,14 +142,14 @@ def _join_records(record: RecordBuilder, parts: Sequence[ShardBundle]) -> None:
 
 def _trace_owners(parts: Iterable[ShardBundle]) -> dict[tuple[str, ...], int]:
     """The part whose trace of an episode is kept: the first of those with the best reason."""
-    found: dict[tuple[str, ...], tuple[int, int]] = {}
+    owners: dict[tuple[str, ...], tuple[int, int]] = {}
     for part in parts:
         for episode in part.record.episodes():
             if episode["trace"] is not None:
-                item = -_TRACE_REASONS.index(episode["trace"]["kept_for"]), part.index
+                candidate = -_TRACE_REASONS.index(episode["trace"]["kept_for"]), part.index
                 key = _identity(episode)
-                found[key] = min(item, found.get(key, item))
-    return {key: index for key, (_, index) in found.items()}
+                owners[key] = min(candidate, owners.get(key, candidate))
+    return {key: index for key, (_, index) in owners.items()}
 
 
 def _identity(episode: Data) -> tuple[str, ...]:
@@ -176,12 +176,12 @@ def _without(data: Data, keys: set[str]) -> dict[str, Any]:
 
 def _merged_inputs(parts: Iterable[ShardBundle]) -> list[dict[str, Any]]:
     """Every input file of any part; changed, if it changed while one of them ran."""
-    found: dict[tuple[str, str], dict[str, Any]] = {}
+    entries: dict[tuple[str, str], dict[str, Any]] = {}
     for part in parts:
-        for item in part.record["inputs"]:
-            known = found.setdefault((item["path"], item["kind"]), dict(item))
-            known["changed"] |= item["changed"]
-    return [found[key] for key in sorted(found)]
+        for entry in part.record["inputs"]:
+            known = entries.setdefault((entry["path"], entry["kind"]), dict(entry))
+            known["changed"] |= entry["changed"]
+    return [entries[key] for key in sorted(entries)]
 
 
 def _merged_cassettes(parts: Iterable[ShardBundle]) -> dict[tuple[Any, ...], Any]:
@@ -215,10 +215,10 @@ def _merged_gate(
     against = [reason for part in parts for reason in _objections(part)]
     code = NO_TESTS
     if codes != {NO_TESTS}:
-        idle = [part for part in parts if part.record["gate"]["exit_code"] == NO_TESTS]
-        against += [f"{item.name}: no test was run" for item in idle]
-        found = codes - {OK, NO_TESTS}
-        code = found.pop() if len(found) == 1 else TESTS_FAILED if found else OK
+        empty = [part for part in parts if part.record["gate"]["exit_code"] == NO_TESTS]
+        against += [f"{part.name}: no test was run" for part in empty]
+        failures = codes - {OK, NO_TESTS}
+        code = failures.pop() if len(failures) == 1 else TESTS_FAILED if failures else OK
     return Gate.of(
         verdicts,
         list(dict.fromkeys([*objections, *against])),
@@ -255,11 +255,13 @@ def check_output(output: Path, inputs: Sequence[Path]) -> None:
         ConfigurationError: If the merged evidence cannot go there.
     """
     place = output.resolve()
-    for item in inputs:
-        bundle = item.resolve()
+    for directory in inputs:
+        bundle = directory.resolve()
         if place == bundle or place.is_relative_to(bundle) or bundle.is_relative_to(place):
             raise _output_error(
-                "the merged evidence would go into what is merged, or around it", output, str(item)
+                "the merged evidence would go into what is merged, or around it",
+                output,
+                str(directory),
             )
     if output.is_symlink():
         raise _output_error("the merged evidence would go where a symbolic link leads", output)
@@ -297,8 +299,8 @@ def _copy_traces(record: SessionRecord, parts: Sequence[ShardBundle]) -> None:
             _copy(places[trace["file"], trace["sha256"]], record.directory, trace)
 
 
-def _copy(source: Path, target: Path, told: Mapping[str, Any]) -> None:
-    name = told["file"]
+def _copy(source: Path, target: Path, trace: Mapping[str, Any]) -> None:
+    name = trace["file"]
     file = source / name
     # Verified already, and yet nothing is opened by a name that could lead anywhere else.
     if not is_trace_path(name) or file.is_symlink() or file.parent.is_symlink():
@@ -307,7 +309,7 @@ def _copy(source: Path, target: Path, told: Mapping[str, Any]) -> None:
         written = write_file(target / name, _chunks(file))
     except OSError as error:
         raise _damaged_trace(file, error.strerror or str(error)) from None
-    if (written.sha256, written.bytes) != (told["sha256"], told["bytes"]):
+    if (written.sha256, written.bytes) != (trace["sha256"], trace["bytes"]):
         raise _damaged_trace(file, "another file than the record names")
 
 
@@ -363,8 +365,8 @@ class MergeComparison:
     def compared(self, record: SessionRecord) -> SessionRecord:
         """The record beside the baseline."""
         finished = None if record["status"] == "running" else record
-        found = None if self.baseline is None else self.baseline.to_json(finished)
-        return replace(record, head={**record.head, "baseline": found})
+        baseline = None if self.baseline is None else self.baseline.to_json(finished)
+        return replace(record, head={**record.head, "baseline": baseline})
 
     def objections(self, record: SessionRecord) -> list[str]:
         """What the baseline says against a record beside it."""
@@ -384,7 +386,7 @@ _NO_COMPARISON = MergeComparison()
 
 
 def merge_bundles(
-    directories: Sequence[Path], output: Path, held: MergeComparison = _NO_COMPARISON
+    directories: Sequence[Path], output: Path, comparison: MergeComparison = _NO_COMPARISON
 ) -> MergeResult:
     """Merge the bundles of all shards of a session.
 
@@ -394,7 +396,7 @@ def merge_bundles(
     Args:
         directories: Of the bundles, at least one.
         output: Where the merged evidence goes: an empty directory, or one that is made.
-        held: What the whole is held against.
+        comparison: What the whole is held against.
 
     Raises:
         ConfigurationError: For bundles that are no whole, and evidence that cannot be written.
@@ -408,7 +410,7 @@ def merge_bundles(
         check_output(output, directories)
         record = RecordBuilder(_merged_header(parts, output), output)
         try:
-            written = _write_merged(record, parts, held)
+            written = _write_merged(record, parts, comparison)
         finally:
             record.close()
     finally:
@@ -417,34 +419,36 @@ def merge_bundles(
 
 
 def _write_merged(
-    record: RecordBuilder, parts: Sequence[ShardBundle], held: MergeComparison
+    record: RecordBuilder, parts: Sequence[ShardBundle], comparison: MergeComparison
 ) -> SessionRecord:
     warn_undecided = parts[0].record["gate"]["warn_undecided"]
     running = Gate.running(warn_undecided=warn_undecided)
-    begin_bundle(_conclude_merged(held.compared(record.record("running")), parts, running, held))
+    begin_bundle(
+        _conclude_merged(comparison.compared(record.record("running")), parts, running, comparison)
+    )
     _join_records(record, parts)
     whole = record.record("complete")
     tapes = _merged_cassettes(parts)
     models = [{**model, "cassette": tapes[_model_key(model)]} for model in whole["models"]]
-    whole = held.compared(replace(whole, head={**whole.head, "models": models}))
+    whole = comparison.compared(replace(whole, head={**whole.head, "models": models}))
     _copy_traces(whole, parts)
-    against = [*record.problems, *held.objections(whole)]
+    against = [*record.problems, *comparison.objections(whole)]
     gate = _merged_gate(parts, whole["verdicts"], whole["searches"], against)
-    return write_bundle(_conclude_merged(whole, parts, gate, held))
+    return write_bundle(_conclude_merged(whole, parts, gate, comparison))
 
 
 def _conclude_merged(
-    record: SessionRecord, parts: Sequence[ShardBundle], gate: Gate, held: MergeComparison
+    record: SessionRecord, parts: Sequence[ShardBundle], gate: Gate, comparison: MergeComparison
 ) -> SessionRecord:
-    spent = [part.record["timings"] for part in parts]
-    ended = max(part.record["finished"] for part in parts)
+    timings = [part.record["timings"] for part in parts]
+    finished = max(part.record["finished"] for part in parts)
     return conclude_record(
         record,
-        finished=None if record["status"] == "running" else ended,
+        finished=None if record["status"] == "running" else finished,
         gate=gate.to_json(),
-        inputs=[*_merged_inputs(parts), *held.inputs()],
-        wall_seconds=sum(item["wall_seconds"] for item in spent),
-        evidence_seconds=sum(item["evidence_seconds"] for item in spent),
+        inputs=[*_merged_inputs(parts), *comparison.inputs()],
+        wall_seconds=sum(timing["wall_seconds"] for timing in timings),
+        evidence_seconds=sum(timing["evidence_seconds"] for timing in timings),
         # The shards took out the secrets of the machines on which they ran.
         redact=lambda same: same,
     )

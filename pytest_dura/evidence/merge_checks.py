@@ -75,7 +75,7 @@ def read_parts(directories: Iterable[Path]) -> list[ShardBundle]:
     Raises:
         ConfigurationError: If one is no intact bundle of a shard that came to its end.
     """
-    return sorted(map(_read_part, directories), key=lambda item: item.index)
+    return sorted(map(_read_part, directories), key=lambda part: part.index)
 
 
 def _read_part(directory: Path) -> ShardBundle:
@@ -152,20 +152,20 @@ def check_complete(parts: Sequence[ShardBundle]) -> None:
 
 
 def _check_numbers(parts: Sequence[ShardBundle]) -> None:
-    for item, other in pairwise(parts):
-        if item.index == other.index:
+    for part, other in pairwise(parts):
+        if part.index == other.index:
             raise ConfigurationError(
-                f"{item.name} is there twice",
+                f"{part.name} is there twice",
                 file=other.file,
                 key="shard.index",
                 found=other.index,
-                expected=f"another shard than that of {item.file}",
+                expected=f"another shard than that of {part.file}",
                 remedy="name each shard's bundle once",
             )
     count = parts[0].shard["count"]
-    there = {part.index for part in parts}
+    indices = {part.index for part in parts}
     # A record may name any number of shards: the first of those that are missing are enough.
-    absent = (index for index in range(1, count + 1) if index not in there)
+    absent = (index for index in range(1, count + 1) if index not in indices)
     missing = list(islice(absent, _MAX_LISTED_UNITS + 1))
     if missing:
         names = ", ".join(map(str, missing[:_MAX_LISTED_UNITS]))
@@ -232,19 +232,19 @@ def check_consistent(parts: Sequence[ShardBundle]) -> None:
         ConfigurationError: For the first difference.
     """
     _check_version(parts[0])
-    for told, remedy in _COMPARED_VALUES:
+    for values_of, remedy in _COMPARED_VALUES:
         known: dict[str, tuple[Any, ShardBundle]] = {}
         for part in parts:
-            for key, value in told(part.record):
-                before, where = known.setdefault(key, (value, part))
+            for key, value in values_of(part.record):
+                before, first = known.setdefault(key, (value, part))
                 if before != value:
-                    place, item, other = _first_difference(key, before, value)
+                    place, first_value, other_value = _first_difference(key, before, value)
                     raise ConfigurationError(
                         "the shards were not made alike",
                         file=part.file,
                         key=place,
-                        found=other,
-                        expected=f"{shorten(item)}, as in {where.file}",
+                        found=other_value,
+                        expected=f"{shorten(first_value)}, as in {first.file}",
                         remedy=remedy,
                     )
     _check_seen(parts)
@@ -259,7 +259,7 @@ def _check_seen(parts: Sequence[ShardBundle]) -> None:
             known.setdefault(key, part)
     for part in parts:
         inputs = part.record["inputs"]
-        tests = [PurePosixPath(item["path"]) for item in inputs if item["kind"] == "test"]
+        tests = [PurePosixPath(entry["path"]) for entry in inputs if entry["kind"] == "test"]
         for kind, path in sorted(known.keys() - _seen_files(part)):
             folder = PurePosixPath(path).parent
             used = any(folder in test.parents for test in tests)
@@ -277,7 +277,9 @@ def _check_seen(parts: Sequence[ShardBundle]) -> None:
 
 def _seen_files(part: ShardBundle) -> set[tuple[str, str]]:
     kinds = ("conftest", "configuration")
-    return {(item["kind"], item["path"]) for item in part.record["inputs"] if item["kind"] in kinds}
+    return {
+        (entry["kind"], entry["path"]) for entry in part.record["inputs"] if entry["kind"] in kinds
+    }
 
 
 def _simulated(part: ShardBundle) -> bool:
@@ -298,10 +300,10 @@ def _check_verdicts(parts: Sequence[ShardBundle]) -> None:
                     expected=f"a test in one shard alone; it is in {first.file}, too",
                     remedy="run the shards again: no two of them hold the same",
                 )
-    asked: dict[tuple[str, ...], ShardBundle] = {}
+    judged: dict[tuple[str, ...], ShardBundle] = {}
     for part in parts:
         for verdict in part.record["verdicts"]:
-            first = asked.setdefault(question_key(verdict["item"], verdict), part)
+            first = judged.setdefault(question_key(verdict["item"], verdict), part)
             if first is not part:
                 raise ConfigurationError(
                     "two shards judged the same, and it would count twice",
@@ -336,13 +338,13 @@ def _check_version(part: ShardBundle) -> None:
         )
 
 
-def _first_difference(key: str, item: Any, other: Any) -> tuple[str, Any, Any]:
+def _first_difference(key: str, value: Any, other: Any) -> tuple[str, Any, Any]:
     """Where two values differ first, and by what."""
-    if isinstance(item, Mapping) and isinstance(other, Mapping):
-        for name in sorted({*item, *other}):
-            if item.get(name) != other.get(name):
-                return _first_difference(f"{key}.{name}", item.get(name), other.get(name))
-    return key, item, other
+    if isinstance(value, Mapping) and isinstance(other, Mapping):
+        for name in sorted({*value, *other}):
+            if value.get(name) != other.get(name):
+                return _first_difference(f"{key}.{name}", value.get(name), other.get(name))
+    return key, value, other
 
 
 def _session(record: SessionRecord) -> NamedValues:
@@ -361,28 +363,34 @@ def _code(record: SessionRecord) -> NamedValues:
 
 
 def _under_test(record: SessionRecord) -> NamedValues:
-    known = [item for item in components_under_test(record) if item["name"] is not None]
-    times = Counter(item["name"] for item in known)
-    for entry in known:
-        told = {key: value for key, value in entry.items() if key not in ("others", "sources")}
-        alone = times[entry["name"]] == 1
-        made = "" if alone else f" {json.dumps([entry['path'], entry['params']], sort_keys=True)}"
-        yield f"component_under_test {entry['name']}{made}", told
+    known = [
+        component for component in components_under_test(record) if component["name"] is not None
+    ]
+    times = Counter(component["name"] for component in known)
+    for component in known:
+        description = {
+            key: value for key, value in component.items() if key not in ("others", "sources")
+        }
+        is_only = times[component["name"]] == 1
+        origin = (
+            ""
+            if is_only
+            else f" {json.dumps([component['path'], component['params']], sort_keys=True)}"
+        )
+        yield f"component_under_test {component['name']}{origin}", description
 
 
 def _read_files(record: SessionRecord) -> NamedValues:
-    for item in record["inputs"]:
-        yield f"inputs {item['kind']} {item['path']}", item["sha256"]
+    for entry in record["inputs"]:
+        yield f"inputs {entry['kind']} {entry['path']}", entry["sha256"]
 
 
-def _asked_questions(record: SessionRecord) -> NamedValues:
+def _requirements_and_cases(record: SessionRecord) -> NamedValues:
     for requirement in record["requirements"]:
         yield f"requirements {requirement['id']}", requirement
-    for requirement in record["cases"]:
-        told = {
-            key: value for key, value in requirement.items() if key not in _KEYS_THAT_MAY_DIFFER
-        }
-        yield f"cases {requirement['id']} with {requirement['component']}", told
+    for case in record["cases"]:
+        comparable = {key: value for key, value in case.items() if key not in _KEYS_THAT_MAY_DIFFER}
+        yield f"cases {case['id']} with {case['component']}", comparable
 
 
 def _measured(record: SessionRecord) -> NamedValues:
@@ -393,10 +401,10 @@ def _measured(record: SessionRecord) -> NamedValues:
 
 def _models(record: SessionRecord) -> NamedValues:
     for model in record["models"]:
-        told = {key: model[key] for key in ("capabilities", "cassette")}
+        compared = {key: model[key] for key in ("capabilities", "cassette")}
         yield (
             f"models {model['component']} {model['model']} {model['fingerprint']} {model['mode']}",
-            told,
+            compared,
         )
 
 
@@ -405,7 +413,7 @@ _COMPARED_VALUES: tuple[tuple[Callable[[SessionRecord], NamedValues], str], ...]
     (_code, _SAME_CODE),
     (_under_test, _SAME_CODE),
     (_read_files, _SAME_FILES),
-    (_asked_questions, _SAME_FILES),
+    (_requirements_and_cases, _SAME_FILES),
     (_models, "let all shards replay one cassette: --dura-llm=replay"),
     (_measured, "run the shards again: no two of them measure the same"),
 )

@@ -43,9 +43,9 @@ def episode_name(about: Mapping[str, Any]) -> str:
 
 def slug(text: str) -> str:
     """The text as the part of a file's name; two texts may have the same one."""
-    sub = re.sub(r"[^A-Za-z0-9._-]+", "-", text[: 4 * _MAX_SLUG])
-    sub = re.sub(r"\.{2,}", ".", sub).lstrip(".-")[:_MAX_SLUG].rstrip(".-")
-    return f"_{sub}"[:_MAX_SLUG] if _DEVICE.match(sub) else sub or "episode"
+    name = re.sub(r"[^A-Za-z0-9._-]+", "-", text[: 4 * _MAX_SLUG])
+    name = re.sub(r"\.{2,}", ".", name).lstrip(".-")[:_MAX_SLUG].rstrip(".-")
+    return f"_{name}"[:_MAX_SLUG] if _DEVICE.match(name) else name or "episode"
 
 
 def trace_path(about: Mapping[str, Any]) -> str:
@@ -117,11 +117,11 @@ class Trace:
         decisions = dict(self.decisions)
         for name, column in decisions.items():
             if column.dtype.kind == "U":
-                found, places = np.unique(column, return_inverse=True)
-                texts = found.tolist()
-                told = redact(texts)
-                if told is not texts:
-                    decisions[name] = np.array(told, dtype=np.str_)[places]
+                distinct, places = np.unique(column, return_inverse=True)
+                texts = distinct.tolist()
+                redacted = redact(texts)
+                if redacted is not texts:
+                    decisions[name] = np.array(redacted, dtype=np.str_)[places]
         recording = self.recording
         return replace(
             self,
@@ -142,11 +142,11 @@ class Trace:
 def _redacted(texts: tuple[str, ...], redact: Callable[[Any], Any]) -> tuple[str, ...]:
     """Texts that are the same for many ticks are looked at once."""
     distinct = list(dict.fromkeys(texts))
-    told = redact(distinct)
-    if told is distinct:
+    redacted = redact(distinct)
+    if redacted is distinct:
         return texts
-    found = dict(zip(distinct, told, strict=True))
-    return tuple(found[text] for text in texts)
+    replacements = dict(zip(distinct, redacted, strict=True))
+    return tuple(replacements[text] for text in texts)
 
 
 def _account_data(account: Mapping[str, Any]) -> dict[str, Any]:
@@ -215,16 +215,18 @@ def first_difference(
         replayed: The other.
         covered: Whether to look only at what the episode's digest covers.
     """
-    column_difference = [
-        item for item in _column_difference(recorded, replayed) if item.covered or not covered
+    differences = [
+        difference
+        for difference in _column_differences(recorded, replayed)
+        if difference.covered or not covered
     ]
-    timed = [item for item in column_difference if item.tick is not None]
+    timed = [difference for difference in differences if difference.tick is not None]
     if timed:
-        tick = min(item.tick for item in timed if item.tick is not None)
-        first, *others = [item for item in timed if item.tick == tick]
+        tick = min(difference.tick for difference in timed if difference.tick is not None)
+        first, *others = [difference for difference in timed if difference.tick == tick]
         time = _time(recorded, replayed, tick)
-        return replace(first, time=time, also=tuple(item.column for item in others))
-    return next(iter([*_other_differences(recorded, replayed), *column_difference]), None)
+        return replace(first, time=time, also=tuple(difference.column for difference in others))
+    return next(iter([*_other_differences(recorded, replayed), *differences]), None)
 
 
 def _time(recorded: Trace, replayed: Trace, tick: int) -> float | None:
@@ -234,12 +236,14 @@ def _time(recorded: Trace, replayed: Trace, tick: int) -> float | None:
     return None
 
 
-def _column_difference(recorded: Trace, replayed: Trace) -> Iterator[Difference]:
+def _column_differences(recorded: Trace, replayed: Trace) -> Iterator[Difference]:
     left, right = _all_columns(recorded), _all_columns(replayed)
     for name in dict.fromkeys([*left, *right]):
         covered = name == "time" or name.startswith(("signals.", "decisions."))
         if name not in left or name not in right:
-            own, other = ("such a column" if name in item else ABSENT for item in (left, right))
+            own, other = (
+                "such a column" if name in columns else ABSENT for columns in (left, right)
+            )
             yield Difference(name, own, other, covered=covered)
             continue
         place = _first_place(left[name], right[name])
@@ -257,8 +261,10 @@ def _first_place(left: NDArray[Any], right: NDArray[Any]) -> tuple[int | None, s
     place = int(places[0]) if len(places) else shared
     if place == len(left) == len(right):
         return None
-    words = [_value_text(item[place]) if place < len(item) else ABSENT for item in (left, right)]
-    return place, words[0], words[1]
+    values = [
+        _value_text(column[place]) if place < len(column) else ABSENT for column in (left, right)
+    ]
+    return place, values[0], values[1]
 
 
 def _bits(column: NDArray[Any]) -> NDArray[Any]:
@@ -276,29 +282,29 @@ def _value_text(value: Any) -> str:
 def _all_columns(trace: Trace) -> dict[str, NDArray[Any]]:
     """Every column by a name of its own: what the loop measured before what it only said."""
     recording = trace.recording
-    found: dict[str, NDArray[Any]] = {"time": trace.time}
-    found |= {f"signals.{name}": column for name, column in trace.signals.items()}
-    found |= {f"decisions.{name}": column for name, column in trace.decisions.items()}
-    found |= {f"flags.{name}": column for name, column in recording.flags.items()}
+    columns: dict[str, NDArray[Any]] = {"time": trace.time}
+    columns |= {f"signals.{name}": column for name, column in trace.signals.items()}
+    columns |= {f"decisions.{name}": column for name, column in trace.decisions.items()}
+    columns |= {f"flags.{name}": column for name, column in recording.flags.items()}
     for name in ("explanations", "reasons", "recoveries"):
         texts: tuple[str, ...] = getattr(recording, name)
         # An array of texts would be as wide as its longest, and drop a NUL at the end.
-        found[name] = np.array([*texts, None], object)[:-1]
+        columns[name] = np.array([*texts, None], object)[:-1]
     accounts = (json.dumps(account, sort_keys=True) for account in recording.accounts)
-    found["accounts"] = np.array([*accounts, None], object)[:-1]
+    columns["accounts"] = np.array([*accounts, None], object)[:-1]
     if recording.scene is not None:
-        found |= _poses(recording.scene, len(trace.time))
-    return found
+        columns |= _poses(recording.scene, len(trace.time))
+    return columns
 
 
 def _poses(scene: Scene, ticks: int) -> dict[str, NDArray[Any]]:
     """A column for each number of each thing; of one that is never there, none."""
-    found = {}
+    columns = {}
     for kind, tracks in (("truth", scene.truth), ("percept", scene.percept)):
         for number, name in enumerate(tracks.ids):
             for place, what in enumerate(POSE):
-                found[f"{kind}.{name}.{what}"] = tracks.poses[:ticks, number, place]
-    return found
+                columns[f"{kind}.{name}.{what}"] = tracks.poses[:ticks, number, place]
+    return columns
 
 
 def _other_differences(recorded: Trace, replayed: Trace) -> Iterator[Difference]:
