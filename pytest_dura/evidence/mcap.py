@@ -41,16 +41,16 @@ if TYPE_CHECKING:
 
 
 MAX_UNPACKED_BYTES = 512 * 2**20
-"""Bytes that the unpacked columns may come to; a real episode has about 200 kB."""
+"""Greatest size of the unpacked columns; an episode has about 200 kB."""
 _TEXT_TABLE = "texts"
-"""The member that is JSON: names, texts and what tells the columns apart."""
+"""Member in JSON: names, tables of texts and the layout of the columns."""
 
 Column = NDArray[Any]
 _KINDS = "biuf"
 
 
 def pack_columns(trace: Trace) -> bytes:
-    """All of a trace as an ``.npz`` that ``numpy.load`` reads; the same trace gives the same bytes.
+    """Write a trace as an ``.npz`` for ``numpy.load``; the same trace gives the same bytes.
 
     Signals are the rows of ``signals``, in the order of ``texts["signals"]``. Texts are numbers
     that count the entries of a table in ``texts``.
@@ -125,7 +125,7 @@ def _float64(name: str, column: Column, shape: tuple[int, ...]) -> NDArray[np.fl
 
 
 def _coded(values: Sequence[str]) -> tuple[NDArray[np.int32], list[str]]:
-    """Numbers, and the texts that they count."""
+    """Encode texts as numbers that index a table."""
     table: dict[str, int] = {}
     codes = [table.setdefault(value, len(table)) for value in values]
     return np.array(codes, np.int32), list(table)
@@ -140,7 +140,7 @@ def _zipped(arrays: Mapping[str, Column]) -> bytes:
             np.lib.format.write_array_header_1_0(
                 head, np.lib.format.header_data_from_array_1_0(contiguous)
             )
-            member = zipfile.ZipInfo(f"{name}.npy")  # of the date 1980-01-01, whatever the clock
+            member = zipfile.ZipInfo(f"{name}.npy")  # dated 1980-01-01
             member.create_system = 3  # on any system
             data = head.getvalue() + contiguous.tobytes()
             archive.writestr(member, data, zipfile.ZIP_DEFLATED, compresslevel=1)
@@ -148,7 +148,7 @@ def _zipped(arrays: Mapping[str, Column]) -> bytes:
 
 
 def unpack_columns(data: bytes) -> Trace:
-    """The inverse of :func:`pack_columns`; nothing in the data is run, and its size is bounded.
+    """Read what :func:`pack_columns` gives; nothing in it is run, and its size is bounded.
 
     Raises:
         ValueError: For data that are no such columns.
@@ -174,7 +174,7 @@ def _arrays(data: bytes) -> dict[str, Column]:
 
 
 def _member(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes:
-    """What it declares to hold and no more, which ``archive.read`` would unpack first."""
+    """Unpack no more than the declared size, unlike ``archive.read``."""
     with archive.open(member) as stream:
         return stream.read(member.file_size)
 
@@ -187,7 +187,7 @@ def _array(data: bytes) -> Column:
     count, start = math.prod(shape), stream.tell()
     if dtype.kind not in _KINDS or by_columns or len(data) - start != count * dtype.itemsize:
         raise ValueError("a column is not what its header says")
-    # A copy: of a buffer of bytes nobody could make an array that can be written.
+    # A copy, as an array on a buffer of bytes is read-only.
     column: Column = np.frombuffer(data, dtype, count, start).reshape(shape).copy()
     return column
 
@@ -233,7 +233,7 @@ def _trace(arrays: Mapping[str, Column]) -> Trace:
 
 
 def _accounts(arrays: Mapping[str, Column], texts: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """Each is read once, however long its decision held."""
+    """Parse each distinct account once."""
     known = {}
     for text in _names(texts["accounts"]):
         account = json.loads(text)
@@ -281,7 +281,7 @@ def _require(holds: bool, what: str) -> None:
 
 
 _TRACE_VERSION = "1"
-"""Of the channels and columns; in the metadata record ``trace`` of each file."""
+"""Version of channels and columns, in the metadata record ``trace`` of each file."""
 COLUMNS_ATTACHMENT = "columns.npz"
 _MESSAGES = (
     signal_messages, decision_messages, event_messages, road_messages, truth_messages,
@@ -297,18 +297,18 @@ def write_trace(
     Args:
         file: Where. Its directory is made if it does not exist.
         trace: The trace.
-        verdicts: What requirements say of the episode, for the metadata record ``verdicts``.
+        verdicts: Verdicts on the episode, for the metadata record ``verdicts``.
 
     Raises:
         OSError: If it cannot be written.
         ValueError: For a trace whose columns are not what they should be.
     """
-    # A bundle has many traces, and its manifest tells whether each has survived.
+    # Not durable: a bundle has many traces, and its manifest reveals lost ones.
     return asdict(replace_file(file, [trace_bytes(trace, verdicts)], durable=False))
 
 
 def trace_bytes(trace: Trace, verdicts: Sequence[Mapping[str, Any]] = ()) -> bytes:
-    """The content of the file; equal for equal traces.
+    """Make the content of the file; equal for equal traces.
 
     Times are nanoseconds of simulated time. Texts in messages and metadata are shortened and made
     visible, poses rounded to millimetres; the columns have everything as it was.
@@ -321,7 +321,7 @@ def trace_bytes(trace: Trace, verdicts: Sequence[Mapping[str, Any]] = ()) -> byt
     columns = pack_columns(trace)
     texts, stream = TextCache(), io.BytesIO()
     writer = Writer(stream)
-    # The library's own name would tell its version, and the bytes would change with it.
+    # The default names the version of the library, with which the bytes would change.
     writer.start(profile="", library="pytest-dura")
     schemas: dict[str, int] = {}
     ids: dict[str, int] = {}
@@ -349,7 +349,7 @@ def trace_bytes(trace: Trace, verdicts: Sequence[Mapping[str, Any]] = ()) -> byt
 
 
 def read_trace(file: Path) -> Trace:
-    """The trace in a file, bit by bit as it was written.
+    """Read the trace in a file, bit by bit as it was written.
 
     Raises:
         ConfigurationError: If there is none, it is damaged, or of another version.
@@ -380,7 +380,7 @@ def _content(file: Path) -> bytes:
 
 
 def _read(data: bytes) -> tuple[str, bytes]:
-    """Version and columns, from the file's index and nothing else of it.
+    """Read version and columns by the file's index alone.
 
     Raises:
         ValueError: If they are not there.
@@ -391,7 +391,7 @@ def _read(data: bytes) -> tuple[str, bytes]:
     from mcap.reader import SeekingReader
 
     try:
-        # The file is in memory, so that no record can be larger.
+        # No record can be larger than the file.
         reader = SeekingReader(io.BytesIO(data), record_size_limit=len(data))
         if reader.get_summary() is None:
             raise ValueError("it has no index")
@@ -412,16 +412,13 @@ def _version(reader: McapReader) -> str:
 
 def _columns(reader: McapReader) -> bytes:
     attachments = [
-        attachment for attachment in _attachments(reader) if attachment[0] == COLUMNS_ATTACHMENT
+        attachment.data
+        for attachment in reader.iter_attachments()
+        if attachment.name == COLUMNS_ATTACHMENT
     ]
     if len(attachments) != 1:
         raise ValueError(f"it has {len(attachments)} attachments named {COLUMNS_ATTACHMENT}")
-    return attachments[0][1]
-
-
-def _attachments(reader: McapReader) -> Iterator[tuple[str, bytes]]:
-    for attachment in reader.iter_attachments():
-        yield attachment.name, attachment.data
+    return attachments[0]
 
 
 def _unreadable(problem: str, file: Path) -> ConfigurationError:

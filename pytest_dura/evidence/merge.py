@@ -34,13 +34,13 @@ from pytest_dura.evidence.traces import is_trace_path
 Data = Mapping[str, Any]
 _KEYS_MADE_ANEW = {"metrics", "missing_runs", "missing_runs_total", "repeat"}
 _KEYS_OF_ALL_COMPONENTS = {"others", "sources"}
-"""What the first component holds of the others."""
+"""Keys of the first component about all of them."""
 _TRACE_REASONS = ("all", "sample", "missing", "violation")
-"""Of several reasons to keep a trace the last one is told."""
+"""Reasons to keep a trace; of several the last one is recorded."""
 
 
 def _merged_header(parts: Sequence[ShardBundle], output: Path) -> dict[str, Any]:
-    """What a session's record begins with; see the schema for what is whose.
+    """Build the header of the merged record.
 
     Args:
         parts: Ordered by their numbers.
@@ -82,10 +82,10 @@ def _shard_summary(part: ShardBundle) -> dict[str, Any]:
 
 
 def merged_command(command: str, output: Path) -> str:
-    """The command of the whole session: that of a shard, without it, and with this evidence."""
+    """Turn the command of a shard into that of the whole session, with another evidence folder."""
     try:
         arguments = shlex.split(command)
-    except ValueError:  # no shell reads such a command
+    except ValueError:  # an unbalanced quote
         arguments = ["pytest"]
     kept: list[str] = []
     remaining = iter(arguments)
@@ -99,13 +99,13 @@ def merged_command(command: str, output: Path) -> str:
 
 
 def _join_records(record: RecordBuilder, parts: Sequence[ShardBundle]) -> None:
-    """Take the parts into a record, a few episodes at a time.
+    """Add the parts to a record, a few episodes at a time.
 
-    An episode that two parts hold is that of a test which chooses its episodes itself. It is the
-    same one in both, or the record says, as that of a session, that it came out differently.
+    An episode in two parts is that of a test which chooses its episodes itself. If it differs
+    between them, the record says so, as that of a session does.
 
     Raises:
-        ConfigurationError: If the episodes cannot be kept.
+        ConfigurationError: If the episodes cannot be written.
     """
     for part in parts:
         shard = part.record
@@ -132,7 +132,7 @@ def _join_records(record: RecordBuilder, parts: Sequence[ShardBundle]) -> None:
         for search in shard["searches"]:
             record.searches.adopt(search)
     traced = _trace_owners(parts)
-    # What is told of an episode first holds, and a trace is that of the part which told it.
+    # The first report of an episode holds, so that the owners of traces come first.
     for with_trace in (True, False):
         for part in parts:
             for episode in part.record.episodes():
@@ -141,7 +141,7 @@ def _join_records(record: RecordBuilder, parts: Sequence[ShardBundle]) -> None:
 
 
 def _trace_owners(parts: Iterable[ShardBundle]) -> dict[tuple[str, ...], int]:
-    """The part whose trace of an episode is kept: the first of those with the best reason."""
+    """Number of the part whose trace of an episode is kept: the first with the best reason."""
     owners: dict[tuple[str, ...], tuple[int, int]] = {}
     for part in parts:
         for episode in part.record.episodes():
@@ -157,7 +157,7 @@ def _identity(episode: Data) -> tuple[str, ...]:
 
 
 def _report_of(episode: Data, *, with_trace: bool) -> ItemReport:
-    """An episode as the item told it that ran it; what came of its faults was told beside it."""
+    """Rebuild the report of an episode, with the chains of its faults apart."""
     report = ItemReport("", episodes=[{**episode, "trace": None}])
     about = {"component": episode["component"], "episode": episode["id"], "case": episode["case"]}
     for fault in episode["faults"]:
@@ -175,7 +175,7 @@ def _without(data: Data, keys: set[str]) -> dict[str, Any]:
 
 
 def _merged_inputs(parts: Iterable[ShardBundle]) -> list[dict[str, Any]]:
-    """Every input file of any part; changed, if it changed while one of them ran."""
+    """List the input files of all parts; ``changed`` if they changed while any part ran."""
     entries: dict[tuple[str, str], dict[str, Any]] = {}
     for part in parts:
         for entry in part.record["inputs"]:
@@ -185,14 +185,13 @@ def _merged_inputs(parts: Iterable[ShardBundle]) -> list[dict[str, Any]]:
 
 
 def _merged_cassettes(parts: Iterable[ShardBundle]) -> dict[tuple[Any, ...], Any]:
-    """The cassette of each language model; see :func:`_model_key`."""
     return {
         _model_key(model): model["cassette"] for part in parts for model in part.record["models"]
     }
 
 
 def _model_key(model: Data) -> tuple[Any, ...]:
-    """What tells a model of a record from the others."""
+    """Identify a model of a record."""
     names = ("component", "model", "fingerprint", "prompts", "base_url", "mode")
     return tuple(model[name] for name in names)
 
@@ -203,13 +202,13 @@ def _merged_gate(
     searches: Sequence[Data],
     objections: Sequence[str],
 ) -> Gate:
-    """The gate of the whole, by the rules of a session: all verdicts, all tests, all objections.
+    """Judge the whole by the rules of a session.
 
     Args:
         parts: Ordered by their numbers.
         verdicts: Of the merged record.
         searches: Of the merged record.
-        objections: What stands against the merged record itself.
+        objections: Reasons against the merged record itself.
     """
     codes = {part.record["gate"]["exit_code"] for part in parts}
     against = [reason for part in parts for reason in _objections(part)]
@@ -231,7 +230,7 @@ def _merged_gate(
 
 
 def _objections(part: ShardBundle) -> list[str]:
-    """What stands against a shard beside its verdicts and its tests."""
+    """Reasons against a shard besides its verdicts and its tests."""
     gate = part.record["gate"]
     by_rule = Gate.of(
         part.record["verdicts"],
@@ -282,10 +281,10 @@ def _output_error(problem: str, output: Path, found: str | None = None) -> Confi
 
 
 def _copy_traces(record: SessionRecord, parts: Sequence[ShardBundle]) -> None:
-    """Copy the traces of a merged record out of its parts, each held against its digest.
+    """Copy the traces of a merged record out of its parts, and check their digests.
 
     Raises:
-        ConfigurationError: If one is not there as its record says, or it cannot be written.
+        ConfigurationError: If one differs from its record, or cannot be written.
     """
     places: dict[tuple[str, str], Path] = {
         (episode["trace"]["file"], episode["trace"]["sha256"]): part.record.directory
@@ -302,7 +301,7 @@ def _copy_traces(record: SessionRecord, parts: Sequence[ShardBundle]) -> None:
 def _copy(source: Path, target: Path, trace: Mapping[str, Any]) -> None:
     name = trace["file"]
     file = source / name
-    # Verified already, and yet nothing is opened by a name that could lead anywhere else.
+    # The bundle was verified, but may have changed since.
     if not is_trace_path(name) or file.is_symlink() or file.parent.is_symlink():
         raise _damaged_trace(file, "a name or a link that leads out of the bundle")
     try:
@@ -332,10 +331,10 @@ def _damaged_trace(file: Path, found: str) -> ConfigurationError:
 
 @dataclass(frozen=True)
 class MergeResult:
-    """What a merge came to.
+    """Result of a merge.
 
     Args:
-        shards: How many there were.
+        shards: Number of shards.
         totals: Of the merged record.
         reasons: Why its gate did not pass; empty if it did.
     """
@@ -352,7 +351,7 @@ class MergeResult:
 
 @dataclass(frozen=True)
 class MergeComparison:
-    """What the whole is held against.
+    """Comparison of the whole with a baseline.
 
     Args:
         baseline: An earlier record.
@@ -363,17 +362,17 @@ class MergeComparison:
     fail_worse: bool = False
 
     def compared(self, record: SessionRecord) -> SessionRecord:
-        """The record beside the baseline."""
+        """Add the comparison to a record."""
         finished = None if record["status"] == "running" else record
         baseline = None if self.baseline is None else self.baseline.to_json(finished)
         return replace(record, head={**record.head, "baseline": baseline})
 
     def objections(self, record: SessionRecord) -> list[str]:
-        """What the baseline says against a record beside it."""
+        """Reasons against a record that was compared."""
         return regression_objections(record["baseline"]) if self.fail_worse else []
 
     def inputs(self) -> list[dict[str, Any]]:
-        """The baseline's file, as the record names its inputs."""
+        """Entry of the baseline's file among the record's inputs."""
         baseline = self.baseline
         if baseline is None:
             return []
@@ -390,13 +389,13 @@ def merge_bundles(
 ) -> MergeResult:
     """Merge the bundles of all shards of a session.
 
-    The order of the bundles does not matter. Nothing is written before all of them are verified,
-    and found to be the whole of one session. A merge that is killed leaves a record that says so.
+    The order of the bundles does not matter. Nothing is written before all of them are verified
+    and make up a whole session. A merge that is killed leaves a record that says so.
 
     Args:
         directories: Of the bundles, at least one.
         output: Where the merged evidence goes: an empty directory, or one that is made.
-        comparison: What the whole is held against.
+        comparison: Baseline to compare the whole with.
 
     Raises:
         ConfigurationError: For bundles that are no whole, and evidence that cannot be written.

@@ -1,6 +1,6 @@
-"""Check bundles that are to be merged: intact, parts of one plan, and made alike.
+"""Check bundles that are to be merged: intact, parts of the same plan, and made alike.
 
-Alike are parts by the same code, from the same files, under the same options.
+Parts are alike if the same code ran, from the same files, under the same options.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from pytest_dura.provenance import describe_tool
 
 Data = Mapping[str, Any]
 _MAX_PROBLEM_TEXT = 300
-"""Characters that are quoted of what a damaged bundle holds."""
+"""Greatest number of characters that are quoted from a damaged bundle."""
 
 
 @dataclass(frozen=True)
 class ShardBundle:
-    """The bundle of one shard.
+    """Bundle of a shard.
 
     Args:
         record: Its record.
@@ -42,38 +42,38 @@ class ShardBundle:
 
     @property
     def file(self) -> str:
-        """Its record's file, for messages."""
+        """Path of its record, for messages."""
         return str(self.record.directory / RECORD_FILE)
 
     @property
     def shard(self) -> Data:
-        """Which part of which session it is."""
+        """Entry ``shard`` of its record."""
         shard: Data = self.record["shard"]
         return shard
 
     @property
     def index(self) -> int:
-        """The number of the shard."""
+        """Number of the shard, from 1."""
         return int(self.shard["index"])
 
     @property
     def units(self) -> list[ShardUnit]:
-        """What it holds."""
+        """Units that it holds."""
         return [ShardUnit.from_json(hold) for hold in self.shard["holds"]]
 
     @property
     def name(self) -> str:
-        """Such as ``shard 2 of 5``."""
+        """Name such as ``shard 2 of 5``."""
         return f"shard {self.index} of {self.shard['count']}"
 
 
 def read_parts(directories: Iterable[Path]) -> list[ShardBundle]:
-    """The bundles of these directories, ordered by the numbers of their shards.
+    """Read the bundles of these directories, ordered by the numbers of their shards.
 
     Each is verified first, as ``python -m pytest_dura verify`` does. Nothing of it is run.
 
     Raises:
-        ConfigurationError: If one is no intact bundle of a shard that came to its end.
+        ConfigurationError: If one is no intact bundle of a finished shard.
     """
     return sorted(map(_read_part, directories), key=lambda part: part.index)
 
@@ -122,13 +122,13 @@ _MAX_LISTED_UNITS = 8
 
 
 def check_complete(parts: Sequence[ShardBundle]) -> None:
-    """Refuse parts that overlap, that lack something, or that are parts of different sessions.
+    """Refuse parts that overlap, are not all there, or belong to different sessions.
 
     Args:
         parts: Ordered by their numbers, at least one.
 
     Raises:
-        ConfigurationError: For the first reason why they are no whole.
+        ConfigurationError: For the first problem.
     """
     first = parts[0]
     for other in parts[1:]:
@@ -164,7 +164,7 @@ def _check_numbers(parts: Sequence[ShardBundle]) -> None:
             )
     count = parts[0].shard["count"]
     indices = {part.index for part in parts}
-    # A record may name any number of shards: the first of those that are missing are enough.
+    # A damaged record may name any number of shards.
     absent = (index for index in range(1, count + 1) if index not in indices)
     missing = list(islice(absent, _MAX_LISTED_UNITS + 1))
     if missing:
@@ -220,10 +220,10 @@ _ROOT = PurePosixPath()
 
 
 def check_consistent(parts: Sequence[ShardBundle]) -> None:
-    """Refuse parts whose results are not those of one session.
+    """Refuse parts whose results are not comparable.
 
-    Machines may differ: where they ran is kept for each. What may change digests, or what a result
-    means, may not.
+    Machines may differ and are recorded for each part. What changes digests, or the meaning of a
+    result, may not differ.
 
     Args:
         parts: Ordered by their numbers, at least one.
@@ -247,20 +247,20 @@ def check_consistent(parts: Sequence[ShardBundle]) -> None:
                         expected=f"{shorten(first_value)}, as in {first.file}",
                         remedy=remedy,
                     )
-    _check_seen(parts)
+    _check_configuration_files(parts)
     _check_verdicts(parts)
 
 
-def _check_seen(parts: Sequence[ShardBundle]) -> None:
-    """Refuse parts one of which saw a ``conftest.py`` or a configuration that was not there."""
+def _check_configuration_files(parts: Sequence[ShardBundle]) -> None:
+    """Refuse parts of which only some read a ``conftest.py`` or a configuration."""
     known: dict[tuple[str, str], ShardBundle] = {}
     for part in parts:
-        for key in _seen_files(part):
+        for key in _configuration_files(part):
             known.setdefault(key, part)
     for part in parts:
         inputs = part.record["inputs"]
         tests = [PurePosixPath(entry["path"]) for entry in inputs if entry["kind"] == "test"]
-        for kind, path in sorted(known.keys() - _seen_files(part)):
+        for kind, path in sorted(known.keys() - _configuration_files(part)):
             folder = PurePosixPath(path).parent
             used = any(folder in test.parents for test in tests)
             if kind == "conftest" and not used and not (folder == _ROOT and _simulated(part)):
@@ -275,7 +275,7 @@ def _check_seen(parts: Sequence[ShardBundle]) -> None:
             )
 
 
-def _seen_files(part: ShardBundle) -> set[tuple[str, str]]:
+def _configuration_files(part: ShardBundle) -> set[tuple[str, str]]:
     kinds = ("conftest", "configuration")
     return {
         (entry["kind"], entry["path"]) for entry in part.record["inputs"] if entry["kind"] in kinds
@@ -339,7 +339,7 @@ def _check_version(part: ShardBundle) -> None:
 
 
 def _first_difference(key: str, value: Any, other: Any) -> tuple[str, Any, Any]:
-    """Where two values differ first, and by what."""
+    """Find the first key in which two values differ, and both values there."""
     if isinstance(value, Mapping) and isinstance(other, Mapping):
         for name in sorted({*value, *other}):
             if value.get(name) != other.get(name):

@@ -264,7 +264,6 @@ _PIECE = 12
 _PARAMETER_NAME = "parameter"
 """Name for the value of a parameter that is secret by its own name."""
 
-_SHORT = 200
 _MARK = re.compile(r"(\[redacted: [\w. -]{1,200}\])")
 _HINT = "[redacted: "
 _NAMES_IN_DATA = ("key", "token", "secret", "passw", "passphrase", "credential", "authorization")
@@ -372,8 +371,6 @@ class _Active:
     ) -> None:
         self.names = names
         self.named = named
-        self.known: dict[str, str] = {}
-        self.named_keys: dict[str, bool] = {}
         self.steps: list[Callable[[str], str]] = []
         if cores:
             self.steps.append(_replacing(cores, encoded=True))
@@ -388,14 +385,6 @@ class _Active:
 
     def text(self, text: str) -> str:
         """Redact a text."""
-        # Data of many entries has the same keys and words in each of them.
-        if len(text) > _SHORT:
-            return self._without(text)
-        if text not in self.known:
-            self.known[text] = self._without(text)
-        return self.known[text]
-
-    def _without(self, text: str) -> str:
         for step in self.steps:
             if _HINT not in text:
                 text = step(text)
@@ -437,9 +426,7 @@ class _Active:
         redacted = self.data(value)
         if not isinstance(key, str) or not _is_open(redacted):
             return redacted
-        if key not in self.named_keys:
-            self.named_keys[key] = _SECRET_PARAMETER.match(key) is not None
-        return _mark(_PARAMETER_NAME) if self.named_keys[key] else redacted
+        return _mark(_PARAMETER_NAME) if _SECRET_PARAMETER.match(key) else redacted
 
 
 def count_redactions(value: Any) -> Counter[str]:
