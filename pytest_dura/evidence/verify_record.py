@@ -20,10 +20,9 @@ from pytest_dura.evidence.bundle import RECORD_FILE
 from pytest_dura.evidence.gate import (
     NOTHING_FOUND,
     VIOLATED_OUTCOMES,
-    outcome_objection,
-    outcome_status,
     repeat_objections,
     repeat_problems,
+    verdict_objections,
 )
 from pytest_dura.evidence.model import Counts, SessionRecord, components_under_test
 from pytest_dura.evidence.redaction import holds_redaction
@@ -588,19 +587,9 @@ def _coverage_problems(record: SessionRecord) -> Iterator[str]:
 
 def _gate_problems(record: SessionRecord) -> Iterator[str]:
     gate = record["gate"]
-    accepted = {"supported"} | ({"undecided"} if gate["warn_undecided"] else set())
-    against = [
-        f"{verdict['requirement']} on {verdict['case']} is {verdict['verdict']}"
-        for verdict in record["verdicts"]
-        if verdict["verdict"] not in accepted and verdict["waiver"] is None
-    ]
-    against += [
-        outcome_objection(outcome["requirement"], search["case"], status)
-        for search in record["searches"]
-        for outcome in search["outcomes"]
-        if search["waiver"] is None and (status := outcome_status(search, outcome)) != NOTHING_FOUND
-        if status != "undecided" or not gate["warn_undecided"]
-    ]
+    against = verdict_objections(
+        record["verdicts"], record["searches"], warn_undecided=gate["warn_undecided"]
+    )
     if gate["result"] == "passed":
         if against or record["status"] != "complete" or gate["exit_code"] != 0:
             why = against[0] if against else f"status {record['status']}"
