@@ -70,7 +70,7 @@ class SessionInputs:
         """What an item told, of :class:`pytest_dura.evidence.gather.ItemReport`."""
         self.item(report["item"])
         for component in report["components"]:
-            self.inputs.add_told("component", component["files"])
+            self.inputs.add_reported("component", component["files"])
             self._imported("component", component["path"])
         for case in (*report["cases"], *(claim["case"] for claim in report["claims"])):
             self._scenario(case["scenario"])
