@@ -140,20 +140,20 @@ class CaseTally:
     """What the episodes of a case with one component come to.
 
     Args:
-        words: Of all episodes, those chosen by hand included, how many are valid, invalid, missing.
+        validities: Of all episodes, those chosen by hand included, how many are valid, invalid, missing.
         times: Clearance times in s of the first valid planned runs that cleared.
         cleared: How many there are of these.
         outcomes: Of each fault, how many planned episodes came to which outcome.
     """
 
-    words: Counter[str] = field(default_factory=Counter)
+    validities: Counter[str] = field(default_factory=Counter)
     times: list[float] = field(default_factory=list)
     cleared: int = 0
     outcomes: dict[str, Counter[str]] = field(default_factory=lambda: defaultdict(Counter))
 
     def add(self, episode: Data) -> None:
         """Count one more episode."""
-        self.words[episode["validity"]] += 1
+        self.validities[episode["validity"]] += 1
         if not episode["planned"]:
             return
         for fault in episode["faults"]:
@@ -209,7 +209,7 @@ class ReportContents:
     def of(cls, record: SessionRecord) -> ReportContents:
         """Read the record's episodes once."""
         violating = _violations_by_episode(record)
-        wanted = {key: place for place, key in enumerate(_worst_in_turn(record))}
+        turns = {key: place for place, key in enumerate(_worst_in_turn(record))}
         cases: dict[CaseKey, CaseTally] = {}
         listed: list[tuple[int, int, ListedEpisode]] = []
         candidates: list[tuple[int, int, ListedEpisode]] = []
@@ -224,11 +224,11 @@ class ReportContents:
             shown = ListedEpisode(_rank(episode, violates), index, _brief(episode), violates)
             _keep_lowest(listed, shown.rank, shown, MAX_LISTED)
             if episode["trace"] is not None:
-                turn = wanted.get(key)
+                turn = turns.get(key)
                 if turn is None:
                     # One of each case after all that violate something, then a second one...
                     of_case = episode["case"], episode["component"]
-                    turn = len(wanted) + sampled[of_case]
+                    turn = len(turns) + sampled[of_case]
                     sampled[of_case] += 1
                 _keep_lowest(candidates, turn, shown, _MAX_CANDIDATES)
         return cls(cases, _in_order(listed), total, _in_order(candidates), folded_cases(record))
@@ -236,13 +236,15 @@ class ReportContents:
 
 def _violations_by_episode(record: SessionRecord) -> dict[CaseKey, list[str]]:
     """Requirements that each episode violated, by its id and component."""
-    found: dict[CaseKey, list[str]] = {}
+    violations: dict[CaseKey, list[str]] = {}
     for verdict in record["verdicts"]:
         for counterexample in verdict["counterexamples"]:
-            setdefault = found.setdefault((counterexample["episode"], verdict["component"]), [])
-            if verdict["requirement"] not in setdefault:
-                setdefault.append(verdict["requirement"])
-    return found
+            requirements = violations.setdefault(
+                (counterexample["episode"], verdict["component"]), []
+            )
+            if verdict["requirement"] not in requirements:
+                requirements.append(verdict["requirement"])
+    return violations
 
 
 def _worst_in_turn(record: SessionRecord) -> Iterator[CaseKey]:
@@ -308,11 +310,11 @@ class EpisodeLinks:
     listed: dict[CaseKey, str]
 
     @classmethod
-    def of(cls, gathered: ReportContents, players: Collection[CaseKey]) -> EpisodeLinks:
+    def of(cls, contents: ReportContents, players: Collection[CaseKey]) -> EpisodeLinks:
         """Of what was gathered, and of the episodes with a player."""
         return cls(
             {key: player_anchor(*key) for key in players},
-            {episode.key: _episode_anchor(*episode.key) for episode in gathered.listed},
+            {episode.key: _episode_anchor(*episode.key) for episode in contents.listed},
         )
 
     def of_episode(self, episode: str, component: str) -> str | None:

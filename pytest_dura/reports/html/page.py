@@ -150,9 +150,9 @@ def embed_players(record: SessionRecord, candidates: Sequence[ListedEpisode]) ->
             problem = describe_error(error)
         if packed is not None and len(packed) > room:
             continue
-        told = {**candidate.episode, "violates": candidate.violates, "problem": problem}
-        told["packed"] = None if packed is None else _plain_base64(packed)
-        players.rows.append({**told, "anchor": player_anchor(*candidate.key)})
+        row = {**candidate.episode, "violates": candidate.violates, "problem": problem}
+        row["packed"] = None if packed is None else _plain_base64(packed)
+        players.rows.append({**row, "anchor": player_anchor(*candidate.key)})
         if packed is not None:
             room -= len(packed)
             players.shown.append(candidate.key)
@@ -187,19 +187,19 @@ def _verdicts_on_episode(record: SessionRecord, episode: ListedEpisode) -> list[
         case = verdict["case"], verdict["component"]
         if case != (episode.episode["case"], episode.episode["component"]):
             continue
-        told = {"requirement": verdict["requirement"], "check": verdict["check"]}
-        against = [
+        row = {"requirement": verdict["requirement"], "check": verdict["check"]}
+        violations = [
             counterexample
             for counterexample in verdict["counterexamples"]
             if counterexample["episode"] == episode.episode["id"]
         ]
-        if against and episode.violates:
-            told |= {"time": against[0]["time"], "margin": against[0]["margin"]}
-            note = "" if against[0]["valid"] else "without effect of the fault"
-            violated.append({**told, "verdict": "violated", "note": note})
+        if violations and episode.violates:
+            row |= {"time": violations[0]["time"], "margin": violations[0]["margin"]}
+            note = "" if violations[0]["valid"] else "without effect of the fault"
+            violated.append({**row, "verdict": "violated", "note": note})
         else:
-            word, note = _satisfied_verdict(verdict, episode.episode)
-            others.append({**told, "verdict": word, "note": note})
+            status, note = _satisfied_verdict(verdict, episode.episode)
+            others.append({**row, "verdict": status, "note": note})
     return violated + others
 
 
@@ -265,25 +265,25 @@ _SECTIONS: Mapping[str, Section] = {
 
 def render(record: SessionRecord) -> str:
     """The page as a text. It reads the bundle's traces, and tells of those it cannot read."""
-    gathered = ReportContents.of(record)
-    players = embed_players(record, gathered.candidates)
-    links = EpisodeLinks.of(gathered, players.shown)
+    contents = ReportContents.of(record)
+    players = embed_players(record, contents.candidates)
+    links = EpisodeLinks.of(contents, players.shown)
     scripts = [_asset("report.js")]
     styles = [_asset("report.css")]
     if players.shown:
         scripts.insert(0, players.script)
         styles.insert(0, players.style)
-    told = {name: section(record, gathered, links) for name, section in _SECTIONS.items()}
+    sections = {name: section(record, contents, links) for name, section in _SECTIONS.items()}
     template = _environment().get_template("report.html")
     return template.render(
         record=record.head,
         links=links,
         players=players,
-        gathered=gathered,
+        gathered=contents,
         scripts=_inline(scripts),
         styles=_inline(styles),
         policy=_content_policy(scripts, styles),
-        **told,
+        **sections,
     )
 
 
@@ -375,15 +375,17 @@ def read_counts(text: str) -> Counts:
         valid=episodes["valid"],
         invalid=episodes["invalid"],
         missing=episodes["missing"],
-        **{campaign_status: page.words[campaign_status] for campaign_status in CAMPAIGN_STATUSES},
+        **{
+            campaign_status: page.statuses[campaign_status] for campaign_status in CAMPAIGN_STATUSES
+        },
         waived=page.waived,
     )
 
 
-def _read_gate(found: list[str]) -> str:
-    if len(set(found)) != 1 or found[0] not in _GATE_RESULTS:
-        raise ValueError(f"the gate's result is {' and '.join(found) or 'missing'}")
-    return found[0]
+def _read_gate(gates: list[str]) -> str:
+    if len(set(gates)) != 1 or gates[0] not in _GATE_RESULTS:
+        raise ValueError(f"the gate's result is {' and '.join(gates) or 'missing'}")
+    return gates[0]
 
 
 @dataclass
@@ -392,7 +394,7 @@ class _TableRow:
 
     kinds: list[str]
     cells: list[str] = field(default_factory=list)
-    words: list[str] = field(default_factory=list)
+    statuses: list[str] = field(default_factory=list)
     waived: bool = False
     folded: int = 0
     """What the row stands for that has none."""
@@ -408,7 +410,7 @@ class _PageParser(HTMLParser):
         self.requirements = 0
         self.cases = 0
         self.waived = 0
-        self.words: Counter[str] = Counter()
+        self.statuses: Counter[str] = Counter()
         self.episodes: Counter[str] = Counter()
         self._table = ""
         self._columns: list[str] = []
@@ -417,10 +419,10 @@ class _PageParser(HTMLParser):
         self._marked = ""
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        found = dict(attrs)
-        kinds = (found.get("class") or "").split()
+        attributes = dict(attrs)
+        kinds = (attributes.get("class") or "").split()
         if tag == "table":
-            self._table = found.get("id") or ""
+            self._table = attributes.get("id") or ""
             self.seen.add(self._table)
             self._columns = []
         elif tag == "tbody":
@@ -437,38 +439,38 @@ class _PageParser(HTMLParser):
         self._text.append(data)
 
     def handle_endtag(self, tag: str) -> None:
-        strip = "".join(self._text).strip()
+        text = "".join(self._text).strip()
         if tag in ("b", "strong") and self._marked:
-            self._mark(strip)
+            self._mark(text)
             self._marked = ""
         elif tag in ("td", "th") and self._row is not None:
-            self._row.cells.append(strip)
+            self._row.cells.append(text)
         elif tag == "tr" and self._row is not None:
             self._end_row(self._row)
             self._row = None
         elif tag == "table":
             self._table = ""
 
-    def _mark(self, told: str) -> None:
+    def _mark(self, text: str) -> None:
         if self._marked == "gate-word":
-            self.gates.append(told)
+            self.gates.append(text)
         elif self._row is not None and self._marked == "word":
-            self._row.words.append(told)
+            self._row.statuses.append(text)
         elif self._row is not None and self._marked.startswith("folded-"):
-            if not told.isdecimal():
-                raise ValueError(f"what is not shown is counted as {told!r}")
-            self._row.folded = int(told)
+            if not text.isdecimal():
+                raise ValueError(f"what is not shown is counted as {text!r}")
+            self._row.folded = int(text)
         elif self._row is not None:
             self._row.waived = True
 
     def _end_row(self, row: _TableRow) -> None:
         if self._table == "verdicts" and "verdict" in row.kinds:
-            if len(row.words) != 1 or row.words[0] not in CAMPAIGN_STATUSES:
-                raise ValueError(f"a verdict reads {row.words}")
-            self.words[row.words[0]] += 1
+            if len(row.statuses) != 1 or row.statuses[0] not in CAMPAIGN_STATUSES:
+                raise ValueError(f"a verdict reads {row.statuses}")
+            self.statuses[row.statuses[0]] += 1
             self.waived += row.waived
         elif self._table == "verdicts" and "folded" in row.kinds:
-            self.words["supported"] += row.folded
+            self.statuses["supported"] += row.folded
         elif self._table == "case-counts":
             self._count(row)
 
@@ -481,8 +483,8 @@ class _PageParser(HTMLParser):
         if not {"case", "unlisted", "folded"} & set(row.kinds):
             return
         self.cases += row.folded + ("case" in row.kinds)
-        for word in COUNTED:
-            self.episodes[word] += _read_number(row.cells, self._columns.index(word))
+        for column in COUNTED:
+            self.episodes[column] += _read_number(row.cells, self._columns.index(column))
 
 
 def _read_number(cells: list[str], place: int) -> int:

@@ -49,16 +49,14 @@ def _scene_data(scene: Scene, text: Callable[[object], str]) -> dict[str, Any]:
         four as lists of differences, one per tick; it ends where the thing is absent or its size
         changes. ``same`` has ``[tick, ticks]`` in which a percept is what the truth is.
     """
-    truth = {
-        item: _rounded_poses(scene.truth, column) for column, item in enumerate(scene.truth.ids)
-    }
+    truth = {id_: _rounded_poses(scene.truth, column) for column, id_ in enumerate(scene.truth.ids)}
     return {
         "ego": text(scene.ego),
         "lines": [_line_data(line, text) for line in scene.lines],
-        "truth": [_object_data(text(item), *found, None) for item, found in truth.items()],
+        "truth": [_object_data(text(id_), *track, None) for id_, track in truth.items()],
         "percept": [
-            _object_data(text(item), *_rounded_poses(scene.percept, column), truth.get(item))
-            for column, item in enumerate(scene.percept.ids)
+            _object_data(text(id_), *_rounded_poses(scene.percept, column), truth.get(id_))
+            for column, id_ in enumerate(scene.percept.ids)
         ],
     }
 
@@ -102,15 +100,15 @@ def _object_data(
 
 def _stretches(mask: NDArray[np.bool_], cuts: NDArray[np.bool_]) -> list[tuple[int, int]]:
     """Half-open intervals in which the mask holds, cut in two where ``cuts`` says so."""
-    found: list[tuple[int, int]] = []
+    stretches: list[tuple[int, int]] = []
     start: int | None = None
     for index, (held, cut) in enumerate(zip(mask.tolist(), cuts.tolist(), strict=True)):
         if start is not None and (not held or cut):
-            found.append((start, index))
+            stretches.append((start, index))
             start = None
         if held and start is None:
             start = index
-    return found if start is None else [*found, (start, len(mask))]
+    return stretches if start is None else [*stretches, (start, len(mask))]
 
 
 def _differences(values: Ints) -> list[int]:
@@ -152,14 +150,14 @@ def player_data(trace: Trace, verdicts: Sequence[Mapping[str, Any]] = ()) -> dic
         "verdicts": [_verdict(verdict, trace.time.tolist()) for verdict in verdicts],
         "margins": _margins(trace, verdicts),
         "decisions": {
-            item: _flag_texts(decisions[item].tolist() if item in decisions else ())
+            item: _indexed_texts(decisions[item].tolist() if item in decisions else ())
             for item in ("proposed", "executed", "source")
         },
         "attempts": [_number(attempt) for attempt in decisions.get("attempts", ())],
-        "explanations": _flag_texts(recording.explanations),
-        "reasons": _flag_texts(recording.reasons),
-        "recoveries": _flag_texts(recording.recoveries),
-        "accounts": _flag_texts([_account(account) for account in recording.accounts]),
+        "explanations": _indexed_texts(recording.explanations),
+        "reasons": _indexed_texts(recording.reasons),
+        "recoveries": _indexed_texts(recording.recoveries),
+        "accounts": _indexed_texts([_account(account) for account in recording.accounts]),
         "flags": {
             _name(monitor): [_number(item) for item in column.tolist()]
             for monitor, column in recording.flags.items()
@@ -193,7 +191,7 @@ def _number(value: float) -> float | int | str | None:
     return int(rounded) if abs(rounded) < _MAX_WHOLE_NUMBER and rounded.is_integer() else rounded
 
 
-def _flag_texts(texts: Sequence[object]) -> dict[str, list[Any]]:
+def _indexed_texts(texts: Sequence[object]) -> dict[str, list[Any]]:
     known: dict[str, int] = {}
     at = [known.setdefault(_text(text), len(known)) for text in texts]
     return {"words": list(known), "at": at}
@@ -225,21 +223,21 @@ def _verdict(verdict: Mapping[str, Any], time: Sequence[float]) -> dict[str, Any
 
 def _margins(trace: Trace, verdicts: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """The margin over time of each check that is a formula, once for those of the same one."""
-    found: dict[str, dict[str, Any]] = {}
+    margins: dict[str, dict[str, Any]] = {}
     for verdict in sorted(verdicts, key=lambda verdict: verdict["verdict"] != "violated"):
         check = verdict.get("check") or ""
-        if check not in found:
-            if len(found) == MAX_MARGINS:
+        if check not in margins:
+            if len(margins) == MAX_MARGINS:
                 continue
             margin = margin_over_time(check, trace)
             if margin is None:
                 continue
             formula, column = margin
             values = [_number(value) for value in column.tolist()]
-            found[check] = {"formula": _text(formula), "requirements": [], "values": values}
-            found[check]["violated"] = verdict["verdict"] == "violated"
-        found[check]["requirements"].append(_name(verdict["requirement"]))
-    return list(found.values())
+            margins[check] = {"formula": _text(formula), "requirements": [], "values": values}
+            margins[check]["violated"] = verdict["verdict"] == "violated"
+        margins[check]["requirements"].append(_name(verdict["requirement"]))
+    return list(margins.values())
 
 
 def _events(trace: Trace) -> list[list[Any]]:
@@ -251,8 +249,8 @@ def _events(trace: Trace) -> list[list[Any]]:
         for event in trace.events
     ]  # fmt: skip
     collided = trace.signals.get("collided")
-    told = any(row[1] == "collision" for row in rows)
-    if not told and collided is not None and (collided > 0.5).any():
+    has_collision = any(row[1] == "collision" for row in rows)
+    if not has_collision and collided is not None and (collided > 0.5).any():
         first = int((collided > 0.5).argmax())
         rows.append([first, "collision", "collided", "the signal collided was raised"])
     return sorted(rows, key=lambda row: row[0])
@@ -260,20 +258,20 @@ def _events(trace: Trace) -> list[list[Any]]:
 
 def _faults(events: Sequence[Mapping[str, Any]], ticks: int) -> list[dict[str, Any]]:
     """When each fault was active, in ticks, and when it changed what the component read."""
-    found: list[dict[str, Any]] = []
+    faults: list[dict[str, Any]] = []
     active: dict[str, dict[str, Any]] = {}
     last = max(ticks - 1, 0)
     for event in events:
         subject, tick = event["subject"], min(max(int(event["tick"]), 0), last)
         if event["kind"] == "fault_activated":
-            item = {"id": _name(subject), "from": tick, "to": last, "manifested": []}
-            active[subject] = item
-            found.append(item)
+            fault = {"id": _name(subject), "from": tick, "to": last, "manifested": []}
+            active[subject] = fault
+            faults.append(fault)
         elif event["kind"] == "fault_manifested" and subject in active:
             active[subject]["manifested"].append(tick)
         elif event["kind"] == "fault_deactivated" and subject in active:
             active.pop(subject)["to"] = tick
-    return found
+    return faults
 
 
 _ASSETS = Path(__file__).parent / "assets"
