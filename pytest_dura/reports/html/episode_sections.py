@@ -32,12 +32,13 @@ from pytest_dura.reports.tables import (
     percent_text,
 )
 
+Data = Mapping[str, Any]
 Heading = Mapping[str, Any]
 """``label``, ``below`` (a second line, or empty) and ``anchor`` (or ``None``)."""
 
 
 def heading(label: str, below: str = "", anchor: str | None = None) -> Heading:
-    """What a row or column is."""
+    """Heading of a row or column."""
     return {"label": label, "below": below, "anchor": anchor}
 
 
@@ -45,7 +46,7 @@ def matrix(
     requirements: Sequence[Heading],
     places: Sequence[Heading],
     cell: Callable[[int, int], Any],
-    place: str,
+    corner: str,
 ) -> Mapping[str, Any]:
     """``corner``, ``columns`` and ``rows``; whichever there is less of stands in the columns.
 
@@ -53,7 +54,7 @@ def matrix(
         requirements: Their headings.
         places: Headings of what they are held against.
         cell: What stands at the numbers of a requirement and a place.
-        place: What a place is called.
+        corner: What the places are, above their column.
     """
     if len(places) <= len(requirements):
         rows = [
@@ -65,7 +66,7 @@ def matrix(
         {**place, "cells": [cell(i, j) for i in range(len(requirements))]}
         for j, place in enumerate(places)
     ]
-    return {"corner": place, "columns": requirements, "rows": rows}
+    return {"corner": corner, "columns": requirements, "rows": rows}
 
 
 CHART_LEFT, CHART_RIGHT, CHART_TOP = 8.0, 712.0, 8.0
@@ -160,9 +161,6 @@ def _chart_x(value: float, scale: float) -> float:
     return round(CHART_LEFT + value * scale, 1)
 
 
-Data = Mapping[str, Any]
-
-
 def scenario_section(record: SessionRecord, contents: ReportContents, _links: EpisodeLinks) -> Data:
     """One row for each case and component, and the chart where anything was cleared.
 
@@ -213,7 +211,7 @@ def _folded_sums(cases: list[Data]) -> Data:
 
 BIN_WIDTH, BIN_HEIGHT = 12.0, 22.0
 _MAX_BARS = 20
-"""A list of choices may be long."""
+"""Bars of a parameter; a list of choices may be long."""
 
 
 def coverage_section(record: SessionRecord, contents: ReportContents, _links: EpisodeLinks) -> Data:

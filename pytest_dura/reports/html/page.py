@@ -33,11 +33,12 @@ if TYPE_CHECKING:
     from markupsafe import Markup
 
 
+Data = Mapping[str, Any]
 _NO_VALUE = "\N{EN DASH}"
 
 
 def _number_text(value: float | None, digits: int = 3) -> str:
-    """With so many significant digits; an integer as it is."""
+    """A number with so many significant digits; an integer as it is."""
     if value is None:
         return _NO_VALUE
     if isinstance(value, int) or float(value).is_integer():
@@ -62,7 +63,7 @@ def _share_text(part: int, whole: int) -> str:
 
 
 def _size_text(count: int) -> str:
-    """Of a file: ``12 kB``."""
+    """Size of a file: ``12 kB``."""
     if count < 1000:
         return f"{count} B"
     return f"{count / 1000:.0f} kB" if count < 1_000_000 else f"{count / 1e6:.1f} MB"
@@ -76,12 +77,12 @@ def _time_text(text: str) -> str:
 
 
 def _line_text(text: str, limit: int = LINE) -> str:
-    """On one line; of a very long text only the beginning is looked at."""
+    """A text on one line; of a very long text only the beginning is looked at."""
     return one_line(text, limit) if len(text) < 50_000 else visible(text, limit)
 
 
 def _replay_text(episode: str, session: str) -> str:
-    """What runs one episode again, with ``DIR`` for the folder that holds the evidence."""
+    """The command that runs an episode again, with ``DIR`` for the folder of the evidence."""
     return replay_command(episode, "DIR", model_options(session))
 
 
@@ -102,10 +103,7 @@ FILTERS: Mapping[str, Any] = {
     "replay": _replay_text,
     "role": _role_name,
 }
-"""What templates may call."""
-
-
-Data = Mapping[str, Any]
+"""Filters of the templates."""
 
 MAX_PLAYERS = 12
 MAX_CHARACTERS = 6_000_000
@@ -113,7 +111,7 @@ MAX_CHARACTERS = 6_000_000
 
 @dataclass
 class Players:
-    """What is embedded of traces, and what could not be.
+    """The players of a report, and the traces that could not be read.
 
     Args:
         rows: In the page's order: the episode with ``anchor``, ``packed`` (the player's text, or
@@ -146,7 +144,7 @@ def embed_players(record: SessionRecord, candidates: Sequence[ListedEpisode]) ->
         packed, problem = None, ""
         try:
             packed = _packed_trace(record, candidate)
-        except Exception as error:  # told in the trace's place
+        except Exception as error:  # shown in the trace's place
             problem = describe_error(error)
         if packed is not None and len(packed) > room:
             continue
@@ -180,7 +178,7 @@ def _packed_trace(record: SessionRecord, episode: ListedEpisode) -> str:
 
 
 def _verdicts_on_episode(record: SessionRecord, episode: ListedEpisode) -> list[Data]:
-    """What the record says of this very episode, its violations first."""
+    """The verdicts on an episode, its violations first."""
     violated: list[Data] = []
     others: list[Data] = []
     for verdict in record["verdicts"]:
@@ -204,9 +202,9 @@ def _verdicts_on_episode(record: SessionRecord, episode: ListedEpisode) -> list[
 
 
 def _satisfied_verdict(verdict: Data, episode: Data) -> tuple[str, str]:
-    """What a verdict says of an episode that is none of its counterexamples, and a note on it.
+    """A verdict's status on an episode that is none of its counterexamples, and a note on it.
 
-    The record names single episodes where they violate; of others it tells the sum.
+    The record names single episodes where they violate; of others it has the sums.
     """
     # Another requirement on the case may have needed more runs than this one looked at.
     beyond = verdict["check"] and episode["run"] >= verdict["run"]
@@ -260,11 +258,11 @@ _SECTIONS: Mapping[str, Section] = {
     "episodes": episode_sections.episode_section,
     "provenance": verdict_sections.provenance_section,
 }
-"""By the name of their template, in the order of the page."""
+"""Sections by the name of their template, in the order of the page."""
 
 
 def render(record: SessionRecord) -> str:
-    """The page as a text. It reads the bundle's traces, and tells of those it cannot read."""
+    """The page as a text. It reads the bundle's traces, and names those that it cannot read."""
     contents = ReportContents.of(record)
     players = embed_players(record, contents.candidates)
     links = EpisodeLinks.of(contents, players.shown)
@@ -279,7 +277,7 @@ def render(record: SessionRecord) -> str:
         record=record.head,
         links=links,
         players=players,
-        gathered=contents,
+        contents=contents,
         scripts=_inline(scripts),
         styles=_inline(styles),
         policy=_content_policy(scripts, styles),
@@ -305,7 +303,7 @@ def _environment() -> Environment:
 
 
 def _finalized(value: Any) -> Any:
-    """What a template writes of a value; markup that a template made stays as it is."""
+    """A value as a template writes it; markup that a template made stays as it is."""
     if value is None:
         return ""
     if type(value) is str:
@@ -397,11 +395,11 @@ class _TableRow:
     statuses: list[str] = field(default_factory=list)
     waived: bool = False
     folded: int = 0
-    """What the row stands for that has none."""
+    """Verdicts or cases that the row stands for."""
 
 
 class _PageParser(HTMLParser):
-    """The rows of the two tables that count, and the words for the gate."""
+    """Parser of the two tables that are counted, and of the gate's result."""
 
     def __init__(self) -> None:
         super().__init__(convert_charrefs=True)

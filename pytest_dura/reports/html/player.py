@@ -41,7 +41,7 @@ def _scene_data(scene: Scene, text: Callable[[object], str]) -> dict[str, Any]:
 
     Args:
         scene: The scene.
-        text: What makes an id fit to be shown; two that differ stay different.
+        text: Makes an id fit to be shown; two ids that differ stay different.
 
     Returns:
         ``ego``; ``lines`` of ``[kind, x, y]``; ``truth`` and ``percept``, a list of things
@@ -68,7 +68,7 @@ def _line_data(line: Line, text: Callable[[object], str]) -> list[Any]:
 
 
 def _rounded_poses(tracks: Tracks, column: int) -> tuple[NDArray[np.bool_], Ints]:
-    """Where a thing is present, and its poses in cm and mrad."""
+    """The ticks at which an object is present, and its poses in cm and mrad."""
     poses = tracks.poses[:, column].astype(np.float64)
     present = np.isnan(poses[:, :2]).sum(axis=1) == 0
     poses = np.clip(np.nan_to_num(poses, nan=0.0), -_FARTHEST, _FARTHEST)
@@ -99,7 +99,7 @@ def _object_data(
 
 
 def _stretches(mask: NDArray[np.bool_], cuts: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Half-open intervals in which the mask holds, cut in two where ``cuts`` says so."""
+    """Half-open intervals in which the mask holds, split where ``cuts`` holds."""
     stretches: list[tuple[int, int]] = []
     start: int | None = None
     for index, (held, cut) in enumerate(zip(mask.tolist(), cuts.tolist(), strict=True)):
@@ -128,7 +128,7 @@ def player_data(trace: Trace, verdicts: Sequence[Mapping[str, Any]] = ()) -> dic
 
     Args:
         trace: The episode.
-        verdicts: What was found of it, each with ``requirement``, ``verdict``, and if known
+        verdicts: The verdicts on it, each with ``requirement``, ``verdict``, and if known
             ``time`` of the violation in s, ``margin`` and ``check``; with a ``note`` where there is
             more to say.
 
@@ -137,31 +137,25 @@ def player_data(trace: Trace, verdicts: Sequence[Mapping[str, Any]] = ()) -> dic
         ``words`` for each decision. Signals have six significant digits; ``None`` is NaN, and
         infinities are texts. ``margins`` are the checks' robustness over time, each with the
         ``formula`` that it is of and the ``requirements`` that it decides. For the scene see
-        :func:`~pytest_dura.reports.html.player.scene_data`.
+        :func:`_scene_data`.
     """
     recording, decisions = trace.recording, trace.decisions
     return {
         "about": {key: _plain(value) for key, value in trace.about.items()},
-        "time": [_number(item) for item in trace.time.tolist()],
-        "signals": {
-            _name(signal): [_number(item) for item in column.tolist()]
-            for signal, column in trace.signals.items()
-        },
+        "time": _numbers(trace.time),
+        "signals": {_name(signal): _numbers(column) for signal, column in trace.signals.items()},
         "verdicts": [_verdict(verdict, trace.time.tolist()) for verdict in verdicts],
         "margins": _margins(trace, verdicts),
         "decisions": {
-            item: _indexed_texts(decisions[item].tolist() if item in decisions else ())
-            for item in ("proposed", "executed", "source")
+            column: _indexed_texts(decisions[column].tolist() if column in decisions else ())
+            for column in ("proposed", "executed", "source")
         },
         "attempts": [_number(attempt) for attempt in decisions.get("attempts", ())],
         "explanations": _indexed_texts(recording.explanations),
         "reasons": _indexed_texts(recording.reasons),
         "recoveries": _indexed_texts(recording.recoveries),
         "accounts": _indexed_texts([_account(account) for account in recording.accounts]),
-        "flags": {
-            _name(monitor): [_number(item) for item in column.tolist()]
-            for monitor, column in recording.flags.items()
-        },
+        "flags": {_name(monitor): _numbers(column) for monitor, column in recording.flags.items()},
         "events": _events(trace),
         "faults": _faults(trace.events, len(trace.time)),
         "scene": None if recording.scene is None else _scene_data(recording.scene, _name),
@@ -181,6 +175,10 @@ def _plain(value: Any) -> Any:
     return value if value is None or isinstance(value, (bool, int)) else _text(value)
 
 
+def _numbers(column: NDArray[Any]) -> list[float | int | str | None]:
+    return [_number(value) for value in column.tolist()]
+
+
 def _number(value: float) -> float | int | str | None:
     """Six significant digits, whole numbers without a point."""
     if math.isnan(value):
@@ -192,6 +190,7 @@ def _number(value: float) -> float | int | str | None:
 
 
 def _indexed_texts(texts: Sequence[object]) -> dict[str, list[Any]]:
+    """The different texts, and the index of each entry's: most entries repeat another."""
     known: dict[str, int] = {}
     at = [known.setdefault(_text(text), len(known)) for text in texts]
     return {"words": list(known), "at": at}
@@ -233,7 +232,7 @@ def _margins(trace: Trace, verdicts: Sequence[Mapping[str, Any]]) -> list[dict[s
             if margin is None:
                 continue
             formula, column = margin
-            values = [_number(value) for value in column.tolist()]
+            values = _numbers(column)
             margins[check] = {"formula": _text(formula), "requirements": [], "values": values}
             margins[check]["violated"] = verdict["verdict"] == "violated"
         margins[check]["requirements"].append(_name(verdict["requirement"]))
@@ -241,7 +240,7 @@ def _margins(trace: Trace, verdicts: Sequence[Mapping[str, Any]]) -> list[dict[s
 
 
 def _events(trace: Trace) -> list[list[Any]]:
-    """Rows of tick, kind, subject and detail, with the collision that a signal tells of."""
+    """Rows of tick, kind, subject and detail, with a collision that only a signal shows."""
     last = max(len(trace.time) - 1, 0)
     rows = [
         [min(max(int(event["tick"]), 0), last), _name(event["kind"]),

@@ -45,7 +45,7 @@ Data = Mapping[str, Any]
 
 
 def gate_section(record: SessionRecord, _contents: ReportContents, _links: EpisodeLinks) -> Data:
-    """Sentences, and the verdicts that the gate's reasons speak of, by the words of the reason."""
+    """Sentences on the session, and the anchor of the verdict behind each reason of the gate."""
     anchors = {}
     for verdict in record["verdicts"]:
         requirement, case = verdict["requirement"], verdict["case"]
@@ -114,7 +114,7 @@ def _verdict_rank(verdict: Data) -> int:
 
 
 def _folded_verdicts(verdicts: list[Data]) -> Data:
-    """What is told of verdicts without rows: all of them are supported, by valid episodes."""
+    """Sums of the verdicts without rows; all of them are supported, by valid episodes."""
     margins = [verdict["margin"] for verdict in verdicts if verdict["margin"] is not None]
     bounds = [
         verdict["bound"]["upper"] for verdict in verdicts if verdict["bound"]["upper"] is not None
@@ -160,7 +160,7 @@ def _verdict_row(verdict: Data, links: EpisodeLinks) -> Data:
 def traceability_section(
     record: SessionRecord, contents: ReportContents, links: EpisodeLinks
 ) -> Data:
-    """Rows of both directions."""
+    """The trace from requirements to episodes, and that from cases to requirements."""
     by_requirement: dict[str, list[Data]] = {}
     by_case: dict[tuple[str, str], list[Data]] = {}
     shown, rest = split_folded(record["verdicts"], contents.folded)
@@ -228,7 +228,7 @@ def _case_trace(
 
 
 def monitor_section(record: SessionRecord, _contents: ReportContents, _links: EpisodeLinks) -> Data:
-    """Monitors that had anything to see or to say, how many had not, and the pairs of recovery."""
+    """Monitors with violations or alarms, how many had neither, and the pairs with recovery."""
     monitors = [
         monitor
         for monitor in record["monitors"]
@@ -247,9 +247,15 @@ def monitor_section(record: SessionRecord, _contents: ReportContents, _links: Ep
         for verdict in record["verdicts"]
         if verdict["pairs"] and ("only_with" in verdict["pairs"] or "change" in verdict["pairs"])
     ]
-    attacks = [item for item in paired if item["pairs"]["without"] == FAULTS]
-    pairs = [item for item in paired if item not in attacks and "only_with" in item["pairs"]]
-    horizons = sorted({item["horizon"] for item in monitors if item["horizon"] is not None})
+    attacks = [verdict for verdict in paired if verdict["pairs"]["without"] == FAULTS]
+    pairs = [
+        verdict
+        for verdict in paired
+        if verdict["pairs"]["without"] != FAULTS and "only_with" in verdict["pairs"]
+    ]
+    horizons = sorted(
+        {monitor["horizon"] for monitor in monitors if monitor["horizon"] is not None}
+    )
     return {
         "rows": _joined_targets(monitors),
         "horizons": horizons,
@@ -257,12 +263,12 @@ def monitor_section(record: SessionRecord, _contents: ReportContents, _links: Ep
         "pairs": pairs,
         "attacks": attacks,
         "effectiveness": record["effectiveness"],
-        "several": len({item["component"] for item in record["effectiveness"]}) > 1,
+        "several": len({effect["component"] for effect in record["effectiveness"]}) > 1,
     }
 
 
 def _joined_targets(monitors: list[Data]) -> list[Data]:
-    """Rows that differ in nothing but their target as one."""
+    """Monitors, those that differ in nothing but their target joined into a row."""
     same: dict[str, dict[str, Any]] = {}
     for monitor in monitors:
         figures = json.dumps({key: value for key, value in monitor.items() if key != "target"})
@@ -280,7 +286,7 @@ def search_section(record: SessionRecord, _contents: ReportContents, _links: Epi
     """The searches, the worst first, with a row for each of their requirements."""
     ordered = sorted(record["searches"], key=_search_rank)
     return {
-        "found": [
+        "searches": [
             {
                 **search,
                 "searched": simulations_text(search),
@@ -323,7 +329,7 @@ UNKNOWN_COMPONENT: dict[str, Any] = {
     "name": None, "path": "", "params": {}, "version": None, "digest": None, "opaque": False,
     "file_count": 0,
 }  # fmt: skip
-"""A component of which nothing was heard."""
+"""A component that the record does not describe."""
 
 
 def provenance_section(
