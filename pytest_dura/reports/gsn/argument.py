@@ -37,6 +37,7 @@ from pytest_dura.reports.tables import (
 )
 from pytest_dura.reports.wording import is_incomplete, merge_text, names_text, shard_text
 
+Data = Mapping[str, Any]
 REVIEW_ID, SESSION_ID = "CReview", "CSession"
 _REVIEW_KEYS = ("reviewer", "reviewDate", "opinion")
 """Keys that a reviewer fills in."""
@@ -185,8 +186,6 @@ def _assumptions(facts: EpisodeFacts) -> Iterator[Element]:
         yield Element(f"A{subject}", text, alias=f"assumption:{subject.lower()}")
 
 
-Data = Mapping[str, Any]
-
 _MONITORS_ID = "GMonitors"
 
 
@@ -235,25 +234,24 @@ _MAX_SEARCH_TEXT = 300
 
 @dataclass(frozen=True)
 class SearchElements:
-    """What searches say of a requirement.
+    """The elements that searches add to a requirement.
 
     Args:
         against: The counter solutions.
-        beside: Contexts on searches that found nothing.
+        contexts: On searches without a violation.
         violations: Counterexamples of searches, those without an element among them.
         refuted: Whether one of them is against a claim on all episodes, and not waived.
         accepted: Whether waivers accept all of them.
     """
 
     against: tuple[Element, ...]
-    beside: tuple[Element, ...]
+    contexts: tuple[Element, ...]
     violations: int
     refuted: bool
     accepted: bool
 
 
 def _search_elements(record: SessionRecord, requirement: Data) -> SearchElements:
-    """What the record's searches say of a requirement."""
     violations: list[tuple[int, int, Data, Data]] = []
     unviolated: list[tuple[int, int, Data, Data]] = []
     for number, search in enumerate(record["searches"]):
@@ -262,13 +260,13 @@ def _search_elements(record: SessionRecord, requirement: Data) -> SearchElements
                 violated = outcome_status(search, outcome) not in (NOTHING_FOUND, "undecided")
                 entry = (number, place, search, outcome)
                 (violations if violated else unviolated).append(entry)
-    open_ = [entry for entry in violations if entry[2]["waiver"] is None]
+    not_waived = [entry for entry in violations if entry[2]["waiver"] is None]
     return SearchElements(
         tuple(_counter_solution(*entry) for entry in violations[:_MAX_SEARCH_ELEMENTS]),
         _search_contexts(requirement, [(search, outcome) for _, _, search, outcome in unviolated]),
         len(violations),
-        refuted=bool(open_) and requirement["at_most"] is None,
-        accepted=not open_,
+        refuted=bool(not_waived) and requirement["at_most"] is None,
+        accepted=not not_waived,
     )
 
 
@@ -393,7 +391,7 @@ def _elements_of_requirement(
         derived_id("G", requirement_id),
         requirement_text(requirement) + ("" if goals else " No case was judged by it."),
         supported_by=(strategy.id,) if goals else (),
-        in_context_of=tuple(element.id for element in (*reason, *searches.beside)),
+        in_context_of=tuple(element.id for element in (*reason, *searches.contexts)),
         undeveloped=not goals,
         defeated=refuted,
         url=url,
@@ -414,7 +412,7 @@ def _elements_of_requirement(
         (
             goal,
             *reason,
-            *searches.beside,
+            *searches.contexts,
             *([strategy] if goals else ()),
             *challenge,
             *searches.against,

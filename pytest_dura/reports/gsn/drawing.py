@@ -54,7 +54,7 @@ def wrap_text(text: str, width: float, most: int, size: float = _FONT_SIZE) -> l
 
 
 def _breakable_pieces(text: str, width: float, size: float) -> list[str]:
-    """The words, those that are wider than a line broken, after a separator if there is one."""
+    """The text at its spaces; what is wider than a line is broken, after a separator if it has one."""
     pieces: list[str] = []
     for part in text.split():
         rest = part
@@ -99,7 +99,7 @@ class Shape:
         undeveloped: Draw the diamond.
         defeated: Draw the cross.
         verdict: Such as ``violated``; it gives the colour.
-        counts: What the shape stands for: ``{"supported": 12}``.
+        counts: Verdicts and requirements that the shape stands for: ``{"supported": 12}``.
         height: Of the whole; set from the lines.
     """
 
@@ -294,7 +294,7 @@ def drawn_argument(argument: Argument) -> DrawnArgument:
 
 
 def _subject_of(element: Element) -> str:
-    """What an element is about, by its alias."""
+    """Subject of an element, by its alias: ``verdict``, ``requirement``."""
     return element.alias.partition(":")[0]
 
 
@@ -549,12 +549,12 @@ class _Layout:
             self._edge("inContextOf", (shape.x, middle), (other.x + other.width, middle))
             lane += other.height + _GAP
         left, height = shape.x + _CELL_GOAL + 2 * _GAP, y
-        for waiver in self._present(self.view.against.get(id_, [])):
-            other = self._shape(self.view.argument[waiver], _COUNTER_WIDTH, small=True)
+        for challenger in self._present(self.view.against.get(id_, [])):
+            other = self._shape(self.view.argument[challenger], _COUNTER_WIDTH, small=True)
             self._put(other, left, height)
             end = (shape.x + shape.width, min(other.y + 12, shape.y + shape.body))
             self._edge("challenges", (other.x, other.y + 12), end)
-            height = self._under(other, self.view.argument[waiver].supported_by) + _GAP
+            height = self._under(other, self.view.argument[challenger].supported_by) + _GAP
         return shape, max(bottom, lane - _GAP, height - _GAP)
 
     def _under(self, shape: Shape, ids: Sequence[str]) -> float:

@@ -116,18 +116,18 @@ _ALLOWED_SUPPORT = {
     "Strategy": frozenset({"Goal", "Strategy", "Solution"}) | _COUNTER,
     "CounterGoal": _COUNTER,
 }
-_LISTS = ("supportedBy", "inContextOf", "defeatedRelation")
-_FLAGS = ("undeveloped", "defeated")
-_TEXTS = ("text", "url", "challenges")
+LIST_KEYS = ("supportedBy", "inContextOf", "defeatedRelation")
+FLAG_KEYS = ("undeveloped", "defeated")
+TEXT_KEYS = ("text", "url", "challenges")
 _MODULE_KEY = "name"
 """gsn2x takes whatever has this key for the description of a module, and not for an element."""
 
 
 def rule_problems(elements: Mapping[str, Any]) -> list[str]:
-    """Everything in which an argument breaks the rules; ``elements`` are without the module."""
+    """The rules that an argument breaks, a line each; ``elements`` are without the module."""
     shape_problems = [text for id_, node in elements.items() for text in _shape_problems(id_, node)]
     if shape_problems:
-        return shape_problems  # nothing else can be said of what is not an argument at all
+        return shape_problems  # the other rules presuppose the shape of an argument
     disputed = {
         end for node in elements.values() for end in _challenged_element(_challenged_id(node))
     }
@@ -162,17 +162,17 @@ def _shape_problems(id_: str, node: Any) -> Iterator[str]:
         return
     if _MODULE_KEY in node:
         yield f"{id_}: the key `{_MODULE_KEY}` makes gsn2x take it for a module"
-    for key in _LISTS:
+    for key in LIST_KEYS:
         value = node.get(key, [])
         references = [value] if isinstance(value, str) else value
         if not isinstance(references, list) or not all(
             isinstance(reference, str) for reference in references
         ):
             yield f"{id_}: {key} is a list of ids"
-    for key in _FLAGS:
+    for key in FLAG_KEYS:
         if not isinstance(node.get(key, False), bool):
             yield f"{id_}: {key} is true or false"
-    for key in _TEXTS:
+    for key in TEXT_KEYS:
         if not isinstance(node.get(key, ""), str):
             yield f"{id_}: {key} is text"
     if not node.get("text"):

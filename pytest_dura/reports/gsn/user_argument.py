@@ -22,7 +22,10 @@ from pytest_dura.reports.gsn.argument import (
     generated_argument,
 )
 from pytest_dura.reports.gsn.element import (
+    FLAG_KEYS,
+    LIST_KEYS,
     PREFIXES,
+    TEXT_KEYS,
     Argument,
     Element,
     derived_id,
@@ -37,9 +40,6 @@ MAX_BYTES = 1024 * 1024
 MAX_DEPTH = 8
 _ARGUMENT_OPTION = "--dura-argument"
 
-_LISTS = ("supportedBy", "inContextOf", "defeatedRelation")
-_FLAGS = ("undeveloped", "defeated")
-_TEXTS = ("text", "challenges", "url")
 _REFUSED_KEYS = {
     "name": "gsn2x takes whatever has a `name` for a module; call the key otherwise",
     "nodeType": "let the id begin with the prefix of its kind instead",
@@ -112,7 +112,7 @@ def check_requirements(user: UserArgument, requirements: Iterable[str]) -> None:
     """
     known = sorted(requirements)
     for id_, node in user["elements"].items():
-        for key in (*_LISTS, "challenges"):
+        for key in (*LIST_KEYS, "challenges"):
             for reference in [node[key]] if isinstance(node.get(key), str) else node.get(key, []):
                 requirement = reference.removeprefix("requirement:")
                 if requirement != reference and requirement not in known:
@@ -250,15 +250,15 @@ class _Reader:
         for key, value in node.items():
             if key in _REFUSED_KEYS:
                 self._wrong(f"{id_}.{key}", "this key cannot be used", key, _REFUSED_KEYS[key])
-            if key in _FLAGS and not isinstance(value, bool):
+            if key in FLAG_KEYS and not isinstance(value, bool):
                 self._wrong(f"{id_}.{key}", "no truth value", str(value)[:80], "true or false")
-            if key in _TEXTS and not isinstance(value, str):
+            if key in TEXT_KEYS and not isinstance(value, str):
                 self._wrong(f"{id_}.{key}", "no text", str(value)[:80], "text")
-            if key in _LISTS and not _names(value):
+            if key in LIST_KEYS and not _names(value):
                 self._wrong(f"{id_}.{key}", "no list of ids", str(value)[:80], "[G2, S1]")
         if not node.get("text"):
             self._wrong(id_, "an element has a text", "none", "`text:`")
-        return {key: [value] if key in _LISTS and isinstance(value, str) else value
+        return {key: [value] if key in LIST_KEYS and isinstance(value, str) else value
                 for key, value in node.items()}  # fmt: skip
 
     def _wrong(self, key: str, problem: str, found: str, expected: str) -> NoReturn:

@@ -27,7 +27,7 @@ from pytest_dura.reports.wording import (
 Data = Mapping[str, Any]
 
 MAX_TEXT = 400
-"""Characters of a text of a user's in an element; the record has all of it."""
+"""Characters of a user's text in an element; the record has all of it."""
 
 
 def percent_text(share: float) -> str:
@@ -43,7 +43,7 @@ def requirement_text(requirement: Data) -> str:
 
 
 def _bound_text(requirement: Data) -> str:
-    """What the requirement asks of a campaign."""
+    """The bound that the requirement sets a campaign."""
     pairs = requirement["paired"]
     what = "episodes"
     if pairs is not None:
@@ -63,7 +63,7 @@ def _place_text(case: str, component: str, *, several: bool) -> str:
 
 
 def _verdict_text(verdict: Data, *, several: bool) -> str:
-    """The proposition that a verdict is on."""
+    """The proposition that a verdict decides."""
     where = _place_text(verdict["case"], verdict["component"], several=several)
     bound = verdict["bound"]["at_most"]
     how = "holds in every valid episode of" if bound is None else "keeps its bound in"
@@ -107,7 +107,7 @@ def _upper_text(verdict: Data) -> str:
 
 
 def _waiver_text(verdict: Data) -> str:
-    """The doubt that a waiver leaves, with the reason that somebody gave for it."""
+    """The doubt that a waiver leaves, with the reason given for it."""
     waiver = verdict["waiver"]
     reason = _as_sentence(str(waiver["reason"] or "none was given"))
     return (
@@ -167,7 +167,7 @@ _MOST_NAMES = 8
 
 @dataclass
 class EpisodeFacts:
-    """Of all episodes, in bounded memory.
+    """Facts of all episodes, in bounded memory.
 
     Args:
         policies: Recovery policies of the cases on which there is a verdict.
@@ -250,7 +250,7 @@ def verdict_elements(
         if seen[key] > 1:
             apart = (*apart, str(seen[key]))
         shown = (verdict["case"], verdict["component"]) not in folded
-        yield _VerdictBuilder(record, facts, index, verdict, apart, several, shown).judged()
+        yield _VerdictBuilder(record, facts, index, verdict, apart, several, shown).build()
 
 
 @dataclass(frozen=True)
@@ -294,7 +294,7 @@ class _VerdictBuilder:
             anchor = verdict_anchor(requirement, self.verdict["case"])
         return {"report": f"report.html#{anchor}", "verdict": self.verdict["verdict"]}
 
-    def judged(self) -> VerdictElements:
+    def build(self) -> VerdictElements:
         """The verdict with all its elements."""
         undecided = self.verdict["verdict"] == "undecided"
         waived = self.verdict["waiver"] is not None
