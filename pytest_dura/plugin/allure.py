@@ -266,7 +266,7 @@ def _loop(episode: Episode, trace: Trace, judged: EpisodeVerdict | None, check: 
         if step is steps[-1] and judged is not None:
             word = one_line(f"{judged.verdict}: {judged.detail}")
             found = {one_line(judged.requirement, 100): word}
-        with _step(step.name, {**step.told, **found}):
+        with _step(step.name, {**step.details, **found}):
             pass
 
 

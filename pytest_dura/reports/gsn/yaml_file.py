@@ -29,7 +29,7 @@ def render(record: SessionRecord) -> str:
     """
     import yaml
 
-    elements = {id_: item.to_yaml() for id_, item in session_argument(record).items()}
+    elements = {id_: element.to_yaml() for id_, element in session_argument(record).items()}
     problems = rule_problems(elements)
     if problems:
         raise ValueError(f"the argument breaks a rule: {problems[0]}")
@@ -87,7 +87,9 @@ def elements_of(text: str) -> dict[str, Any]:
             loader.dispose()
     if not isinstance(node, yaml.MappingNode) or not isinstance(data, dict):
         _reading_error("no mapping of elements")
-    twice = [key for key, n in Counter(item.value for item, _ in node.value).items() if n > 1]
+    twice = [
+        key for key, n in Counter(key_node.value for key_node, _ in node.value).items() if n > 1
+    ]
     if twice:
         _reading_error(f"{twice[0]} stands twice")
     if not isinstance(data.pop(_MODULE, None), dict):
