@@ -22,7 +22,6 @@ from pytest_dura.core.seeding import derive_seed
 from pytest_dura.core.state import NOTHING
 from pytest_dura.domains import check_role_name, domain_of, role_spec, simulator_spec
 from pytest_dura.faults.catalogue import BY_CHANCE
-from pytest_dura.library import variation
 from pytest_dura.library.fault_campaigns import (
     NO_FAULTS,
     FaultCampaign,
@@ -33,7 +32,13 @@ from pytest_dura.library.fault_campaigns import (
 )
 from pytest_dura.library.planned_faults import check_chains, parse_fault, parse_scenario_fault
 from pytest_dura.library.roles import ParameterResolver
-from pytest_dura.library.scenario import Scenario, check_world
+from pytest_dura.library.scenario import (
+    Scenario,
+    check_world,
+    draw_value,
+    replace_value,
+    split_path,
+)
 
 
 def may_match_scenario(scenario: str, globs: Sequence[str]) -> bool:
@@ -248,12 +253,12 @@ class Case:
         varied: set[str] = set()
         for path, spread in self.scenario.variation.items():
             # A path into a fault that this case leaves out has a stream of its own: nothing shifts.
-            fault, inner = variation.split_path(path)
-            value = variation.draw_value(path, spread, seed)
+            fault, inner = split_path(path)
+            value = draw_value(path, spread, seed)
             if not fault:
-                world = variation.replace_value(world, inner, value, create=True)
+                world = replace_value(world, inner, value, create=True)
             elif fault in faults:
-                faults[fault] = variation.replace_value(faults[fault], inner, value)
+                faults[fault] = replace_value(faults[fault], inner, value)
                 # Values that are possible each may contradict each other.
                 varied.add(fault)
         for fault in sorted(varied):

@@ -12,10 +12,16 @@ from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.roles import STANDARD_ROLES, Role
 from pytest_dura.domains import Domain, check_role_name, domain_of, role_spec, simulator_spec
-from pytest_dura.library import variation
 from pytest_dura.library.fault_campaigns import MAX_CASES, Faults, ScenarioFaults, expand_campaign
 from pytest_dura.library.planned_faults import check_chains, parse_fault, parse_scenario_fault
-from pytest_dura.library.scenario import Scenario, check_world, world_checker
+from pytest_dura.library.scenario import (
+    Scenario,
+    check_world,
+    extreme_values,
+    replace_value,
+    split_path,
+    world_checker,
+)
 
 
 def scenario_problems(scenario: Scenario) -> list[ConfigurationError]:
@@ -155,8 +161,8 @@ def _check_variation(
     faults: dict[str, dict[str, Any]],
     path: str,
 ) -> None:
-    fault, inner = variation.split_path(path)
-    values = variation.extreme_values(scenario.variation[path])
+    fault, inner = split_path(path)
+    values = extreme_values(scenario.variation[path])
     if fault:
         if fault not in faults:
             raise ConfigurationError(
@@ -166,11 +172,11 @@ def _check_variation(
                 remedy=did_you_mean(fault, faults),
             )
         for value in values:
-            _try_fault(scenario, variation.replace_value(faults[fault], inner, value), path, value)
+            _try_fault(scenario, replace_value(faults[fault], inner, value), path, value)
         return
     create = world_checker(simulator) is not None
     for value in values:
-        varied = variation.replace_value(world, inner, value, create=create)
+        varied = replace_value(world, inner, value, create=create)
         try:
             check_world(scenario, simulator, varied)
         except ConfigurationError as error:
@@ -181,11 +187,11 @@ def _check_together(scenario: Scenario, fault: dict[str, Any]) -> None:
     """Refuse values of one fault that are possible each and contradict each other."""
     mark = f"faults.{fault['id']}."
     paths = [path for path in scenario.variation if path.startswith(mark)]
-    corners = product(*(variation.extreme_values(scenario.variation[path]) for path in paths))
+    corners = product(*(extreme_values(scenario.variation[path]) for path in paths))
     for values in islice(corners, 256) if len(paths) > 1 else ():
         varied = fault
         for path, value in zip(paths, values, strict=True):
-            varied = variation.replace_value(varied, path.removeprefix(mark), value)
+            varied = replace_value(varied, path.removeprefix(mark), value)
         try:
             parse_fault(scenario, varied)
         except ConfigurationError as error:

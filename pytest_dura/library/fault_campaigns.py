@@ -14,10 +14,12 @@ from pydantic import AfterValidator, Field, JsonValue, ValidationError
 
 from pytest_dura.core.error_messages import did_you_mean, error_at
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.library import variation
+from pytest_dura.domains import domain_of
+from pytest_dura.faults.catalogue import FAULT_TYPES, fault_class
+from pytest_dura.faults.model import possible_targets
 from pytest_dura.library.documents import MAX_DEPTH, Document, read_yaml, translate
 from pytest_dura.library.planned_faults import FaultReader, check_chains, parse_fault
-from pytest_dura.library.scenario import Entry, Scenario, Variation, not_empty
+from pytest_dura.library.scenario import Entry, Scenario, Variation, draw_value, not_empty
 
 MAX_CASES = 10_000
 """Cases that the fault campaigns of one scenario may make, all together."""
@@ -70,7 +72,7 @@ def _expand_sample(scenario: Scenario, data: Mapping[str, Any]) -> Iterator[dict
     reader = FaultReader(scenario)
     for number in range(given.count):
         values = {
-            path: variation.draw_value(f"{number}:{path}", spread, given.seed)
+            path: draw_value(f"{number}:{path}", spread, given.seed)
             for path, spread in given.sample.items()
         }
         fault: Any = _with_id(given.fault)
@@ -317,20 +319,13 @@ def _by_name(scenario: Scenario, own: Faults, text: str) -> list[Faults]:
 
 def catalogue_for(scenario: Scenario) -> list[str]:
     """The types of the catalogue that can act in the scenario's domain as they are by default."""
-    from pytest_dura.faults.catalogue import FAULT_TYPES
-
     return [name for name in sorted(FAULT_TYPES) if _usable(scenario, name)]
 
 
 def _usable(scenario: Scenario, name: str) -> bool:
-    from pytest_dura.domains import domain_of
-    from pytest_dura.faults.catalogue import fault_class
-    from pytest_dura.faults.model import possible_targets
-    from pytest_dura.library.scenario import channel_kinds, fault_targets
-
     domain, kind = domain_of(scenario.simulator.path), fault_class(name)
-    channels = channel_kinds(domain)
-    if channels is None or kind.acts_on not in fault_targets(domain):
+    channels = None if domain is None else domain.channel_kinds()
+    if domain is None or channels is None or kind.acts_on not in domain.default_targets():
         return False
     return bool(possible_targets(kind.acts_on, channels))
 
@@ -382,8 +377,6 @@ def _joint_faults(scenario: Scenario, own: Faults, names: Sequence[SingleFault])
 
 
 def _fault_of_name(scenario: Scenario, own: Faults, name: str) -> dict[str, Any]:
-    from pytest_dura.faults.catalogue import FAULT_TYPES, fault_class
-
     for fault in own:
         if fault["id"] == name:
             return fault

@@ -26,11 +26,10 @@ from pytest_dura.library.requirements import (
     unmatched_globs,
     unused_requirements,
 )
-from pytest_dura.library.scenario import Scenario
+from pytest_dura.library.scenario import SCHEMA_FILE, Scenario
 from pytest_dura.requirements.model import Requirement
 
 _SUFFIXES = (".yaml", ".yml")
-SCHEMA_FILE = "scenario.schema.json"
 
 T = TypeVar("T")
 R = TypeVar("R")

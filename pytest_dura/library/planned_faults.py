@@ -14,7 +14,7 @@ from pytest_dura.faults.activation import TOLERANCE, Until, parse_condition
 from pytest_dura.faults.catalogue import FAULT_TYPES, load_fault, plain_fault
 from pytest_dura.faults.model import check_condition_targets, check_target, with_proposal
 from pytest_dura.faults.targets import PROPOSAL
-from pytest_dura.library.scenario import Scenario, channel_kinds, fault_targets
+from pytest_dura.library.scenario import Scenario
 
 if TYPE_CHECKING:
     from pytest_dura.faults.model import Channel, Fault
@@ -36,7 +36,8 @@ class FaultReader:
 
     def __init__(self, scenario: Scenario) -> None:
         domain = domain_of(scenario.simulator.path)
-        self._targets, self._channels = fault_targets(domain), channel_kinds(domain)
+        self._targets = {} if domain is None else domain.default_targets()
+        self._channels = None if domain is None else domain.channel_kinds()
         last = Termination(scenario.lasts).last_index(scenario.time_step) - 1
         self._duration, self._end = scenario.lasts, last * scenario.time_step
         self._places: dict[tuple[str, str], Channel] = {}

@@ -15,14 +15,7 @@ from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.loop_signals import LOOP_SIGNALS, PROPOSAL_PREFIX
 from pytest_dura.domains import Domain, check_role_name, domain_of
 from pytest_dura.library.documents import Document, validate
-from pytest_dura.library.scenario import (
-    Entry,
-    Scenario,
-    not_empty,
-    percept_signal_names,
-    proposal_signal_names,
-    signal_names,
-)
+from pytest_dura.library.scenario import Entry, Scenario, not_empty
 from pytest_dura.requirements.checks import Check, is_function_path, load_function, read_formula
 from pytest_dura.requirements.model import FAULTS, Kind, Method, Paired, Requirement
 from pytest_dura.requirements.pairs import check_comparison
@@ -291,12 +284,12 @@ def check_formula(scenario: Scenario, check: Check) -> None:
 
 def _known_signals(domain: Domain | None, formula: Formula) -> tuple[str, ...] | None:
     """Every signal that a formula may read; ``None`` where only the simulator will tell."""
-    truth = None if domain is None else signal_names(domain)
+    truth = None if domain is None else domain.signal_names()
     if domain is None or truth is None:
         return None
     later = {
-        "percept.": percept_signal_names(domain),
-        PROPOSAL_PREFIX: proposal_signal_names(domain),
+        "percept.": domain.percept_signal_names(),
+        PROPOSAL_PREFIX: domain.proposal_signal_names(),
     }
     named = [
         name

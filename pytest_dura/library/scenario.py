@@ -1,12 +1,14 @@
-"""Scenario: the model of a scenario file, and its world as the simulator checks it.
+"""Scenario: the model of a scenario file, its world, its variation, and its JSON Schema.
 
-The descriptions of the fields are what editors show.
+The descriptions of the fields are what editors show: after a change of them, run
+``python -m pytest_dura.library.scenario``, which writes the schema.
 """
 
 from __future__ import annotations
 
-import importlib
+import json
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import (
@@ -24,13 +26,15 @@ from pydantic import (
 )
 
 from pytest_dura.core.episode import Policy
-from pytest_dura.core.error_messages import error_at
+from pytest_dura.core.error_messages import did_you_mean, error_at
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.role_spec import RoleSpec
-from pytest_dura.domains import Domain, domain_of
-from pytest_dura.faults.model import Channel
+from pytest_dura.core.seeding import stream
+from pytest_dura.domains import DOMAINS, domain_of
+from pytest_dura.faults.catalogue import FAULT_TYPES, fault_class
 from pytest_dura.library.documents import Document, translate, validate
 
+SCHEMA_FILE = "scenario.schema.json"
 NAME = r"^[A-Za-z0-9][A-Za-z0-9_.-]*(/[A-Za-z0-9][A-Za-z0-9_.-]*)*$"
 _IDENTIFIER = r"^[A-Za-z0-9][A-Za-z0-9_-]*$"
 
@@ -287,7 +291,7 @@ def check_world(
         return dict(check(world))
     except ValidationError as error:
         domain = domain_of(simulator.path)
-        model = world_model(domain) if domain is not None else None
+        model = None if domain is None else domain.world_model()
         raise translate(error, model or BaseModel, scenario.source, "world") from None
     except ConfigurationError as error:
         key = error.key or "world"
@@ -305,51 +309,126 @@ def world_checker(simulator: RoleSpec) -> Any:
     return getattr(factory, "check_scenario", None)
 
 
-def world_model(domain: Domain) -> type[BaseModel] | None:
-    """The pydantic model of a domain's world, imported now."""
-    return None if domain.world is None else _import_attribute(domain.world)
+def draw_value(path: str, variation: Range | Choice, seed: int) -> Any:
+    """The value of a path in the run with this seed; no other path shifts it."""
+    numbers = stream(seed, f"variation:{path}")
+    if isinstance(variation, Range):
+        drawn = numbers.uniform(variation.min, variation.max, variation.pieces)
+        return float(drawn) if variation.pieces is None else drawn.tolist()
+    return variation.choice[int(numbers.integers(len(variation.choice)))]
 
 
-def signal_names(domain: Domain) -> tuple[str, ...] | None:
-    """The names of a domain's ground-truth signals, imported now."""
-    return None if domain.signals is None else tuple(_import_attribute(domain.signals))
+def extreme_values(variation: Range | Choice) -> list[Any]:
+    """The values at which a variation is tried out before anything runs."""
+    if isinstance(variation, Range):
+        ends = [variation.min, variation.max]
+        return ends if variation.pieces is None else [[end] * variation.pieces for end in ends]
+    return list(variation.choice)
 
 
-def percept_signal_names(domain: Domain) -> tuple[str, ...] | None:
-    """The names of a domain's percept signals, without their prefix, imported now."""
-    path = domain.percept_signals
-    return None if path is None else tuple(_import_attribute(path))
+def split_path(path: str) -> tuple[str, str]:
+    """``world.x.y`` as ``("", "x.y")`` and ``faults.id.x.y`` as ``("id", "x.y")``.
 
-
-def proposal_signal_names(domain: Domain) -> tuple[str, ...] | None:
-    """The names of what accounts come to in a domain, without their prefix, imported now."""
-    path = domain.proposal_signals
-    return None if path is None else tuple(_import_attribute(path))
-
-
-def channel_kinds(domain: Domain | None) -> Mapping[str, Channel] | None:
-    """What a domain's channels hold; ``None`` where that is not known before an episode runs."""
-    return _import_attribute(domain.channels) if domain is not None and domain.channels else None
-
-
-def fault_targets(domain: Domain | None) -> Mapping[str, str]:
-    """Where a domain's faults act that name no target, by what their type can act on."""
-    return (
-        _import_attribute(domain.fault_targets)
-        if domain is not None and domain.fault_targets
-        else {}
+    Raises:
+        ConfigurationError: For any other path.
+    """
+    head, _, rest = path.partition(".")
+    if head == "world" and rest:
+        return "", rest
+    fault, _, inner = rest.partition(".")
+    if head == "faults" and fault and inner:
+        return fault, inner
+    raise ConfigurationError(
+        f"{path!r} cannot be varied",
+        key=f"variation.{path}",
+        found=path,
+        expected="a path such as world.traffic.headway or faults.<id>.activation.at",
+        remedy=did_you_mean(head, ("world", "faults")),
     )
 
 
-def concrete_world(
-    domain: Domain, world: Mapping[str, Any], duration: float, seed: int
-) -> dict[str, Any]:
-    """An equal world in which nothing is left to the seed, where the domain can tell one."""
-    if domain.concrete is None:
-        return dict(world)
-    return dict(_import_attribute(domain.concrete)(world, duration, seed))
+def replace_value(data: Any, path: str, value: Any, *, create: bool = False) -> Any:
+    """A copy of plain data with the value at a dotted path replaced; lists are indexed from 0.
+
+    Raises:
+        ConfigurationError: If the path does not exist. ``create`` allows the last key to be new.
+    """
+    head, _, rest = path.partition(".")
+    if isinstance(data, Mapping):
+        if head not in data and not (create and not rest):
+            raise _no_such(head, data)
+        inner = replace_value(data[head], rest, value, create=create) if rest else value
+        return {**data, head: inner}
+    if isinstance(data, (list, tuple)):
+        if not (head.isdecimal() and int(head) < len(data)):
+            raise _no_such(head, map(str, range(len(data))))
+        items = list(data)
+        i = int(head)
+        items[i] = replace_value(items[i], rest, value, create=create) if rest else value
+        return items
+    raise _no_such(head, ())
 
 
-def _import_attribute(path: str) -> Any:
-    module, _, name = path.partition(":")
-    return getattr(importlib.import_module(module), name)
+def _no_such(key: str, known: Any) -> ConfigurationError:
+    names = sorted(map(str, known))
+    return ConfigurationError(
+        f"there is no {key!r} to vary",
+        found=key,
+        expected="one of " + ", ".join(names) if names else "nothing below a single value",
+        remedy=did_you_mean(key, names),
+    )
+
+
+_DIALECT = "https://json-schema.org/draft/2020-12/schema"
+
+
+def scenario_schema() -> dict[str, Any]:
+    """The scenario's own keys, each domain's world, and each fault type's parameters."""
+    from pydantic.json_schema import models_json_schema
+
+    models_by_alias = {alias: domain.world_model() for alias, domain in DOMAINS.items()}
+    worlds = {alias: model for alias, model in models_by_alias.items() if model is not None}
+    faults = {name: fault_class(name) for name in sorted(FAULT_TYPES)}
+    models = [Scenario, FaultEntry, *worlds.values(), *faults.values()]
+    references, combined = models_json_schema([(model, "validation") for model in models])
+    definitions = combined["$defs"]
+
+    def definition(model: Any) -> dict[str, Any]:
+        definition: dict[str, Any] = definitions[_name(references[model, "validation"])]
+        return definition
+
+    scenario = definitions.pop(_name(references[Scenario, "validation"]))
+    scenario["allOf"] = [
+        _when_clause("simulator", alias, {"world": references[model, "validation"]})
+        for alias, model in worlds.items()
+    ]
+    entry = definition(FaultEntry)
+    entry["properties"]["type"]["enum"] = list(faults)
+    entry["allOf"] = [
+        _when_clause("type", name, _own_parts(definition(model))) for name, model in faults.items()
+    ]
+    for model in faults.values():
+        definitions.pop(_name(references[model, "validation"]))
+    return {"$schema": _DIALECT, **scenario, "$defs": definitions}
+
+
+def write_schema(path: Path) -> None:
+    """Write the schema to a file, the same bytes for the same schema."""
+    path.write_text(json.dumps(scenario_schema(), indent=2, sort_keys=True) + "\n", "utf-8")
+
+
+def _name(reference: dict[str, Any]) -> str:
+    return str(reference["$ref"]).rpartition("/")[2]
+
+
+def _when_clause(key: str, value: str, properties: dict[str, Any]) -> dict[str, Any]:
+    condition = {"properties": {key: {"const": value}}, "required": [key]}
+    return {"if": condition, "then": {"properties": properties}}
+
+
+def _own_parts(fault: dict[str, Any]) -> dict[str, Any]:
+    return {part: fault["properties"][part] for part in ("activation", "parameters")}
+
+
+if __name__ == "__main__":
+    write_schema(Path(__file__).resolve().parents[2] / "scenarios" / SCHEMA_FILE)

@@ -15,7 +15,7 @@ from pytest_dura.domains import domain_of, simulator_spec
 from pytest_dura.faults.catalogue import BY_CHANCE, fault_class
 from pytest_dura.library.cases import Case, SearchedCase
 from pytest_dura.library.planned_faults import parse_fault
-from pytest_dura.library.scenario import check_world, concrete_world, world_checker
+from pytest_dura.library.scenario import check_world, world_checker
 
 Keys = tuple[str | int, ...]
 """Where something is in plain data: keys of mappings, places of lists."""
@@ -137,7 +137,7 @@ class Nominal:
         domain = domain_of(self.simulator.path)
         if domain is None:
             return dict(world)
-        return concrete_world(domain, world, self.case.scenario.duration, seed)
+        return domain.concrete_world(world, self.case.scenario.duration, seed)
 
     def default(self, world: Mapping[str, Any], keys: Keys) -> Any:
         """What is filled in where a world has nothing at a place.

@@ -19,11 +19,17 @@ from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.domains import simulator_spec
 from pytest_dura.faults.catalogue import fault_class
 from pytest_dura.faults.parameters import Choices, spans_of
-from pytest_dura.library import variation
 from pytest_dura.library.cases import Case, SearchedCase, make_searched_case
 from pytest_dura.library.fault_campaigns import FaultCampaign, Faults, expand_campaign
 from pytest_dura.library.planned_faults import parse_scenario_fault
-from pytest_dura.library.scenario import Choice, Range, Scenario, check_world
+from pytest_dura.library.scenario import (
+    Choice,
+    Range,
+    Scenario,
+    check_world,
+    replace_value,
+    split_path,
+)
 
 STEPS = 1000
 """At least so many steps of the grid lie in an interval."""
@@ -221,9 +227,7 @@ class FaultChoice:
         made: Any = dict(self.fault)
         for parameter in self.inner:
             if parameter.path in values:
-                made = variation.replace_value(
-                    made, parameter.path, values[parameter.path], create=True
-                )
+                made = replace_value(made, parameter.path, values[parameter.path], create=True)
         return dict(made)
 
 
@@ -401,7 +405,7 @@ class SearchSpace:
         planned = {fault["id"]: fault for fault in case.faults}
         parameters: list[Parameter] = []
         for path, spread in scenario.variation.items():
-            fault, inner = variation.split_path(path)
+            fault, inner = split_path(path)
             if not fault:
                 parameters.append(_parameter_of(path, spread, _nominal(world, inner)))
             elif fault in planned:
@@ -456,11 +460,11 @@ class SearchSpace:
             if _is_room(path):
                 added += [] if value is None else [dict(value)]
                 continue
-            fault, inner = variation.split_path(path)
+            fault, inner = split_path(path)
             if not fault:
-                world = variation.replace_value(world, inner, value, create=True)
+                world = replace_value(world, inner, value, create=True)
             else:
-                planned[fault] = variation.replace_value(planned[fault], inner, value)
+                planned[fault] = replace_value(planned[fault], inner, value)
         for item in added:
             own, number = item["id"].replace(":", "-").replace(".", "-"), 2
             while item["id"] in planned:
