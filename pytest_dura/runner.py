@@ -90,5 +90,5 @@ class Runner(EpisodeRunner):
             requirement,
             until_decided,
             tracer=self._tracer,
-            search=partial(falsify_campaign, keep=self.keep),
+            search=partial(falsify_campaign, store=self.keep),
         )

@@ -66,7 +66,7 @@ def counterexample_store(session: DuraSession) -> CounterexampleStore:
             requirement,
             asked.check,
             defined=known.get(requirement.id) == requirement,
-            told=[str(session.redact(line)) for line in told],
+            heading=[str(session.redact(line)) for line in told],
         )
         return kept, os.path.relpath(kept.file, session.config.rootpath)
 
@@ -222,7 +222,7 @@ class PropertyTests:
         original = bench.case(case.scenario.name)
         trials = Trials(bench, SearchSpace(original, (), original.scenario.world), [asked])
         confirmed = confirm_violation(trials, asked, case, 0)
-        repeats = confirmed.found.repeats
+        repeats = confirmed.counterexample.repeats
         if not repeats.confirmed:
             yield (
                 f"{case.id} violates {name}, and again in {repeats.violated} of {repeats.runs} "
