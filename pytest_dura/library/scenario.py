@@ -40,7 +40,7 @@ _IDENTIFIER = r"^[A-Za-z0-9][A-Za-z0-9_-]*$"
 
 
 def not_empty(values: tuple[Any, ...]) -> tuple[Any, ...]:
-    """Refuse an empty list. Pydantic's own check would also tell of entries that are in error."""
+    """Refuse an empty list; pydantic's own check would count entries that are invalid."""
     if not values:
         raise ValueError("the list is empty; it must have at least one entry")
     return values
@@ -231,10 +231,10 @@ class Scenario(Entry):
 
     @classmethod
     def from_document(cls, document: Document) -> Scenario:
-        """The scenario that a YAML file holds.
+        """Make the scenario of a YAML file.
 
         Raises:
-            ConfigurationError: One for all that is wrong with the file's keys and values.
+            ConfigurationError: One for all errors of keys and values.
         """
         scenario = validate(cls, document)
         scenario._source = document  # noqa: SLF001 - our own
@@ -259,7 +259,7 @@ class Scenario(Entry):
 
     @property
     def source(self) -> Document:
-        """Where it was read from; an empty document if it was made otherwise."""
+        """The document it was read from; an empty one if it was made otherwise."""
         return self._source
 
     @property
@@ -268,18 +268,18 @@ class Scenario(Entry):
         return self._source.file
 
     def line_of(self, key: str) -> int | None:
-        """The line of a dotted key in that file."""
+        """Return the line of a dotted key in that file."""
         return self._source.line_of(key)
 
     def plain(self) -> dict[str, Any]:
-        """Plain data, from which an equal scenario can be read again."""
+        """Return plain data, from which an equal scenario can be read."""
         return self.model_dump(mode="json", exclude_unset=True)
 
 
 def check_world(
     scenario: Scenario, simulator: RoleSpec, world: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """The world with defaults filled in, where the simulator's class has a ``check_scenario``.
+    """Fill in a world's defaults, if the simulator's class has a ``check_scenario``.
 
     Raises:
         ConfigurationError: If the simulator cannot be imported or refuses the world.
@@ -300,7 +300,7 @@ def check_world(
 
 
 def world_checker(simulator: RoleSpec) -> Any:
-    """``check_scenario`` of the simulator's class, if it has one.
+    """Return ``check_scenario`` of the simulator's class, ``None`` if it has none.
 
     Raises:
         ConfigurationError: If the class cannot be imported.
@@ -310,7 +310,7 @@ def world_checker(simulator: RoleSpec) -> Any:
 
 
 def draw_value(path: str, variation: Range | Choice, seed: int) -> Any:
-    """The value of a path in the run with this seed; no other path shifts it."""
+    """Draw the value of a path in the run with this seed, independent of other paths."""
     numbers = stream(seed, f"variation:{path}")
     if isinstance(variation, Range):
         drawn = numbers.uniform(variation.min, variation.max, variation.pieces)
@@ -319,7 +319,7 @@ def draw_value(path: str, variation: Range | Choice, seed: int) -> Any:
 
 
 def extreme_values(variation: Range | Choice) -> list[Any]:
-    """The values at which a variation is tried out before anything runs."""
+    """List the values of a variation that are checked before any run."""
     if isinstance(variation, Range):
         ends = [variation.min, variation.max]
         return ends if variation.pieces is None else [[end] * variation.pieces for end in ends]
@@ -327,7 +327,7 @@ def extreme_values(variation: Range | Choice) -> list[Any]:
 
 
 def split_path(path: str) -> tuple[str, str]:
-    """``world.x.y`` as ``("", "x.y")`` and ``faults.id.x.y`` as ``("id", "x.y")``.
+    """Split ``world.x.y`` to ``("", "x.y")``, and ``faults.id.x.y`` to ``("id", "x.y")``.
 
     Raises:
         ConfigurationError: For any other path.
@@ -348,7 +348,7 @@ def split_path(path: str) -> tuple[str, str]:
 
 
 def replace_value(data: Any, path: str, value: Any, *, create: bool = False) -> Any:
-    """A copy of plain data with the value at a dotted path replaced; lists are indexed from 0.
+    """Copy plain data with the value at a dotted path replaced; lists are indexed from 0.
 
     Raises:
         ConfigurationError: If the path does not exist. ``create`` allows the last key to be new.
@@ -362,10 +362,10 @@ def replace_value(data: Any, path: str, value: Any, *, create: bool = False) -> 
     if isinstance(data, (list, tuple)):
         if not (head.isdecimal() and int(head) < len(data)):
             raise _no_such(head, map(str, range(len(data))))
-        items = list(data)
+        copied = list(data)
         i = int(head)
-        items[i] = replace_value(items[i], rest, value, create=create) if rest else value
-        return items
+        copied[i] = replace_value(copied[i], rest, value, create=create) if rest else value
+        return copied
     raise _no_such(head, ())
 
 
@@ -383,7 +383,7 @@ _DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
 
 def scenario_schema() -> dict[str, Any]:
-    """The scenario's own keys, each domain's world, and each fault type's parameters."""
+    """Make the schema: a scenario's keys, each domain's world, each fault type's parameters."""
     from pydantic.json_schema import models_json_schema
 
     models_by_alias = {alias: domain.world_model() for alias, domain in DOMAINS.items()}
@@ -393,9 +393,8 @@ def scenario_schema() -> dict[str, Any]:
     references, combined = models_json_schema([(model, "validation") for model in models])
     definitions = combined["$defs"]
 
-    def definition(model: Any) -> dict[str, Any]:
-        definition: dict[str, Any] = definitions[_name(references[model, "validation"])]
-        return definition
+    def definition(model: Any) -> Any:
+        return definitions[_name(references[model, "validation"])]
 
     scenario = definitions.pop(_name(references[Scenario, "validation"]))
     scenario["allOf"] = [
@@ -405,7 +404,8 @@ def scenario_schema() -> dict[str, Any]:
     entry = definition(FaultEntry)
     entry["properties"]["type"]["enum"] = list(faults)
     entry["allOf"] = [
-        _when_clause("type", name, _own_parts(definition(model))) for name, model in faults.items()
+        _when_clause("type", name, _parts_of_type(definition(model)))
+        for name, model in faults.items()
     ]
     for model in faults.values():
         definitions.pop(_name(references[model, "validation"]))
@@ -413,7 +413,7 @@ def scenario_schema() -> dict[str, Any]:
 
 
 def write_schema(path: Path) -> None:
-    """Write the schema to a file, the same bytes for the same schema."""
+    """Write the schema to a file; equal schemas give equal bytes."""
     path.write_text(json.dumps(scenario_schema(), indent=2, sort_keys=True) + "\n", "utf-8")
 
 
@@ -426,7 +426,7 @@ def _when_clause(key: str, value: str, properties: dict[str, Any]) -> dict[str, 
     return {"if": condition, "then": {"properties": properties}}
 
 
-def _own_parts(fault: dict[str, Any]) -> dict[str, Any]:
+def _parts_of_type(fault: dict[str, Any]) -> dict[str, Any]:
     return {part: fault["properties"][part] for part in ("activation", "parameters")}
 
 
