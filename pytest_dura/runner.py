@@ -93,5 +93,5 @@ class Runner(EpisodeRunner):
             requirement,
             until_decided,
             tracer=self._tracer,
-            search=partial(falsify_campaign, keep=self.counterexamples),
+            search=partial(falsify_campaign, store=self.counterexamples),
         )

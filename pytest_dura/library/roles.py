@@ -1,4 +1,4 @@
-"""Make a RoleSpec of what a user names or hands over, and resolve its parameters."""
+"""Roles: make RoleSpecs of names, classes and fixtures, and resolve their parameters."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from pytest_dura.domains import DOMAINS
 
 
 class LocalRole(RoleSpec):
-    """A RoleSpec whose class or factory is at hand, since no import path leads to it.
+    """A RoleSpec that holds its class or factory, which no import path leads to.
 
-    Several ``conftest.py`` may be loaded, all as the module ``conftest``. So the path of what is
-    defined in one names the file, relative to the project's root: ``tests/conftest.py:Planner``.
+    Several ``conftest.py`` may be loaded, all as the module ``conftest``. So the path of a class in
+    such a file names the file, relative to the project's root: ``tests/conftest.py:Planner``.
     """
 
     target: Callable[..., Any]
@@ -33,33 +33,33 @@ class LocalRole(RoleSpec):
 
     @property
     def label(self) -> str:
-        """The name, and the folder unless it is the root: two of them may share a name."""
+        """The name, and the folder unless it is the root: two files may hold the same name."""
         file, _, name = self.path.rpartition(":")
         folder = file.rpartition("/")[0]
         return f"{name} ({folder})" if folder else name
 
     def resolve(self) -> Callable[..., Any]:
-        """The class or factory that was given."""
+        """Return the class or factory."""
         return self.target
 
     def with_params(self, params: Mapping[str, Any]) -> LocalRole:
-        """The same with other parameters."""
+        """Return the spec with other parameters."""
         return LocalRole(self.path, self.target, params)
 
 
 def local_object(spec: RoleSpec) -> Any:
-    """What makes a spec mean something in this process only; ``None`` if nothing does."""
+    """Return the object that binds a spec to this process; ``None`` for a portable spec."""
     return spec.target if isinstance(spec, LocalRole) else spec.instance
 
 
 def role_of_fixture(role: str, value: Any, file: str | None = None) -> RoleSpec | None:
-    """The RoleSpec of what a role's fixture returned; ``None`` switches the role off.
+    """Make the RoleSpec of what a role's fixture returned; ``None`` switches the role off.
 
     Args:
         role: Name of the role, or ``simulator``.
         value: A RoleSpec, a class, an importable factory, an import path, a bare instance or None.
         file: The ``conftest.py`` that defines the class or factory, relative to the project's
-            root, if it is one that no import path leads to.
+            root, if no import path leads to it.
 
     Raises:
         ConfigurationError: If it cannot serve as this role.
@@ -99,7 +99,7 @@ def role_of_fixture(role: str, value: Any, file: str | None = None) -> RoleSpec 
 
 
 def generator_of_option(text: str) -> RoleSpec:
-    """The component that ``--dura-generator`` names: a short name or ``package.module:Name``.
+    """Make the RoleSpec that ``--dura-generator`` names: a short name or an import path.
 
     Raises:
         ConfigurationError: If there is none, or it is no Generator.
@@ -158,7 +158,10 @@ def _check_class(factory: type[Any], spec: RoleSpec) -> None:
 
 
 class ParameterResolver:
-    """Resolves role specs, each class once for the same parameters, also where that fails."""
+    """Resolves the parameters of role specs, once for the same class and parameters.
+
+    A session owns it: resolving may be slow, and an error that is raised again is the same error.
+    """
 
     def __init__(self) -> None:
         self._resolved: dict[tuple[Callable[..., Any], bytes], RoleSpec | ConfigurationError] = {}

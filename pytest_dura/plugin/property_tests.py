@@ -66,7 +66,7 @@ def counterexample_store(context: SessionContext) -> CounterexampleStore:
             requirement,
             asked.check,
             defined=known.get(requirement.id) == requirement,
-            told=[str(context.redact(line)) for line in told],
+            heading=[str(context.redact(line)) for line in told],
         )
         return kept, os.path.relpath(kept.file, context.config.rootpath)
 
@@ -222,7 +222,7 @@ class PropertyTests:
         original = runner.case(case.scenario.name)
         trials = Trials(runner, SearchSpace(original, (), original.scenario.world), [asked])
         confirmed = confirm_violation(trials, asked, case, 0)
-        repeats = confirmed.found.repeats
+        repeats = confirmed.counterexample.repeats
         if not repeats.confirmed:
             yield (
                 f"{case.id} violates {name}, and again in {repeats.violated} of {repeats.runs} "

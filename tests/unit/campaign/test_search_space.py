@@ -73,8 +73,8 @@ def test_what_a_fault_is_given_stays_and_the_rest_is_searched() -> None:
 def test_faults_begin_while_there_is_somebody_to_meet() -> None:
     without_time = {"type": "bias", "target": "sensor.temperature"}
     with pytest.raises(ConfigurationError):
-        SearchSpace.of(case(), [without_time], lasting=2.0)  # nothing activates it
-    space = SearchSpace.of(case(faults=[BIAS | {"id": "off"}]), ["off"], lasting=2.0)
+        SearchSpace.of(case(), [without_time], begin_within=2.0)  # nothing activates it
+    space = SearchSpace.of(case(faults=[BIAS | {"id": "off"}]), ["off"], begin_within=2.0)
     point = [1.0] * space.layout.size
     fault = space.values(point)["faults.search-1"]
     assert fault["activation"]["at"] == pytest.approx(2.0 - 0.1)
@@ -90,19 +90,19 @@ def test_inputs_over_time_are_lists() -> None:
 
 def test_a_searched_case_is_fixed_whatever_the_sessions_seed() -> None:
     space = SearchSpace.of(case())
-    made = space.made({"world.start": 16.5}, 7)
+    made = space.case_with({"world.start": 16.5}, 7)
     assert isinstance(made, SearchedCase)
     specs = [made.spec(0, base) for base in (0, 99)]
     assert [spec.seed for spec in specs] == [7, 7]
     assert specs[0].scenario["world"]["start"] == 16.5
     assert made.scenario.variation == {}
-    assert made.id != space.made({"world.start": 16.6}, 7).id
-    assert made.id == space.made({"world.start": 16.5}, 7).id
+    assert made.id != space.case_with({"world.start": 16.6}, 7).id
+    assert made.id == space.case_with({"world.start": 16.5}, 7).id
 
 
 def test_two_added_faults_of_one_kind_have_ids_of_their_own() -> None:
     space = SearchSpace.of(case(), [BIAS], at_most=2)
-    made = space.made(space.values([1.0] * space.layout.size), 1)
+    made = space.case_with(space.values([1.0] * space.layout.size), 1)
     assert [fault["id"] for fault in made.faults] == ["bias", "bias-2"]
 
 
@@ -116,7 +116,7 @@ def test_faults_of_a_type_of_the_users_own_may_be_added_twice(monkeypatch) -> No
     }
     try:
         space = SearchSpace.of(case(), [drizzle], at_most=2)
-        made = space.made(space.values([1.0] * space.layout.size), 1)
+        made = space.case_with(space.values([1.0] * space.layout.size), 1)
         assert [one["id"] for one in made.faults] == ["oddities:Drizzle", "oddities-Drizzle-2"]
         (again,) = expand_cases([made.scenario])
         assert again.faults == made.faults
@@ -137,7 +137,7 @@ def test_a_fault_of_the_scenario_may_be_called_as_room_for_one_is() -> None:
     spread = {"faults.search-1.duration": {"min": 0.5, "max": 1.5}}
     scenario = room(faults=[BIAS | {"id": "search-1"}], variation=spread)
     space = SearchSpace.of(case_with_faults(scenario, ["search-1"]))
-    made = space.made(space.values([1.0]), 1)
+    made = space.case_with(space.values([1.0]), 1)
     assert [(one["id"], one["duration"]) for one in made.faults] == [("search-1", 1.5)]
 
 
@@ -156,7 +156,7 @@ def test_no_rate_is_made_of_what_a_search_chose() -> None:
     bench = Runner(lambda: library)
     used: list[object] = []
     bench.on_episode = lambda *told: used.append(told)
-    made = SearchSpace.of(case()).made({"world.start": 16.5}, 7)
+    made = SearchSpace.of(case()).case_with({"world.start": 16.5}, 7)
     episode = bench.episode(made)
     assert isinstance(episode, SearchedEpisode)
     assert used == []
