@@ -86,7 +86,7 @@ def _chain(
         if since is not None and (time is None or time >= since - 1e-9)
     )
     also = None if without is None else tuple(name for name in reached if name in without)
-    word = found.word if found is not None else None
+    word = found.status if found is not None else None
     return CausalChain(
         fault,
         word,

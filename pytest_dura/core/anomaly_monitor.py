@@ -566,7 +566,7 @@ class AnomalyMonitor(SecurityAssessor):
         _check_time_step(cls.model_of(params.get("model"), params.get("digest")), time_step)
 
     @classmethod
-    def settled(cls, params: Mapping[str, Any]) -> Mapping[str, Any]:
+    def resolve_parameters(cls, params: Mapping[str, Any]) -> Mapping[str, Any]:
         """The parameters with the model's digest."""
         return {**params, "digest": cls.model_of(params.get("model"), params.get("digest")).digest}
 

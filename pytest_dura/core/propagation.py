@@ -22,28 +22,28 @@ OutcomeStatus = Literal[
 
 @dataclass(frozen=True)
 class Propagation:
-    """What became of one manifested fault.
+    """Effect of one manifested fault on the proposals.
 
     Args:
-        word: ``propagated`` if a proposal differs from that of the fault-free twin, ``contained``
+        status: ``propagated`` if a proposal differs from that of the fault-free twin, ``contained``
             if none does, ``unknown`` if the twins cannot tell.
         at: Simulated seconds of the first proposal that differs.
         reason: Why it is unknown.
     """
 
-    word: PropagationStatus
+    status: PropagationStatus
     at: float | None = None
     reason: str = ""
 
 
 @dataclass(frozen=True)
 class Divergence:
-    """Where an episode first leaves its fault-free twin.
+    """First difference between an episode and its fault-free twin.
 
     Args:
         at: Simulated seconds of the first differing proposal; ``None`` if there is none in the
             ticks that both have.
-        doubt: Why this says nothing about the faults.
+        doubt: Why the difference cannot be attributed to the faults; empty if it can.
         until: Simulated seconds of the last proposal that both have, where one of them ended
             before the other; ``None`` where that does not matter.
     """
@@ -56,40 +56,40 @@ class Divergence:
     def of(
         cls, episode: Episode, twin: Episode, second: Callable[[], Episode] | None = None
     ) -> Divergence:
-        """The first difference between the proposals of an episode and of its twin.
+        """Compare the proposals of an episode with those of its twin.
 
         A component whose proposals differ between two fault-free runs would seem to be reached by
-        every fault; from the first such difference on, nothing is said.
+        every fault; from the first such difference on, nothing is attributed.
 
         Args:
-            episode: With faults.
-            twin: Of the same seed, without any fault.
-            second: Makes another run of the twin; asked for where the first one differs.
+            episode: The episode with faults.
+            twin: The episode of the same seed without any fault.
+            second: Runs the twin once more; called if the proposals differ.
         """
-        for item in (episode, twin):
-            if item.failure is not None:
-                return cls(doubt=f"{item.id} is missing")
+        for run in (episode, twin):
+            if run.failure is not None:
+                return cls(doubt=f"{run.id} is missing")
         first = _first_difference(episode, twin)
         if first is None:
-            for item in (episode, twin):
-                if item.termination == "decided":
-                    end = item.time[-1]
-                    return cls(doubt=f"{item.id} ended at {end:.2f} s, once all was decided")
+            for run in (episode, twin):
+                if run.termination == "decided":
+                    end = run.time[-1]
+                    return cls(doubt=f"{run.id} ended at {end:.2f} s, once all was decided")
             return cls(until=_common_end(episode, twin))
         if second is not None:
             other = second()
             if other.failure is not None:
                 return cls(doubt=f"{other.id} is missing")
-            apart = _first_difference(twin, other)
-            if apart is not None and apart <= first:
-                time = twin.time[apart]
+            between_twins = _first_difference(twin, other)
+            if between_twins is not None and between_twins <= first:
+                time = twin.time[between_twins]
                 return cls(doubt=f"two runs without faults differ from {time:.2f} s on")
         return cls(at=float(episode.time[first]))
 
     def of_fault(self, fault: FaultRecord) -> Propagation | None:
-        """What it says of one fault; ``None`` if the fault never manifested.
+        """Propagation of one fault; ``None`` if the fault never manifested.
 
-        Several faults that had manifested by then are answerable together.
+        A difference is attributed to all faults that had manifested by then.
         """
         if fault.manifested_at is None:
             return None
@@ -114,7 +114,7 @@ def outcome_of(
     *,
     missing: bool,
 ) -> OutcomeStatus:
-    """What came of a fault in one episode.
+    """Outcome of a fault in one episode.
 
     ``idle`` (never active), ``masked`` (active, never manifested), ``contained`` (it changed no
     proposal), ``tolerated`` (it may have, and nothing was violated), ``violated``, ``violated also
@@ -122,11 +122,11 @@ def outcome_of(
     episode cannot tell).
 
     Args:
-        fault: From plan to recovery.
-        propagation: Whether the proposals left those of the fault-free twin, if that is known.
+        fault: Its record.
+        propagation: Its propagation, if that is known.
         violated: Requirements that were violated from its manifestation on.
         violated_without: Those among them that the fault-free twin violates, too; ``None`` without
-            a twin: then no violation can be said to be there without the fault.
+            a twin.
         missing: Whether an infrastructure error ended the episode.
     """
     if violated:
@@ -142,7 +142,7 @@ def outcome_of(
 
 
 def _common_end(episode: Episode, other: Episode) -> float | None:
-    """The time of the last proposal that both have; ``None`` if both have equally many."""
+    """Time of the last proposal that both have; ``None`` if both have equally many."""
     left, right = len(episode.decisions["proposed"]), len(other.decisions["proposed"])
     ticks = min(left, right)
     if left == right:
@@ -151,7 +151,7 @@ def _common_end(episode: Episode, other: Episode) -> float | None:
 
 
 def _first_difference(episode: Episode, other: Episode) -> int | None:
-    """The first tick that both have at which their proposals differ."""
+    """First tick at which the proposals of both differ."""
     left, right = episode.decisions["proposed"], other.decisions["proposed"]
     ticks = min(len(left), len(right))
     differing = np.flatnonzero(left[:ticks] != right[:ticks])
@@ -160,7 +160,7 @@ def _first_difference(episode: Episode, other: Episode) -> int | None:
 
 @dataclass(frozen=True, slots=True)
 class Switching:
-    """Who was in control of an episode, tick by tick.
+    """Control of an episode, by the component or by recovery, tick by tick.
 
     Recovery is in control at a tick whose decision came from it; at every other decided tick the
     component is, the simulator's fallback for a missing proposal included. A decision holds from
@@ -201,7 +201,7 @@ class Switching:
         return self.time_to_safe.count(None)
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data for the evidence record, with what follows from it."""
+        """Plain data for the evidence record, the derived numbers included."""
         return {
             **asdict(self),
             "time_to_safe": list(self.time_to_safe),
@@ -212,13 +212,13 @@ class Switching:
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Switching:
-        """The inverse of :meth:`to_json`."""
+        """Invert :meth:`to_json`."""
         own = {name: data[name] for name in cls.__dataclass_fields__}
         return cls(**{**own, "time_to_safe": tuple(data["time_to_safe"])})
 
 
 def switching(episode: Episode) -> Switching:
-    """Who was in control of an episode, from its decisions and its time alone."""
+    """Compute who was in control from an episode's decisions and times."""
     recovering = episode.decisions["source"] == "recovery"
     acceptable = episode.decisions["verdict"] < int(Assessed.UNSAFE)
     before = np.concatenate([[False], recovering[:-1]])

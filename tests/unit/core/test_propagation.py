@@ -59,7 +59,7 @@ def test_a_fault_that_manifested_where_there_is_nothing_to_compare_is_not_contai
     assert found.of_fault(fault(0.1)) == Propagation("contained")
     late = found.of_fault(fault(0.2))
     assert late is not None
-    assert (late.word, late.reason) == (
+    assert (late.status, late.reason) == (
         "unknown",
         "one of the runs has no proposal after 0.10 s to compare",
     )
