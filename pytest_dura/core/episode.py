@@ -1,4 +1,4 @@
-"""EpisodeSpec: all that determines an episode, as plain data. Episode: what came of it."""
+"""EpisodeSpec: all that determines an episode, as plain data. Episode: its result."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import hashlib
 import json
 import math
 import re
+import warnings
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
@@ -46,7 +47,7 @@ def _no_policy(found: object) -> ConfigurationError:
 
 @dataclass(frozen=True)
 class Policy:
-    """What follows a refused proposal; ``refine`` asks again at most ``attempts`` times."""
+    """Policy for a refused proposal; ``refine`` asks for another at most ``attempts`` times."""
 
     name: str = "recover"
     attempts: int = 0
@@ -57,7 +58,7 @@ class Policy:
 
     @classmethod
     def parse(cls, text: str) -> Policy:
-        """From ``recover``, ``halt``, ``log_only`` or ``refine(k)``.
+        """Read ``recover``, ``halt``, ``log_only`` or ``refine(k)``.
 
         Raises:
             ConfigurationError: For anything else.
@@ -75,7 +76,7 @@ class Policy:
 
 @dataclass(frozen=True)
 class Termination:
-    """When an episode ends, besides a critical failure.
+    """Conditions that end an episode, besides a critical failure.
 
     Args:
         time_limit: Simulated seconds; the first tick at or past it is the last one.
@@ -126,8 +127,8 @@ class EpisodeSpec:
         scenario: The scenario as the simulator and the roles read it.
         faults: The planned faults; each has at least ``id`` and ``target``. ``activation`` may
             hold the planned time ``at``. ``by_chance`` marks one whose activation or effect is
-            drawn: that it never manifested does not make the episode invalid.
-        policy: What follows a refused proposal.
+            drawn: the episode is valid also if it never manifests.
+        policy: The policy for a refused proposal.
         termination: When the episode ends.
         time_step: Simulated seconds per tick.
         time_budget: Seconds for one proposal: declared latency, or wall-clock time as a guard
@@ -185,7 +186,7 @@ class EpisodeSpec:
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> EpisodeSpec:
-        """The inverse of :meth:`to_json`."""
+        """Invert :meth:`to_json`."""
         return cls(
             case=data["case"],
             run=data["run"],
@@ -203,7 +204,7 @@ class EpisodeSpec:
 
     @cached_property
     def key(self) -> str:
-        """SHA-256 of what determines the trace; equal for an episode and its replay."""
+        """SHA-256 of all that determines the trace; equal for an episode and its replay."""
         data = self.to_json()
         del data["timeouts"]
         return hashlib.sha256(canonical(data)).hexdigest()
@@ -214,12 +215,12 @@ class Episode:
     """One closed-loop run.
 
     Args:
-        spec: What it was run from.
+        spec: Its spec.
         time: Simulated seconds of each tick, shape ``(ticks,)``.
         signals: Ground-truth signals by name, and percept signals as ``percept.name``;
             each of shape ``(ticks,)``.
-        decisions: Columns of shape ``(ticks - 1,)``, one row for each state that another one
-            follows: ``verdict`` (0 safe, 1 warning, 2 unsafe), ``source`` (proposal, recovery,
+        decisions: Columns of shape ``(ticks - 1,)``, one row for each state but the last:
+            ``verdict`` (0 safe, 1 warning, 2 unsafe), ``source`` (proposal, recovery,
             fallback), ``proposed`` and ``executed`` (texts), ``attempts`` (re-proposals).
         events: In the order in which they happened.
         faults: One record per planned fault.
@@ -229,8 +230,8 @@ class Episode:
         timeouts: Calls in which the component overran its wall-clock budget: the number of the
             proposal, counted from 0 (the tick, unless the policy refines), or -1 for ``reset``. A
             call that could not be stopped stands there as often as it takes to give up on it.
-        metrics: What DependabilityMetrics measured.
-        recording: What a viewer shows of it, if it was asked for. It is no part of the digest.
+        metrics: Its dependability metrics.
+        recording: Data for viewers, if it was recorded. It is no part of the digest.
         drawn: Whether any random number was drawn from a stream of its seed. It is no part of the
             digest.
     """
@@ -260,9 +261,9 @@ class Episode:
 
     @property
     def validity(self) -> Validity:
-        """Missing after an infrastructure error; invalid if a planned fault never manifested.
+        """``missing`` after an infrastructure error; ``invalid`` if a fault never manifested.
 
-        What an invalid episode violates fails the gate all the same.
+        A violation of an invalid episode fails the gate all the same.
         """
         if self.failure is not None:
             return "missing"
@@ -271,18 +272,24 @@ class Episode:
     @property
     def invalid_reason(self) -> str | None:
         """Which planned fault never manifested, if any."""
-        drawn = {fault.id for fault in self.faults if fault.by_chance}
-        idle = [name for name in self.idle_faults if name not in drawn]
-        return f"never manifested: {', '.join(idle)}" if idle else None
+        missed = [f.id for f in self.faults if f.manifested_at is None and not f.by_chance]
+        return f"never manifested: {', '.join(missed)}" if missed else None
 
     @property
-    def idle_faults(self) -> tuple[str, ...]:
+    def not_manifested(self) -> tuple[str, ...]:
         """Ids of the faults that never manifested, also of those whose hits are drawn."""
         return tuple(fault.id for fault in self.faults if fault.manifested_at is None)
 
     @property
+    def idle_faults(self) -> tuple[str, ...]:
+        """Deprecated name of :attr:`not_manifested`."""
+        message = "Episode.idle_faults is deprecated: use not_manifested"
+        warnings.warn(message, DeprecationWarning, stacklevel=2)
+        return self.not_manifested
+
+    @property
     def ended_early(self) -> bool:
-        """Whether it might have gone on, and what it then would have shown is not known."""
+        """Whether it ended before its time, by a violation or once all was decided."""
         return self.termination in ("violation", "decided")
 
     def ever(self, signal: str) -> bool:
@@ -290,7 +297,7 @@ class Episode:
         return bool((self.signal(signal) > 0.5).any())
 
     def signal(self, name: str) -> NDArray[np.float64]:
-        """One signal's column.
+        """Return one signal's column.
 
         Raises:
             ConfigurationError: For an unknown name.
@@ -311,7 +318,7 @@ class Episode:
 
     @property
     def flagged(self) -> bool:
-        """Whether any proposal was found unsafe."""
+        """Whether any proposal was judged unsafe."""
         return self.termination == "halt" or bool((self.decisions["verdict"] == 2).any())
 
     @cached_property
@@ -328,15 +335,15 @@ class Episode:
 
     @cached_property
     def trajectory(self) -> str:
-        """SHA-256 of how the run went: equal for runs that differ by their seeds alone.
+        """SHA-256 of the course of the run: equal for runs that differ by their seeds alone.
 
-        It covers time, the signals of truth and percept, the decisions, and the end. What the
-        component says of its proposals is left out: words make no other situation.
+        It covers time, the signals of truth and percept, the decisions, and the end. Signals that
+        come from the component's accounts or the loop are left out: they make no other situation.
         """
         state = hashlib.sha256()
-        said = ("proposal.", "loop.")
+        derived = ("proposal.", "loop.")
         signals = {
-            name: signal for name, signal in self.signals.items() if not name.startswith(said)
+            name: signal for name, signal in self.signals.items() if not name.startswith(derived)
         }
         self._add_columns(state, signals)
         state.update(canonical([self.termination, self.validity]))
@@ -355,7 +362,7 @@ class Episode:
 
 
 def canonical(data: Any) -> bytes:
-    """JSON with sorted keys and no spare blanks: one byte string for equal data."""
+    """Encode data as JSON with sorted keys and no blanks: equal data give equal bytes."""
     return json.dumps(data, sort_keys=True, separators=(",", ":"), default=_plain).encode()
 
 

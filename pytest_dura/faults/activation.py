@@ -31,7 +31,7 @@ _TERM = re.compile(
 )
 TIME = "time"
 COUNT = "count"
-"""A field of every channel that has a length: how many entries it has."""
+"""Field of every channel that has a length: its number of entries."""
 
 
 class _Term(NamedTuple):
@@ -43,18 +43,18 @@ class _Term(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Condition:
-    """Comparisons of numbers in channels, all of which must hold; see :func:`parse_condition`."""
+    """Comparisons of numbers in channels, joined by "and"; see :func:`parse_condition`."""
 
     text: str
     terms: tuple[_Term, ...]
 
     @property
     def targets(self) -> tuple[Target, ...]:
-        """The channels and fields that it reads; ``time`` is none of them."""
+        """Channels and fields that it reads, without ``time``."""
         return tuple(term.target for term in self.terms if term.target.channel != TIME)
 
     def check(self, channels: Mapping[str, Any]) -> None:
-        """Refuse channels that do not have all that it reads.
+        """Refuse channels that lack a target of the condition.
 
         Raises:
             ConfigurationError: For a channel or field that is not there, or is not a number.
@@ -118,14 +118,9 @@ def parse_condition(text: str) -> Condition:
 
 
 def _number(target: Target, channels: Mapping[str, Any]) -> float:
-    value = channels.get(target.channel)
-    # The usual case at once: conditions are looked at in each tick.
-    if target.field in getattr(type(value), "_fields", ()):
-        found = getattr(value, target.field)
-        if type(found) is float:
-            return found
     value = target.channel_of(channels)
-    if target.field == COUNT and not (isinstance(value, Mapping) and COUNT in value):
+    names = value if isinstance(value, Mapping) else getattr(type(value), "_fields", ())
+    if target.field == COUNT and COUNT not in names:
         value = value.get() if type(value) is Lazy else value
         if hasattr(value, "__len__"):
             return float(len(value))
@@ -208,7 +203,7 @@ class Activation(FaultPart):
         return text
 
     @model_validator(mode="after")
-    def _one_of_them(self) -> Activation:
+    def _check_trigger(self) -> Activation:
         given = [name for name in TRIGGERS if getattr(self, name) is not None]
         directed = self.by == "security_assessor"
         if len(given) > 1:
@@ -271,13 +266,13 @@ class Activation(FaultPart):
 
     @property
     def by_chance(self) -> bool:
-        """Whether it is drawn whether the fault becomes active at all."""
+        """Whether chance decides if the fault becomes active at all."""
         drawn = self.probability is not None and 0.0 < self.probability < 1.0
         return drawn or self.rate is not None
 
     @property
     def limit(self) -> int | None:
-        """The greatest number of activations; ``None`` for no limit."""
+        """Greatest number of activations; ``None`` for no limit."""
         if self.times is not None:
             return self.times
         repeated = self.every is not None or self.probability is not None or self.rate is not None
@@ -295,7 +290,7 @@ class Activation(FaultPart):
         return self.next_planned(since) <= time + TOLERANCE
 
     def next_planned(self, since: float) -> float:
-        """The first time after ``since`` of an activation by ``at`` and ``every``; or infinity."""
+        """First time after ``since`` of an activation by ``at`` and ``every``; or infinity."""
         if self.at is None:
             return math.inf
         if since < self.at - TOLERANCE:
@@ -310,7 +305,7 @@ TRIGGERS = ("at", "when", "probability", "rate", "after")
 
 
 def planned_at(activation: Any) -> float | None:
-    """The planned time of an activation in plain data, if it has one."""
+    """Planned time of an activation in plain data, if it has one."""
     return (activation or {}).get("at")
 
 
@@ -386,11 +381,11 @@ Duration: TypeAlias = Annotated[
 """Seconds; ``once`` (one tick); ``{min, max}``; ``{until, at_most}``; or ``{on, off, lasting}``."""
 
 DURATIONS = "seconds above 0, once, {min, max}, {until, at_most}, {on, off, lasting}, or null"
-"""All that a duration can be, for messages."""
+"""Forms of a duration, for messages."""
 
 
 class Lifetime:
-    """One activation's duration, drawn at its beginning. It lasts for one tick at least."""
+    """Duration of one activation, drawn at its beginning; at least one tick."""
 
     __slots__ = ("_duration", "_limit", "_until", "since")
 

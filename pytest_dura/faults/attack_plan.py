@@ -1,4 +1,4 @@
-"""AttackPlan: when a SecurityAssessor directs which of its planned attacks."""
+"""AttackPlan: when a SecurityAssessor directs each of its planned attacks."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from pytest_dura.faults.targets import PROPOSAL, Target
 
 
 class AttackPlan:
-    """The faults of an episode with ``by: security_assessor``, and when each is to be directed.
+    """Plan of the faults of an episode with ``by: security_assessor``.
 
-    An assessor asks it once per tick and returns the ids as its directives. Faults on sensors take
-    effect at the next percept, those on the command at once. What the plan goes by is the
+    An assessor calls :meth:`due` once per tick and returns the ids as its directives. Faults on
+    sensors take effect at the next percept, those on the command at once. The plan depends on the
     assessor's own view: simulated time (``at``, ``every``), the percept and the component's
-    proposal (``when``), and what the FaultInjector has reported so far (``after``).
+    proposal (``when``), and the FaultInjector's outputs so far (``after``).
 
     Args:
         faults: All faults of the episode, as in ``RoleContext.faults``.
@@ -36,8 +36,8 @@ class AttackPlan:
 
         Args:
             view: The assessor's view of this tick.
-            proposal: Gives the numbers of the component's proposal by name, which conditions
-                read as ``proposal.<name>``; called where one does and there is a valid proposal.
+            proposal: Returns the numbers of the component's proposal by name, which conditions
+                read as ``proposal.<name>``; called if one does and there is a valid proposal.
 
         Raises:
             ConfigurationError: At the first tick, if a condition reads what no channel has.
@@ -105,7 +105,7 @@ class _Attack:
         return activation.due(effect, since)
 
     def _follow(self, view: RoleView) -> None:
-        """Note when to answer the events that the injector has reported since the last tick."""
+        """Schedule activations after the events that the injector reported since the last tick."""
         after = self.activation.after
         reports = view.history.get("fault_injector", ())
         for time, report in reports[self._reports :]:

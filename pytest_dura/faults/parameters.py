@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import typing
+import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import InitVar, dataclass
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -26,7 +27,7 @@ class FaultPart(BaseModel):
 
 
 class RefusedError(ValueError):
-    """A value that a part of a fault refuses, for validators to raise.
+    """Refusal of a value by a part of a fault, for validators to raise.
 
     Args:
         problem: What is wrong, in one sentence.
@@ -44,12 +45,13 @@ PARAMETERS = "parameters"
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """The values of a number that are worth a try, in its unit; it stands in ``Annotated``.
+    """Range of a number that a search tries, in its unit; it stands in ``Annotated``.
 
     Args:
         low: Least value.
         high: Greatest value.
-        mildest: The value of least effect, between them: 0 of an offset, 1 of a factor.
+        neutral: Value of least effect, between them: 0 of an offset, 1 of a factor.
+        mildest: Deprecated name of ``neutral``.
 
     Raises:
         ConfigurationError: If they are not in order.
@@ -57,31 +59,36 @@ class Span:
 
     low: float
     high: float
-    mildest: float = 0.0
+    neutral: float = 0.0
+    mildest: InitVar[float | None] = None
 
-    def __post_init__(self) -> None:
-        """Refuse a span that does not hold its mildest value, or has no width."""
-        if not self.low <= self.mildest <= self.high or self.low == self.high:
+    def __post_init__(self, mildest: float | None) -> None:
+        """Refuse a span that does not hold its neutral value, or has no width."""
+        if mildest is not None:
+            message = "Span(mildest=...) is deprecated: use neutral"
+            warnings.warn(message, DeprecationWarning, stacklevel=3)
+            object.__setattr__(self, "neutral", mildest)
+        if not self.low <= self.neutral <= self.high or self.low == self.high:
             raise ConfigurationError(
                 "a span is not in order",
-                found=f"low {self.low:g}, mildest {self.mildest:g}, high {self.high:g}",
-                expected="low <= mildest <= high, and low below high",
+                found=f"low {self.low:g}, neutral {self.neutral:g}, high {self.high:g}",
+                expected="low <= neutral <= high, and low below high",
             )
 
 
 @dataclass(frozen=True, slots=True)
 class Choices:
-    """The values of a parameter that is chosen, the simplest first."""
+    """Values of a parameter that a search chooses from, the simplest first."""
 
     values: tuple[Any, ...]
 
 
 def spans_of(kind: type[BaseModel]) -> Mapping[str, Span | Choices]:
-    """The parameters of a type that a search may change, such as ``parameters.offset``.
+    """Map the parameters that a search may change, such as ``parameters.offset``, to their values.
 
-    Those are the numbers with a :class:`Span` in their annotation, truth values, and words of a
-    ``Literal``. Everything else stays at the type's example. Of a whole number there are as many
-    values as there are from ``low`` to ``high``.
+    Those are the numbers with a :class:`Span` in their annotation, truth values, and values of a
+    ``Literal``. All others stay as in the type's example. A whole number takes all values from
+    ``low`` to ``high``.
 
     Args:
         kind: A type of the catalogue, or a user's own.
@@ -92,20 +99,20 @@ def spans_of(kind: type[BaseModel]) -> Mapping[str, Span | Choices]:
     model = parameters_of(kind)
     if model is None:
         return {}
-    found = {name: _values(name, model_field) for name, model_field in model.model_fields.items()}
-    return {f"{PARAMETERS}.{name}": item for name, item in found.items() if item is not None}
+    values = {name: _values(name, field) for name, field in model.model_fields.items()}
+    return {f"{PARAMETERS}.{name}": tried for name, tried in values.items() if tried is not None}
 
 
 def parameters_of(kind: type[BaseModel]) -> type[BaseModel] | None:
-    """The model of a type's parameters; ``None`` for a type of a user's own that has none."""
+    """Model of a type's parameters; ``None`` for a user's own type without any."""
     field = kind.model_fields.get(PARAMETERS)
     model = None if field is None else field.annotation
     return model if isinstance(model, type) and issubclass(model, BaseModel) else None
 
 
 def declared_span(field: FieldInfo) -> Span | None:
-    """The span in the annotation of a parameter, if it has one."""
-    return next((item for item in field.metadata if isinstance(item, Span)), None)
+    """Span in the annotation of a parameter, if it has one."""
+    return next((entry for entry in field.metadata if isinstance(entry, Span)), None)
 
 
 def _values(name: str, field: FieldInfo) -> Span | Choices | None:
@@ -114,24 +121,24 @@ def _values(name: str, field: FieldInfo) -> Span | Choices | None:
         return _whole(name, span) if field.annotation is int else span
     if field.is_required():
         return None
-    words = _choices(field.annotation)
-    if words is None or field.default not in words:
+    choices = _choices(field.annotation)
+    if choices is None or field.default not in choices:
         return None
-    return Choices((field.default, *(item for item in words if item != field.default)))
+    return Choices((field.default, *(choice for choice in choices if choice != field.default)))
 
 
 def _whole(name: str, span: Span) -> Choices:
-    """The whole numbers of a span, the mildest first."""
-    ends = span.low, span.high, span.mildest
+    """Whole numbers of a span, the neutral one first."""
+    ends = span.low, span.high, span.neutral
     if not all(float(end).is_integer() for end in ends):
         raise ConfigurationError(
             "the span of a whole number does not begin and end at one",
             key=f"{PARAMETERS}.{name}",
-            found=f"low {span.low:g}, mildest {span.mildest:g}, high {span.high:g}",
+            found=f"low {span.low:g}, neutral {span.neutral:g}, high {span.high:g}",
             expected="whole numbers",
         )
-    low, high, mildest = map(int, ends)
-    return Choices(tuple(sorted(range(low, high + 1), key=lambda index: abs(index - mildest))))
+    low, high, neutral = map(int, ends)
+    return Choices(tuple(sorted(range(low, high + 1), key=lambda number: abs(number - neutral))))
 
 
 def _choices(annotation: Any) -> tuple[Any, ...] | None:

@@ -1,4 +1,4 @@
-"""What a fault acts on: a channel, a field of a channel, or the command."""
+"""Targets of faults: a channel, a field of a channel, or the command."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from pytest_dura.core.metrics import COMMAND
 from pytest_dura.core.state import Lazy
 
 MESSAGES = ("prompt", "model")
+"""Channels of the component's own: the prompt of a model, and how the model is reached."""
 PROPOSAL = "proposal"
-"""What the component proposes, in conditions of attacks that the SecurityAssessor directs."""
-"""Channels of the component's own: what it puts before a model, and how the model is reached."""
+"""The component's proposal, in conditions of attacks that the SecurityAssessor directs."""
 
 
 class AbsentRowError(ConfigurationError):
-    """A row that a list or array does not have now, and may have at another tick."""
+    """Row that a list or array does not have at this tick, but may have at another."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +34,7 @@ class Target:
     @staticmethod
     @lru_cache(maxsize=1024)
     def parse(text: str) -> Target:
-        """From ``channel``, ``channel.field`` or ``command``."""
+        """Read ``channel``, ``channel.field`` or ``command``."""
         channel, _, field = text.partition(".")
         return Target(channel, field)
 
@@ -48,11 +48,11 @@ class Target:
 
     @property
     def is_message(self) -> bool:
-        """Whether it is something that the component sends, rather than a sensor's value."""
+        """Whether it is a message that the component sends, rather than a sensor's value."""
         return self.channel in MESSAGES
 
     def channel_of(self, channels: Mapping[str, Any]) -> Any:
-        """The whole channel's value.
+        """Return the value of the whole channel.
 
         Raises:
             ConfigurationError: If there is no such channel.
@@ -69,20 +69,20 @@ class Target:
             ) from None
 
     def read(self, channels: Mapping[str, Any]) -> Any:
-        """The value that it names; see :func:`part_of`."""
+        """Return its value; see :func:`part_of`."""
         return self.of(self.channel_of(channels))
 
     def of(self, channel: Any) -> Any:
-        """The part that it names of the channel's value; see :func:`part_of`."""
+        """Return its part of the channel's value; see :func:`part_of`."""
         return part_of(channel, self.field) if self.field else channel
 
     def written(self, channel: Any, value: Any) -> Any:
-        """The channel's value with the part that it names replaced."""
+        """Return the channel's value with its part replaced."""
         return with_part(channel, self.field, value) if self.field else value
 
 
 def part_of(value: Any, path: str) -> Any:
-    """The part of a value at a dotted path: a field, a mapping's key or an index.
+    """Return the part of a value at a dotted path of fields, keys of mappings and indices.
 
     Raises:
         AbsentRowError: If a list or array is too short for the index.
@@ -91,26 +91,24 @@ def part_of(value: Any, path: str) -> Any:
     head, _, rest = path.partition(".")
     if type(value) is Lazy:
         value = value.get()
-    found: Any
-    if head in getattr(type(value), "_fields", ()):  # the usual case, and asked at each tick
-        found = getattr(value, head)
-    elif isinstance(value, Mapping):
+    part: Any
+    if isinstance(value, Mapping):
         if head not in value:
             raise _no_part(value, head)
-        found = value[head]
+        part = value[head]
     elif head in _field_names(value):
-        found = getattr(value, head)
+        part = getattr(value, head)
     elif _is_indexed(value, head):
         if int(head) >= len(value):
             raise AbsentRowError(f"there is no row {head} now, only {len(value)}", found=head)
-        found = value[int(head)]
+        part = value[int(head)]
     else:
         raise _no_part(value, head)
-    return part_of(found, rest) if rest else found
+    return part_of(part, rest) if rest else part
 
 
 def with_part(value: Any, path: str, part: Any) -> Any:
-    """A copy of a value with the part at a dotted path replaced; the value stays as it is.
+    """Copy a value with the part at a dotted path replaced.
 
     An array of whole numbers becomes one of floats where the new part is a float.
 
@@ -121,7 +119,7 @@ def with_part(value: Any, path: str, part: Any) -> Any:
     head, _, rest = path.partition(".")
     if type(value) is Lazy:
         value = value.get()
-    old = part_of(value, head)  # tells what is wrong
+    old = part_of(value, head)  # raises if there is none
     new = with_part(old, rest, part) if rest else part
     if isinstance(value, Mapping):
         return {**value, head: new}
@@ -135,13 +133,13 @@ def with_part(value: Any, path: str, part: Any) -> Any:
         copy[int(head)] = new
         copy.flags.writeable = False
         return copy
-    items = list(value)
-    items[int(head)] = new
-    return value._make(items) if hasattr(value, "_make") else type(value)(items)
+    entries = list(value)
+    entries[int(head)] = new
+    return value._make(entries) if hasattr(value, "_make") else type(value)(entries)
 
 
 def resolved(value: Any) -> Any:
-    """The value itself, made now if it is lazy: a picture read later would be one of then."""
+    """Return a value, made now if it is lazy: a picture read later would be of that later time."""
     return value.get() if type(value) is Lazy else value
 
 

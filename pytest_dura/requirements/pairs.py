@@ -139,7 +139,7 @@ def change_verdict(
         detail=detail,
         proposals=episode.metrics.proposals,
         valid_proposals=episode.metrics.valid_proposals,
-        idle=episode.idle_faults,
+        idle=episode.not_manifested,
     )
 
 

@@ -202,7 +202,7 @@ class Simplification:
             return simpler_values(value, scenario.time_step, (scenario.time_step, scenario.lasts))
         span = spans.get(dotted_path(keys))
         if isinstance(span, Span) and isinstance(value, (int, float)):
-            return simpler_values(value, type(value)(span.mildest), (span.low, span.high))
+            return simpler_values(value, type(value)(span.neutral), (span.low, span.high))
         return simpler_values(value, span.values[0] if isinstance(span, Choices) else plain)
 
     def _inside(

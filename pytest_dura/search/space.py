@@ -351,7 +351,7 @@ def _inner(
         if isinstance(span, Choices):
             yield OneOf(path, span.values, span.values[0])
         else:
-            yield Interval(path, span.low, span.high, span.mildest)
+            yield Interval(path, span.low, span.high, span.neutral)
 
 
 SLOT = "faults.search-"

@@ -128,7 +128,7 @@ class Trials:
                 for verdict in verdicts
             ),
             idle=any(_is_not_manifested(verdict, episode) for verdict in verdicts),
-            acted=len(episode.idle_faults) < len(episode.spec.faults),
+            acted=len(episode.not_manifested) < len(episode.spec.faults),
         )
 
     def repeated(
@@ -165,7 +165,7 @@ class Trials:
 def _is_not_manifested(verdict: SearchVerdict, episode: SearchedEpisode) -> bool:
     """Whether all that is amiss is a fault that never came to act: the rest is a run without it."""
     whole = episode.failure is None and not episode.ended_early
-    return verdict.word == "invalid" and whole and bool(episode.idle_faults)
+    return verdict.word == "invalid" and whole and bool(episode.not_manifested)
 
 
 def _margin(verdict: SearchVerdict, episode: SearchedEpisode) -> float:

@@ -1,4 +1,4 @@
-"""Any perturbation of a picture, as a callable: where gradient-based attacks plug in."""
+"""Perturbation of a picture by any function, such as a gradient-based attack."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from pytest_dura.faults.types.image import Picture, as_picture, picture_descript
 
 
 class PerturbationParameters(FaultPart):
-    """Which function perturbs the picture, and with what."""
+    """Function that perturbs the picture, and its arguments."""
 
     function: str = Field(
         description="`package.module:name` of a function of a picture, a numpy Generator and the"

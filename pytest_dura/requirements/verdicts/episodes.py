@@ -197,7 +197,7 @@ def judge_episode(
         proposals=episode.metrics.proposals,
         valid_proposals=episode.metrics.valid_proposals,
         vacuous=result.vacuous and word == "satisfied",
-        idle=episode.idle_faults,
+        idle=episode.not_manifested,
         without_effect=word == "violated" and episode.validity == "invalid",
         ended=episode.termination if early else "",
     )

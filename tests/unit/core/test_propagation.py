@@ -101,7 +101,7 @@ def test_what_had_manifested_by_then_answers_for_it() -> None:
     assert found.of_fault(fault(0.5)) == Propagation("propagated", 0.5)
     later = found.of_fault(fault(0.6))
     assert later is not None
-    assert (later.word, later.at) == ("unknown", None)
+    assert (later.status, later.at) == ("unknown", None)
     assert "from 0.50 s on, through another fault" in later.reason
 
 

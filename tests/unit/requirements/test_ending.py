@@ -130,7 +130,7 @@ def test_a_fault_that_never_manifests_leaves_the_episode_as_invalid_as_it_was() 
     hit = [planned(3.0, by_chance=True)]
     late = run(HOT, faults=hit, fault_injector=Bias())
     assert ended(late)[0] == "decided"
-    assert late.idle_faults == ()
+    assert late.not_manifested == ()
 
 
 def test_what_is_violated_waits_for_no_fault() -> None:
