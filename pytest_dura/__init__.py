@@ -58,7 +58,7 @@ if TYPE_CHECKING:
     )
     from pytest_dura.core.trust import factory
     from pytest_dura.faults.model import Fault, Moment
-    from pytest_dura.faults.parameters import FaultPart
+    from pytest_dura.faults.parts import FaultPart
     from pytest_dura.library.cases import Case, SearchedCase
     from pytest_dura.requirements.checks import CheckResult
     from pytest_dura.requirements.model import Paired, Requirement
@@ -170,7 +170,7 @@ _HOMES = {
     ),
     "pytest_dura.core.trust": "factory",
     "pytest_dura.faults.model": "Fault Moment",
-    "pytest_dura.faults.parameters": "FaultPart",
+    "pytest_dura.faults.parts": "FaultPart",
     "pytest_dura.library.cases": "Case SearchedCase",
     "pytest_dura.requirements.checks": "CheckResult",
     "pytest_dura.requirements.model": "Paired Requirement",

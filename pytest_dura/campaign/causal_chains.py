@@ -6,10 +6,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from pytest_dura.core.episode import Episode
+from pytest_dura.core.episode import (
+    Divergence,
+    Episode,
+    OutcomeStatus,
+    PropagationStatus,
+    outcome_of,
+)
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.metrics import FaultRecord
-from pytest_dura.core.propagation import Divergence, OutcomeStatus, PropagationStatus, outcome_of
 from pytest_dura.requirements.model import Requirement
 from pytest_dura.requirements.verdicts.episodes import judge_episode
 

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from pytest_dura.campaign.causal_chains import CausalChain, causal_chains
 from pytest_dura.campaign.progress import RunningCampaign
 from pytest_dura.campaign.runner import EpisodeRunner
-from pytest_dura.core.propagation import Divergence
+from pytest_dura.core.episode import Divergence
 from pytest_dura.execution.store import EpisodeKey, key_of
 from pytest_dura.execution.task import EpisodeTask, UpcomingTasks
 from pytest_dura.library.cases import Case

@@ -1,4 +1,8 @@
-"""EpisodeSpec: all that determines an episode, as plain data. Episode: its result."""
+"""EpisodeSpec: all that determines an episode, as plain data. Episode: its result.
+
+A fault propagates if the proposals of an episode differ from those of its fault-free twin, the
+episode of the same seed without any fault; see :class:`Divergence`.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +11,7 @@ import json
 import math
 import re
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from typing import Any, Literal
@@ -359,6 +363,150 @@ class Episode:
             column = np.ascontiguousarray(columns[name])
             state.update(f"|{name}|{column.dtype.str}|{column.shape}|".encode())
             state.update(column.tobytes())
+
+
+PropagationStatus = Literal["propagated", "contained", "unknown"]
+OutcomeStatus = Literal[
+    "idle", "masked", "contained", "tolerated", "violated", "violated also without it", "missing"
+]
+
+
+@dataclass(frozen=True)
+class Propagation:
+    """Effect of one manifested fault on the proposals.
+
+    Args:
+        status: ``propagated`` if a proposal differs from that of the fault-free twin, ``contained``
+            if none does, ``unknown`` if the twins cannot tell.
+        at: Simulated seconds of the first proposal that differs.
+        reason: Why it is unknown.
+    """
+
+    status: PropagationStatus
+    at: float | None = None
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class Divergence:
+    """First difference between an episode and its fault-free twin.
+
+    Args:
+        at: Simulated seconds of the first differing proposal; ``None`` if there is none in the
+            ticks that both have.
+        doubt: Why the difference cannot be attributed to the faults; empty if it can.
+        until: Simulated seconds of the last proposal that both have, where one of them ended
+            before the other; ``None`` where that does not matter.
+    """
+
+    at: float | None = None
+    doubt: str = ""
+    until: float | None = None
+
+    @classmethod
+    def of(
+        cls, episode: Episode, twin: Episode, second: Callable[[], Episode] | None = None
+    ) -> Divergence:
+        """Compare the proposals of an episode with those of its twin.
+
+        A component whose proposals differ between two fault-free runs would seem to be reached by
+        every fault; from the first such difference on, nothing is attributed.
+
+        Args:
+            episode: The episode with faults.
+            twin: The episode of the same seed without any fault.
+            second: Runs the twin once more; called if the proposals differ.
+        """
+        for run in (episode, twin):
+            if run.failure is not None:
+                return cls(doubt=f"{run.id} is missing")
+        first = _first_difference(episode, twin)
+        if first is None:
+            for run in (episode, twin):
+                if run.termination == "decided":
+                    end = run.time[-1]
+                    return cls(doubt=f"{run.id} ended at {end:.2f} s, once all was decided")
+            return cls(until=_common_end(episode, twin))
+        if second is not None:
+            other = second()
+            if other.failure is not None:
+                return cls(doubt=f"{other.id} is missing")
+            between_twins = _first_difference(twin, other)
+            if between_twins is not None and between_twins <= first:
+                time = twin.time[between_twins]
+                return cls(doubt=f"two runs without faults differ from {time:.2f} s on")
+        return cls(at=float(episode.time[first]))
+
+    def of_fault(self, fault: FaultRecord) -> Propagation | None:
+        """Propagation of one fault; ``None`` if the fault never manifested.
+
+        A difference is attributed to all faults that had manifested by then.
+        """
+        if fault.manifested_at is None:
+            return None
+        if self.doubt:
+            return Propagation("unknown", reason=self.doubt)
+        if self.at is None and self.until is not None and fault.manifested_at > self.until + 1e-9:
+            reason = f"one of the runs has no proposal after {self.until:.2f} s to compare"
+            return Propagation("unknown", reason=reason)
+        if self.at is None:
+            return Propagation("contained")
+        if fault.manifested_at <= self.at + 1e-9:
+            return Propagation("propagated", self.at)
+        reason = f"proposals differed already from {self.at:.2f} s on, through another fault"
+        return Propagation("unknown", reason=reason)
+
+
+def outcome_of(
+    fault: FaultRecord,
+    propagation: str | None,
+    violated: Collection[str],
+    violated_without: Collection[str] | None,
+    *,
+    missing: bool,
+) -> OutcomeStatus:
+    """Outcome of a fault in one episode.
+
+    ``idle`` (never active), ``masked`` (active, never manifested), ``contained`` (it changed no
+    proposal), ``tolerated`` (it may have, and nothing was violated), ``violated``, ``violated also
+    without it`` (all that was violated is violated without any fault, too), or ``missing`` (the
+    episode cannot tell).
+
+    Args:
+        fault: Its record.
+        propagation: Its propagation, if that is known.
+        violated: Requirements that were violated from its manifestation on.
+        violated_without: Those among them that the fault-free twin violates, too; ``None`` without
+            a twin.
+        missing: Whether an infrastructure error ended the episode.
+    """
+    if violated:
+        own = set(violated).difference(violated_without or ())
+        return "violated" if own else "violated also without it"
+    if missing:
+        return "missing"
+    if fault.activated_at is None and fault.manifested_at is None:
+        return "idle"
+    if fault.manifested_at is None:
+        return "masked"
+    return "contained" if propagation == "contained" else "tolerated"
+
+
+def _common_end(episode: Episode, other: Episode) -> float | None:
+    """Time of the last proposal that both have; ``None`` if both have equally many."""
+    left, right = len(episode.decisions["proposed"]), len(other.decisions["proposed"])
+    ticks = min(left, right)
+    if left == right:
+        return None
+    return float(episode.time[ticks - 1]) if ticks else -math.inf
+
+
+def _first_difference(episode: Episode, other: Episode) -> int | None:
+    """First tick at which the proposals of both differ."""
+    left, right = episode.decisions["proposed"], other.decisions["proposed"]
+    ticks = min(len(left), len(right))
+    differing = np.flatnonzero(left[:ticks] != right[:ticks])
+    return int(differing[0]) if len(differing) else None
 
 
 def canonical(data: Any) -> bytes:

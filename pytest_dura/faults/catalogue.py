@@ -13,7 +13,7 @@ from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.state import NOTHING
 from pytest_dura.faults.activation import DURATIONS, TRIGGERS
 from pytest_dura.faults.model import Fault
-from pytest_dura.faults.parameters import RefusedError
+from pytest_dura.faults.parts import RefusedError
 
 _PREFIX = "Input should be "
 _OF_ANOTHER_TYPE = ("float_type", "literal_error", "model_type", "model_attributes_type")

@@ -21,7 +21,7 @@ from pytest_dura.core.state import NOTHING, RoleView
 from pytest_dura.faults.activation import TOLERANCE, Lifetime, Until, parse_condition
 from pytest_dura.faults.catalogue import load_fault
 from pytest_dura.faults.model import Fault, Moment
-from pytest_dura.faults.targets import AbsentRowError, resolved
+from pytest_dura.faults.parts import AbsentRowError, resolved
 
 BLOCK = 256
 """Ticks that are drawn at once."""

@@ -15,8 +15,7 @@ from pydantic import Field
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.metrics import COMMAND
 from pytest_dura.faults.activation import Activation, Duration
-from pytest_dura.faults.parameters import FaultPart
-from pytest_dura.faults.targets import MESSAGES, PROPOSAL, Target
+from pytest_dura.faults.parts import MESSAGES, PROPOSAL, FaultPart, Target
 
 Kind = Literal["number", "any", "command", "objects", "image", "pose", "signs", "prompt", "model"]
 """Kind of value that a type of fault acts on: a number in a channel or command, any value, a number

@@ -22,8 +22,14 @@ from pytest_dura.faults.activation import (
 )
 from pytest_dura.faults.catalogue import FAULT_TYPES, fault_class
 from pytest_dura.faults.model import Fault, Kind
-from pytest_dura.faults.parameters import PARAMETERS, Span, declared_span, parameters_of, spans_of
-from pytest_dura.faults.targets import Target
+from pytest_dura.faults.parts import (
+    PARAMETERS,
+    Span,
+    Target,
+    declared_span,
+    parameters_of,
+    spans_of,
+)
 
 PAGE = "faults.md"
 _DOMAIN = "pytest_dura.driving.sensors:FAULT_TARGETS"

@@ -12,7 +12,7 @@ from pytest_dura.domains import domain_of
 from pytest_dura.faults.activation import TOLERANCE, Until, parse_condition
 from pytest_dura.faults.catalogue import FAULT_TYPES, load_fault, plain_fault
 from pytest_dura.faults.model import check_condition_targets, check_target, with_proposal
-from pytest_dura.faults.targets import PROPOSAL
+from pytest_dura.faults.parts import PROPOSAL
 from pytest_dura.library.scenario import Scenario, channel_kinds, fault_targets
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from typing import Any
 
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.faults.catalogue import BY_CHANCE, fault_class
-from pytest_dura.faults.parameters import Choices, Span, spans_of
+from pytest_dura.faults.parts import Choices, Span, spans_of
 from pytest_dura.library.cases import SearchedCase, make_searched_case
 from pytest_dura.library.scenario import Choice, Range
 from pytest_dura.search.differences import (

@@ -30,7 +30,7 @@ from pytest_dura import (
     SecurityAssessor,
     Termination,
 )
-from pytest_dura.core.propagation import Divergence
+from pytest_dura.core.episode import Divergence
 from pytest_dura.core.state import GeneratorView
 from pytest_dura.faults.injector import CampaignInjector
 from pytest_dura.requirements.early_end import RequirementJudge

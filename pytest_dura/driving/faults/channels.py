@@ -14,7 +14,7 @@ from pytest_dura.driving.faults.objects import PoseFault
 from pytest_dura.driving.scene import HALF
 from pytest_dura.driving.sensors import Pose, Sign
 from pytest_dura.faults.model import Fault, Kind, Moment
-from pytest_dura.faults.parameters import FaultPart, Finite, NotNegative, Positive, Span
+from pytest_dura.faults.parts import FaultPart, Finite, NotNegative, Positive, Span
 
 _LEAP = Span(-20.0, 20.0)
 """m; the junction is about as wide, and what leaps farther is off every road."""

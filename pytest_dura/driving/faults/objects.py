@@ -23,7 +23,7 @@ from pytest_dura.driving.bodies import (
 )
 from pytest_dura.driving.sensors import RANGE
 from pytest_dura.faults.model import Fault, Kind, Moment
-from pytest_dura.faults.parameters import FaultPart, Finite, NotNegative, Positive, Share, Span
+from pytest_dura.faults.parts import FaultPart, Finite, NotNegative, Positive, Share, Span
 
 Ids = Annotated[tuple[str, ...], Field(strict=False)]
 """Ids of objects; a list in a scenario file."""

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.state import NOTHING, Lazy
 from pytest_dura.faults.model import Fault, Kind, Moment
-from pytest_dura.faults.parameters import FaultPart
+from pytest_dura.faults.parts import FaultPart
 
 Change: TypeAlias = Callable[[Any, np.random.Generator], Any]
 

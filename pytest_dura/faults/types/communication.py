@@ -12,8 +12,17 @@ from pydantic import BeforeValidator, Field, model_validator
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.faults.activation import TOLERANCE
 from pytest_dura.faults.model import Channel, Kind, Moment, is_number
-from pytest_dura.faults.parameters import FaultPart, NotNegative, Positive, Share, Span
-from pytest_dura.faults.targets import Target, part_of, resolved, with_part
+from pytest_dura.faults.parts import (
+    FaultPart,
+    NotNegative,
+    Positive,
+    Share,
+    Span,
+    Target,
+    part_of,
+    resolved,
+    with_part,
+)
 from pytest_dura.faults.types.base import (
     ListedFault,
     NoParameters,

@@ -15,8 +15,7 @@ from pydantic import Field
 
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.faults.model import Kind, Moment
-from pytest_dura.faults.parameters import FaultPart, NotNegative, Share, Span
-from pytest_dura.faults.targets import resolved
+from pytest_dura.faults.parts import FaultPart, NotNegative, Share, Span, resolved
 from pytest_dura.faults.types.base import ListedFault, change_lazily
 
 Picture: TypeAlias = NDArray[np.uint8]

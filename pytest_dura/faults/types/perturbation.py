@@ -11,7 +11,7 @@ from pydantic import Field, field_validator
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.faults.model import Kind, Moment
-from pytest_dura.faults.parameters import FaultPart
+from pytest_dura.faults.parts import FaultPart
 from pytest_dura.faults.types.base import ListedFault
 from pytest_dura.faults.types.image import Picture, as_picture, picture_description
 

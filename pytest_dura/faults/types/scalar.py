@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from pytest_dura.faults.model import Kind, Moment
-from pytest_dura.faults.parameters import FaultPart, Finite, NotNegative, Positive, Span
+from pytest_dura.faults.parts import FaultPart, Finite, NotNegative, Positive, Span
 from pytest_dura.faults.types.base import (
     ListedFault,
     NoParameters,

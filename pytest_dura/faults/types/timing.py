@@ -14,8 +14,7 @@ from pydantic import Field
 
 from pytest_dura.faults.activation import TOLERANCE
 from pytest_dura.faults.model import Kind, Moment
-from pytest_dura.faults.parameters import FaultPart, NotNegative, Positive, Share, Span
-from pytest_dura.faults.targets import resolved
+from pytest_dura.faults.parts import FaultPart, NotNegative, Positive, Share, Span, resolved
 from pytest_dura.faults.types.base import ListedFault, NoParameters
 
 _ONE_TICK = 1e-6

@@ -16,7 +16,7 @@ from pytest_dura.core.seeding import stream
 from pytest_dura.driving.bodies import Body
 from pytest_dura.faults.catalogue import FAULT_TYPES, default_fault, fault_class, load_fault
 from pytest_dura.faults.model import Fault, Moment
-from pytest_dura.faults.parameters import (
+from pytest_dura.faults.parts import (
     Choices,
     FaultPart,
     Span,

@@ -13,8 +13,8 @@ from loops import run_loop
 from thermostat import Bias, Overheater, Thermostat
 
 from pytest_dura import Episode, EpisodeSpec, Proposal, RoleSpec, Termination, Tick
+from pytest_dura.core.episode import Divergence
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.core.propagation import Divergence
 from pytest_dura.requirements.checks import CheckResult
 from pytest_dura.requirements.early_end import RequirementJudge
 from pytest_dura.requirements.model import Paired, Requirement
