@@ -19,8 +19,8 @@ from statistics import mean, quantiles
 import numpy as np
 from machine import machine, table
 
+from pytest_dura.core.loop_signals import switching
 from pytest_dura.core.orchestrator import Orchestrator
-from pytest_dura.core.propagation import switching
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.domains import DOMAINS
 from pytest_dura.driving.measures import clearance_time

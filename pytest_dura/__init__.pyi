@@ -47,7 +47,7 @@ from .core.state import (
 )
 from .core.trust import factory
 from .faults.model import Fault, Moment
-from .faults.parameters import FaultPart
+from .faults.parts import FaultPart
 from .library.cases import Case, SearchedCase
 from .requirements.campaign_verdicts import CampaignVerdict
 from .requirements.checks import CheckResult

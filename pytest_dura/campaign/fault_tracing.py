@@ -12,10 +12,15 @@ from typing import Any
 
 from pytest_dura.campaign.reporting import RunningCampaign
 from pytest_dura.campaign.runner import EpisodeRunner, ignore_event
-from pytest_dura.core.episode import Episode
+from pytest_dura.core.episode import (
+    Divergence,
+    Episode,
+    OutcomeStatus,
+    PropagationStatus,
+    outcome_of,
+)
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.metrics import FaultRecord
-from pytest_dura.core.propagation import Divergence, OutcomeStatus, PropagationStatus, outcome_of
 from pytest_dura.execution.store import EpisodeKey, key_of
 from pytest_dura.execution.task import EpisodeTask, UpcomingTasks
 from pytest_dura.library.cases import Case
@@ -95,7 +100,7 @@ def _chain(
         if since is not None and (time is None or time >= since - 1e-9)
     )
     also = None if without is None else tuple(name for name in reached if name in without)
-    status = propagation.word if propagation is not None else None
+    status = propagation.status if propagation is not None else None
     return CausalChain(
         fault,
         status,

@@ -12,9 +12,8 @@ from math import isclose
 from pathlib import PurePosixPath, PureWindowsPath
 from typing import Any
 
-from pytest_dura.core.episode import canonical
+from pytest_dura.core.episode import canonical, outcome_of
 from pytest_dura.core.metrics import FaultRecord
-from pytest_dura.core.propagation import outcome_of
 from pytest_dura.core.seeding import derive_seed
 from pytest_dura.evidence.bundle import RECORD_FILE
 from pytest_dura.evidence.gate import (

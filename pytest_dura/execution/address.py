@@ -286,7 +286,7 @@ def simulate(
             "a component asks a language model, and its parameters do not say which",
             key="--dura-executor",
             found=here.spec.component,
-            expected="parameters `model` and `fingerprint`, which `Role.settled` states",
+            expected="parameters `model` and `fingerprint`, which `Role.resolve_parameters` states",
             remedy="derive it from pytest_dura.llm.LlmGenerator, or use --dura-executor=in-process",
         )
     try:

@@ -18,7 +18,7 @@ from pytest_dura.faults.model import (
     check_target,
     with_proposal,
 )
-from pytest_dura.faults.targets import PROPOSAL
+from pytest_dura.faults.parts import PROPOSAL
 from pytest_dura.library.scenario import Scenario
 
 _RESERVED = ("none", "catalogue")

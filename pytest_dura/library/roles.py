@@ -167,7 +167,7 @@ class ParameterResolver:
         self._resolved: dict[tuple[Callable[..., Any], bytes], RoleSpec | ConfigurationError] = {}
 
     def resolve(self, spec: RoleSpec) -> RoleSpec:
-        """The spec with the parameters that :meth:`pytest_dura.core.roles.Role.settled` returns.
+        """The spec with the parameters that the class's ``resolve_parameters`` returns.
 
         Bare instances and factories stay as they are, and so does a path that leads nowhere:
         building the role reports that. Resolved parameters resolve to themselves.
@@ -203,13 +203,13 @@ class ParameterResolver:
 def _has_resolver(factory: Callable[..., Any]) -> bool:
     if not (inspect.isclass(factory) and issubclass(factory, Role)):
         return False
-    return factory.settled.__func__ is not Role.settled.__func__  # type: ignore[attr-defined]
+    return factory.resolve_parameters.__func__ is not Role.resolve_parameters.__func__  # type: ignore[attr-defined]
 
 
 def _resolve(spec: RoleSpec, factory: Callable[..., Any]) -> RoleSpec:
-    settle: Callable[[Mapping[str, Any]], Any] = factory.settled  # type: ignore[attr-defined]
+    resolve: Callable[[Mapping[str, Any]], Any] = factory.resolve_parameters  # type: ignore[attr-defined]
     try:
-        params = settle(dict(spec.params))
+        params = resolve(dict(spec.params))
         canonical(params)
     except ConfigurationError:
         raise
@@ -219,13 +219,13 @@ def _resolve(spec: RoleSpec, factory: Callable[..., Any]) -> RoleSpec:
             f"{spec.path} cannot resolve its parameters: {describe_error(error)}",
             found=dict(spec.params),
             expected="plain data",
-            remedy="correct its method `settled`",
+            remedy="correct its method `resolve_parameters`",
         ) from error
     if not isinstance(params, Mapping):
         raise ConfigurationError(
             f"{spec.path} resolves its parameters to something else",
             found=params,
             expected="a mapping of the parameters",
-            remedy="correct its method `settled`",
+            remedy="correct its method `resolve_parameters`",
         )
     return spec.with_params(params)

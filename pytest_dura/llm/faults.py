@@ -10,7 +10,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field, field_validator
 
 from pytest_dura.faults.model import Kind, Moment
-from pytest_dura.faults.parameters import FaultPart, NotNegative, RefusedError, Span
+from pytest_dura.faults.parts import FaultPart, NotNegative, RefusedError, Span
 from pytest_dura.faults.types.base import ListedFault
 from pytest_dura.llm.driving.blocks import BLOCKS
 from pytest_dura.llm.port import Delivery, ServerFault

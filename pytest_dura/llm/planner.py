@@ -216,7 +216,7 @@ class LlmGenerator(Generator):
         self.settings = Settings.of(params, self.MANEUVERS)
 
     @classmethod
-    def settled(cls, params: Mapping[str, Any]) -> Mapping[str, Any]:
+    def resolve_parameters(cls, params: Mapping[str, Any]) -> Mapping[str, Any]:
         """The parameters with the model, what its server can do, and a digest of the templates."""
         settings = Settings.of(params, cls.MANEUVERS)
         told: dict[str, Any] = {"prompts": cls.templates_digest(settings)}

@@ -282,7 +282,7 @@ def outcome_of_test(
         "proposals": episode.metrics.proposals,
         "valid_proposals": episode.metrics.valid_proposals,
         "vacuous": vacuous,
-        "idle": list(episode.idle_faults),
+        "idle": list(episode.not_manifested),
         "without_effect": word == "violated" and episode.validity == "invalid",
         "ended": episode.termination if episode.termination in EARLY_ENDS else "",
         "unseen_crash": word != "violated" and is_unseen_crash(episode, requirements),

@@ -202,7 +202,7 @@ def judge_episode(
         proposals=episode.metrics.proposals,
         valid_proposals=episode.metrics.valid_proposals,
         vacuous=result.vacuous and status == "satisfied",
-        not_manifested=episode.idle_faults,
+        not_manifested=episode.not_manifested,
         without_effect=status == "violated" and episode.validity == "invalid",
         ended=episode.termination if early else "",
     )

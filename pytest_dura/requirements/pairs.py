@@ -139,7 +139,7 @@ def change_verdict(
         detail=detail,
         proposals=episode.metrics.proposals,
         valid_proposals=episode.metrics.valid_proposals,
-        not_manifested=episode.idle_faults,
+        not_manifested=episode.not_manifested,
     )
 
 

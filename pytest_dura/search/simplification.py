@@ -19,7 +19,7 @@ from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.domains import domain_of, simulator_spec
 from pytest_dura.faults.catalogue import BY_CHANCE, fault_class
-from pytest_dura.faults.parameters import Choices, Span, spans_of
+from pytest_dura.faults.parts import Choices, Span, spans_of
 from pytest_dura.library.cases import Case, SearchedCase, make_searched_case
 from pytest_dura.library.planned_faults import parse_fault
 from pytest_dura.library.scenario import Choice, Range, check_world, world_checker
@@ -476,7 +476,7 @@ class Simplification:
             return simpler_values(value, scenario.time_step, (scenario.time_step, scenario.lasts))
         span = spans.get(_dotted_path(keys))
         if isinstance(span, Span) and isinstance(value, (int, float)):
-            return simpler_values(value, type(value)(span.mildest), (span.low, span.high))
+            return simpler_values(value, type(value)(span.neutral), (span.low, span.high))
         return simpler_values(value, span.values[0] if isinstance(span, Choices) else plain)
 
     def _inside(

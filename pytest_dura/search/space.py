@@ -18,7 +18,7 @@ from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.domains import simulator_spec
 from pytest_dura.faults.catalogue import fault_class
-from pytest_dura.faults.parameters import Choices, spans_of
+from pytest_dura.faults.parts import Choices, spans_of
 from pytest_dura.library.cases import Case, SearchedCase, make_searched_case
 from pytest_dura.library.fault_campaigns import FaultCampaign, Faults, expand_campaign
 from pytest_dura.library.planned_faults import parse_scenario_fault
@@ -350,7 +350,7 @@ def _inner(
         if isinstance(span, Choices):
             yield OneOf(path, span.values, span.values[0])
         else:
-            yield Interval(path, span.low, span.high, span.mildest)
+            yield Interval(path, span.low, span.high, span.neutral)
 
 
 SLOT = "faults.search-"

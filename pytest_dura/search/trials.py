@@ -129,7 +129,7 @@ class Trials:
                 for verdict in verdicts
             ),
             not_manifested=any(_is_not_manifested(verdict, episode) for verdict in verdicts),
-            manifested=len(episode.idle_faults) < len(episode.spec.faults),
+            manifested=len(episode.not_manifested) < len(episode.spec.faults),
         )
 
     def replay(
@@ -166,7 +166,7 @@ class Trials:
 def _is_not_manifested(verdict: SearchVerdict, episode: SearchedEpisode) -> bool:
     """Whether a run is invalid only since a fault was never manifested: a run without the fault."""
     complete = episode.failure is None and not episode.ended_early
-    return verdict.status == "invalid" and complete and bool(episode.idle_faults)
+    return verdict.status == "invalid" and complete and bool(episode.not_manifested)
 
 
 def _margin(verdict: SearchVerdict, episode: SearchedEpisode) -> float:

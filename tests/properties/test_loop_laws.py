@@ -32,7 +32,7 @@ from pytest_dura import (
     derive_seed,
     stream,
 )
-from pytest_dura.core.propagation import switching
+from pytest_dura.core.loop_signals import switching
 from pytest_dura.core.state import GeneratorView
 from pytest_dura.requirements.checks import RequirementJudge
 

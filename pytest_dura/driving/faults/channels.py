@@ -14,7 +14,7 @@ from pytest_dura.driving.faults.objects import PoseFault
 from pytest_dura.driving.scene import HALF
 from pytest_dura.driving.sensors import Pose, Sign
 from pytest_dura.faults.model import Fault, Kind, Moment
-from pytest_dura.faults.parameters import FaultPart, Finite, NotNegative, Positive, Span
+from pytest_dura.faults.parts import FaultPart, Finite, NotNegative, Positive, Span
 
 _LEAP = Span(-20.0, 20.0)
 """m; the junction is about as wide, and what leaps farther is off every road."""
@@ -72,7 +72,7 @@ class DragOffParameters(FaultPart):
             " begins.",
         )
     )
-    at_most: Annotated[Positive | None, Span(0.5, 20.0, mildest=0.5)] = Field(
+    at_most: Annotated[Positive | None, Span(0.5, 20.0, neutral=0.5)] = Field(
         None,
         description="The offset stays at so many metres once it has grown to that; null: no limit.",
     )
@@ -151,7 +151,7 @@ class PromptTextParameters(FaultPart):
         max_length=2000,
         description="What can be read on it; without a text there is no sign.",
     )
-    ahead: Annotated[Positive, Span(2.0, 60.0, mildest=60.0)] = Field(
+    ahead: Annotated[Positive, Span(2.0, 60.0, neutral=60.0)] = Field(
         20.0, description="Metres ahead of the ego's front along its route, when it appears."
     )
 

@@ -23,7 +23,7 @@ from pytest_dura.driving.bodies import (
 )
 from pytest_dura.driving.sensors import RANGE
 from pytest_dura.faults.model import Fault, Kind, Moment
-from pytest_dura.faults.parameters import FaultPart, Finite, NotNegative, Positive, Share, Span
+from pytest_dura.faults.parts import FaultPart, Finite, NotNegative, Positive, Share, Span
 
 Ids = Annotated[tuple[str, ...], Field(strict=False)]
 """Ids of objects; a list in a scenario file."""
@@ -133,7 +133,7 @@ class PositionNoise(ObjectFault):
 class RangeCutParameters(FaultPart):
     """How far the sensor still reaches."""
 
-    reach: Annotated[NotNegative, Span(0.0, RANGE, mildest=RANGE)] = Field(
+    reach: Annotated[NotNegative, Span(0.0, RANGE, neutral=RANGE)] = Field(
         25.0, description="Metres from the ego's centre to an object's, beyond which there is none."
     )
 
@@ -311,7 +311,7 @@ class GhostParameters(FaultPart):
         description="Where `ahead` is measured from: the ego's front, or the stop line before it.",
     )
     # Farther away a car at the speed limit of 10 m/s stops for it without any haste.
-    ahead: Annotated[Positive, Span(2.0, 60.0, mildest=60.0)] = Field(
+    ahead: Annotated[Positive, Span(2.0, 60.0, neutral=60.0)] = Field(
         14.0,
         description="Metres on the ego's route, from `place` to the ghost's near end, when it"
         " appears.",
@@ -327,10 +327,10 @@ class GhostParameters(FaultPart):
     speed: Annotated[NotNegative, Span(0.0, 10.0)] = Field(
         0.0, description="Along its own heading, straight on, in m/s."
     )
-    length: Annotated[Positive, Span(0.5, 12.0, mildest=CAR_LENGTH)] = Field(
+    length: Annotated[Positive, Span(0.5, 12.0, neutral=CAR_LENGTH)] = Field(
         CAR_LENGTH, description="In m."
     )
-    width: Annotated[Positive, Span(0.5, 3.0, mildest=CAR_WIDTH)] = Field(
+    width: Annotated[Positive, Span(0.5, 3.0, neutral=CAR_WIDTH)] = Field(
         CAR_WIDTH, description="In m."
     )
 
@@ -389,11 +389,11 @@ class SpoofParameters(FaultPart):
         description="The false velocity in m/s, along the ego's route beside the vehicle and to"
         " the right of it; null: the one that leads it to where `lead` says.",
     )
-    lead: Annotated[Positive, Span(0.5, 5.0, mildest=5.0)] = Field(
+    lead: Annotated[Positive, Span(0.5, 5.0, neutral=5.0)] = Field(
         2.0, description="The false path meets the ego's route this many seconds ahead of the ego."
     )
     # The longer it takes, the slower the vehicle seems to come.
-    duration: Annotated[Positive, Span(0.5, 10.0, mildest=10.0)] = Field(
+    duration: Annotated[Positive, Span(0.5, 10.0, neutral=10.0)] = Field(
         4.0, description="Seconds until the false path ends."
     )
 

@@ -22,7 +22,7 @@ from pytest_dura.driving.percepts import (
 )
 from pytest_dura.driving.scene import ego_of
 from pytest_dura.driving.sensors import RANGE
-from pytest_dura.faults.attack_plan import AttackPlan
+from pytest_dura.faults.activation import AttackPlan
 
 Row = tuple[float, ...]
 
