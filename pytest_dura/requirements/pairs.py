@@ -57,7 +57,7 @@ def check_comparison(requirement: Requirement) -> None:
 
 
 def pair_verdict(with_it: EpisodeVerdict, without: EpisodeVerdict) -> EpisodeVerdict:
-    """Whether something made an episode violate a check: violated with it, satisfied without it.
+    """Verdict on a pair: it violates a check that is violated with something, satisfied without.
 
     The margin is that of the implication "satisfied without it implies satisfied with it". A pair
     of which one run is missing or invalid is so itself: there is nothing to compare. One in which
@@ -232,7 +232,7 @@ class Pair:
 
     @property
     def status(self) -> PairStatus:
-        """Which runs violated it; ``incomplete`` if one of them is not known to."""
+        """Which runs violated it; ``incomplete`` if that is unknown of one of them."""
         statuses = self.with_it.verdict, self.without.verdict
         if not {"satisfied", "violated"}.issuperset(statuses) or (
             self.with_it.without_effect or self.without.without_effect
@@ -251,7 +251,7 @@ _STATUSES: dict[tuple[bool, bool], PairStatus] = {
 
 @dataclass(frozen=True, slots=True)
 class PairCounts:
-    """How many pairs violated a requirement in which of their runs.
+    """Counts of pairs by the runs that violated a requirement.
 
     The first five counts add up to ``pairs``. A pair with an invalid, missing or open run is
     incomplete, as what the other run came to cannot be compared; a violation in it stands in

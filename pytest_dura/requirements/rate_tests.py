@@ -1,7 +1,7 @@
-"""Tests of a rate by name: a fixed number with exact bounds, Wald's SPRT, and the e-process.
+"""Tests of a rate: a fixed number of episodes with exact bounds, Wald's SPRT, and the e-process.
 
 The e-process is anytime-valid and has a confidence sequence. The test of a fixed number ends early
-only where nothing can change any more.
+only where no further episode can change its decision. ``make_test`` chooses one by its name.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from itertools import islice
 from typing import Literal
 
 from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.requirements.model import METHODS
 from pytest_dura.requirements.sequential import (
     CountingTest,
     Decision,
@@ -434,10 +435,6 @@ def log_e_value(violations: int, episodes: int, rate: float, side: _Side = "belo
     # The incomplete beta function of the prior alone is twice the arc sine (or cosine) of the root.
     average = math.log(share) + float(betaln(a, b)) - math.log(prior)
     return average - violations * math.log(rate) - (episodes - violations) * math.log1p(-rate)
-
-
-METHODS = ("fixed", "sprt", "e-process")
-"""The names that :func:`make_test` knows."""
 
 
 def make_test(

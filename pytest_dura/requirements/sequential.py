@@ -25,7 +25,7 @@ Decision = Literal["supported", "violated"]
 
 
 class Rule(Protocol):
-    """What counts of violations decide.
+    """A decision rule on counts of violations.
 
     Every rule here is monotone: more violations in as many episodes, or fewer clean episodes with
     as many violations, never turn ``violated`` into anything else nor anything else into
@@ -98,7 +98,7 @@ class Tally:
     _last: bool | None = None
 
     def count(self, violated: bool) -> None:
-        """One more episode."""
+        """Count an episode."""
         if self._last is not None and violated != self._last:
             self.turns.append((self.violations, self.episodes))
         self._last = violated
@@ -107,7 +107,7 @@ class Tally:
 
 
 class CountingTest(ABC):
-    """The part that all tests share: counting, and the first crossing that is final."""
+    """Base of all tests: counting, and the first crossing, which is final."""
 
     tally: Tally
 
@@ -180,7 +180,7 @@ def require_between(key: str, value: float, low: float, high: float) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """Probabilities after some episodes; the three of them make one."""
+    """Probabilities after some episodes; the three of them add up to 1."""
 
     episodes: int
     supported: float
@@ -256,7 +256,7 @@ class Boundaries:
 
 @dataclass(frozen=True, slots=True)
 class Characteristics:
-    """What a test does at one true rate within a budget.
+    """Characteristics of a test at one true rate within a budget.
 
     Args:
         rate: The true rate.

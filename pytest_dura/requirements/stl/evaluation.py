@@ -137,7 +137,7 @@ _MODES = {
 
 @dataclass(frozen=True, slots=True)
 class Evaluation:
-    """What a formula says of a trace.
+    """Verdict and robustness of a formula on a trace.
 
     Args:
         status: The verdict, Boolean unless the trace ends too early.
