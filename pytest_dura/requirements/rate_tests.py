@@ -17,7 +17,6 @@ from typing import Literal
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.requirements.model import METHODS
 from pytest_dura.requirements.sequential import (
-    CountingTest,
     Decision,
     SequentialTest,
     Tally,
@@ -82,7 +81,7 @@ def _check(violations: int, episodes: int, confidence: float) -> None:
 
 
 @dataclass(frozen=True, eq=False)
-class FixedN(CountingTest):
+class FixedN(SequentialTest):
     """The exact one-sided bounds after ``planned`` episodes, with curtailment.
 
     The full design says ``supported`` if the Clopper-Pearson upper bound after all planned
@@ -187,7 +186,7 @@ _STEPS = 100_000
 
 
 @dataclass(frozen=True, eq=False)
-class Sprt(CountingTest):
+class Sprt(SequentialTest):
     """Decides between a rate of ``p0`` or less and one of ``limit`` or more, in few episodes.
 
     Wald, "Sequential Tests of Statistical Hypotheses", Annals of Mathematical Statistics 16
@@ -310,7 +309,7 @@ _Side = Literal["below", "above"]
 
 
 @dataclass(frozen=True, eq=False)
-class EProcess(CountingTest):
+class EProcess(SequentialTest):
     r"""Is the rate below ``limit`` (supported) or above it (violated)? Without a second hypothesis.
 
     Against "the rate is at least t", after k violations in n episodes the e-value is the

@@ -39,49 +39,6 @@ class Rule(Protocol):
         ...
 
 
-class SequentialTest(Rule, Protocol):
-    """A test of one campaign's rate of violations that may be looked at after every episode."""
-
-    @property
-    def method(self) -> str:
-        """Name of the method, for reports."""
-        ...
-
-    @property
-    def violations(self) -> int:
-        """Violations so far."""
-        ...
-
-    @property
-    def episodes(self) -> int:
-        """Valid episodes so far."""
-        ...
-
-    @property
-    def decision(self) -> Decision | None:
-        """The decision at the first crossing, ``None`` before."""
-        ...
-
-    @property
-    def hopeless(self) -> bool:
-        """Whether no further episode can make the decision ``supported``."""
-        ...
-
-    @property
-    def upper(self) -> float | None:
-        """Upper confidence bound on the rate, valid whenever one stops; ``None`` where none is."""
-        ...
-
-    @property
-    def lower(self) -> float | None:
-        """Lower confidence bound on the rate, valid whenever one stops; ``None`` where none is."""
-        ...
-
-    def update(self, violated: bool) -> Decision | None:
-        """Count one valid episode and return the decision, if there is one now."""
-        ...
-
-
 @dataclass
 class Tally:
     """The counts of a campaign, and where its direction turned.
@@ -106,14 +63,32 @@ class Tally:
         self.episodes += 1
 
 
-class CountingTest(ABC):
-    """Base of all tests: counting, and the first crossing, which is final."""
+class SequentialTest(ABC):
+    """A test of one campaign's rate of violations that may be looked at after every episode.
+
+    It is a :class:`Rule`. The decision falls at the first crossing of its boundaries, and is final.
+    """
 
     tally: Tally
 
     @abstractmethod
     def verdict(self, violations: int, episodes: int) -> Decision | None:
         """The decision at these counts, given none at the counts before them."""
+
+    @property
+    @abstractmethod
+    def method(self) -> str:
+        """Name of the method, for reports."""
+
+    @property
+    @abstractmethod
+    def upper(self) -> float | None:
+        """Upper confidence bound on the rate, valid whenever one stops; ``None`` where none is."""
+
+    @property
+    @abstractmethod
+    def lower(self) -> float | None:
+        """Lower confidence bound on the rate, valid whenever one stops; ``None`` where none is."""
 
     @property
     def violations(self) -> int:
