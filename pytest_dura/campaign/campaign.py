@@ -55,7 +55,7 @@ class Campaign(CampaignRuns):
         judge, situations = self.judge_of(requirement, check), self.situations()
         self.failures = ComponentFailures()
         faulty = []
-        for episode in self.runs_for(judge):
+        for episode in self.in_order([self.case], judge):
             verdict = judge_episode(requirement, episode, check)
             judge.add(self.with_crash(verdict, episode, check or requirement.check))
             situations.add(episode)

@@ -139,8 +139,8 @@ class PairedCampaign:
         judge, situations = campaign.judge_of(requirement, check), campaign.situations()
         campaign.failures, compared = ComponentFailures(), _PairResults(requirement, check)
         runs, faulty = [], []
-        episodes = campaign.runs_for(judge, [self.case])
-        for episode, twin in self._with_twins(episodes, [campaign.case, self.case]):
+        cases = [campaign.case, self.case]
+        for episode, twin in self._with_twins(campaign.in_order(cases, judge), cases):
             verdict = compared.add(episode, twin)
             judge.add(campaign.with_crash(verdict, episode, check or requirement.check))
             situations.add(episode)

@@ -91,7 +91,8 @@ def reduce_faults(
         # A set whose runs the budget cut short may have violated once by chance.
         confirmed = (faults for faults, violates in trials.known.items() if violates)
         best = min(confirmed, key=len)
-        one_minimal = one_minimal or all(_without(best, fault) in trials.known for fault in best)
+        one_less = itertools.combinations(best, len(best) - 1)
+        one_minimal = one_minimal or all(faults in trials.known for faults in one_less)
     episode, violated = trials.violating[best]
     if trials.missing:
         one_minimal = smallest = False
@@ -210,7 +211,3 @@ def _smallest(whole: FaultSet, best: FaultSet, trials: _Trials) -> FaultSet:
             if trials.connected(faults) == faults and trials.violates(faults):
                 return faults
     return best
-
-
-def _without(faults: FaultSet, left_out: str) -> FaultSet:
-    return tuple(fault for fault in faults if fault != left_out)

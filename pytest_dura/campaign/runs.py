@@ -42,7 +42,10 @@ def _requirement_of_call(
     Raises:
         ConfigurationError: For a value that is not the file's, and a number that is none.
     """
-    values = {key: _numeric_value(key, value) for key, value in given.items()}
+    values: dict[str, Any] = {
+        key: finite_number(key, value) if key in _NUMERIC_FIELDS else value
+        for key, value in given.items()
+    }
     if known.get(own.id) != own:
         return replace(own, **values)
     # Without a check in its file, it is test code that says what is checked, and on what.
@@ -71,10 +74,6 @@ def _for_message(value: Any) -> Any:
     if value is None:
         return "none"
     return asdict(value) if hasattr(value, "__dataclass_fields__") else value
-
-
-def _numeric_value(key: str, value: Any) -> Any:
-    return finite_number(key, value) if key in _NUMERIC_FIELDS else value
 
 
 def finite_number(key: str, value: Any) -> float:
@@ -159,9 +158,10 @@ class CampaignRuns:
 
         Args:
             cases: This campaign's, and those whose runs are judged along with it.
-            judge: Ends the runs once it is decided.
+            judge: Ends the runs once it is decided. A sequential one has no further runs.
         """
-        budget = 0 if self.until_decided else math.ceil(_MAX_EXTRA_SHARE * self.planned)
+        sequential = self.until_decided if judge is None else judge.sequential
+        budget = 0 if sequential else math.ceil(_MAX_EXTRA_SHARE * self.planned)
         run, end = 0, self.planned
         with self._reporting_progress(cases, judge) as (running, ahead):
             while run < end and not (judge is not None and judge.decided):
@@ -240,28 +240,8 @@ class CampaignRuns:
         faults = {fault["id"] for fault in self.case.faults}
         return Situations(varies=varies(self.case.scenario.variation, faults))
 
-    def runs_for(
-        self, judge: CampaignJudge, beside: Sequence[Case] = ()
-    ) -> Iterator[JudgedEpisode]:
-        """Episodes until the judge is decided, or the plan or budget is used up.
-
-        Args:
-            judge: Judges the episodes.
-            beside: Cases whose runs of the same numbers are judged along with them.
-        """
-        cases = [self.case, *beside]
-        if not judge.sequential:
-            yield from self.in_order(cases, judge)
-            return
-        run = 0
-        with self._reporting_progress(cases, judge) as (running, ahead):
-            while run < self.planned and not judge.decided:
-                ahead.reach(run)
-                yield self._run(run, self.planned, running, ahead)
-                run += 1
-
     def requirement_of_call(self, own: Requirement, given: Mapping[str, Any]) -> Requirement:
-        """The requirement with what a call gives, ``None`` apart.
+        """The requirement with the fields that a call gives, apart from ``None``.
 
         Raises:
             ConfigurationError: For what is not as the requirement's file says.
