@@ -23,7 +23,7 @@ class Runner(EpisodeRunner):
     """Runs cases by name, makes campaigns of them, and searches them.
 
     Args:
-        on_chains: Called with what came of each fault of an episode that a verdict rests on.
+        on_chains: Called with the causal chain of each fault of an episode that a verdict rests on.
         counterexamples: Stores the counterexamples that searches confirm; ``None`` stores none.
             All other arguments are those of :class:`EpisodeRunner`.
     """
@@ -38,7 +38,7 @@ class Runner(EpisodeRunner):
         self._tracer = FaultTracer(self, self.on_chains)
 
     def follow(self, case: Case, runs: Sequence[int]) -> None:
-        """Report what came of each fault of episodes that were run before, unless reported.
+        """Report the causal chains of episodes that were run before, each once.
 
         Args:
             case: The case.

@@ -43,7 +43,7 @@ ROWS_PER_TREE = 256
 """As the paper on isolation forests suggests; more rows hide anomalies behind each other."""
 _WINDOWS = {"isolation_forest": 1.0, "one_class_svm": 0.0}
 """s over which scores are averaged, by kind. A forest scores whatever is beyond all that it has
-seen like its strangest normal row, however far beyond: what lasts tells the two apart."""
+seen like its strangest normal row, however far beyond: an anomaly lasts longer."""
 BORDER = 0.001
 """Nu of the one-class SVM: the share of rows that may lie beyond the border it learns."""
 _SVM_ROWS = 20_000
@@ -55,7 +55,7 @@ _PACKAGES = ("scikit-learn", "numpy")
 
 @dataclass(frozen=True)
 class Training:
-    """What a detector is trained on.
+    """Episodes that a detector is trained on.
 
     Args:
         scenarios: Globs of scenario names; their faults are left out.
@@ -198,7 +198,7 @@ def detector_class(name: str) -> type[AnomalyMonitor]:
 
 @dataclass(frozen=True)
 class _Tape:
-    """What was observed in an episode."""
+    """Observations of an episode."""
 
     scenario: str
     name: str

@@ -1,4 +1,4 @@
-"""Falsification: what a search may use, and what it came to, as plain data."""
+"""Falsification: limits and results of a search for violations, as plain data."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SHRINK_BUDGET = 150
 
 @dataclass(frozen=True)
 class Limits:
-    """What a search may use.
+    """Limits of a search.
 
     Args:
         budget: Simulations of the search.
@@ -31,7 +31,7 @@ class Limits:
     baselines: bool = True
 
     def __post_init__(self) -> None:
-        """Refuse what makes no sense.
+        """Refuse limits that make no sense.
 
         Raises:
             ConfigurationError: For a budget that is no whole number, or too small.
@@ -53,7 +53,7 @@ SearchStatus = Literal["falsified", "not repeatable", "undecided", "nothing foun
 
 @dataclass(frozen=True, slots=True)
 class ReplayCount:
-    """What came of replaying a violation.
+    """Result of replaying a violation.
 
     Args:
         runs: Replays.
@@ -107,7 +107,7 @@ class Shrinking:
 
 @dataclass(frozen=True, slots=True)
 class FoundCounterexample:
-    """A violation that a search found, and what confirms it.
+    """A violation that a search found, with its replays.
 
     Args:
         case: Id of the searched case.
@@ -140,14 +140,14 @@ class FoundCounterexample:
 
 @dataclass(frozen=True, slots=True)
 class SearchOutcome:
-    """What a search came to for one requirement.
+    """Result of a search for one requirement.
 
     Args:
         requirement: Its id.
         check: Its formula or function.
         status: ``falsified`` for a violation that was confirmed, ``not repeatable`` for one whose
-            replays differ, ``undecided`` where more than a fifth of the simulations said nothing,
-            ``nothing found`` otherwise: never that it holds.
+            replays differ, ``undecided`` where more than a fifth of the simulations are
+            inconclusive, ``nothing found`` otherwise: never that it holds.
         simulations: Up to the first violation; all of them where there was none.
         searcher: Who proposed the violation; ``None`` for none.
         best: Least robustness of all simulations; ``None`` where none was measured.
@@ -167,7 +167,7 @@ class SearchOutcome:
 
 @dataclass(frozen=True, slots=True)
 class SearcherReport:
-    """What one searcher, or one baseline, did.
+    """Simulations of one searcher, or of one baseline.
 
     Args:
         name: Its name.
@@ -200,7 +200,7 @@ class SpaceCoverage:
 
 @dataclass(frozen=True)
 class Falsification:
-    """What a search for violations of some requirements on a case came to.
+    """Result of a search for violations of some requirements on a case.
 
     Its episodes were chosen where violations were expected: it holds no rate, and none can be made
     of it.
@@ -212,7 +212,7 @@ class Falsification:
         budget: Simulations that it was allowed.
         simulations: Those that it took.
         refused: Points whose values contradict each other; none of them was simulated.
-        unknown: Simulations that said nothing of some requirement.
+        unknown: Simulations that were inconclusive on some requirement.
         not_manifested: Simulations in which an added fault never came to act; they say what the
             case does without it.
         rule: How the budget is shared over the searchers.

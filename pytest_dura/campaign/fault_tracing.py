@@ -113,14 +113,14 @@ def _chain(
 
 
 def _violations(episode: Episode, requirements: Sequence[Requirement]) -> dict[str, float | None]:
-    """The requirements that an episode violates by itself, and when."""
+    """Time of violation by requirement, of those that an episode violates by itself."""
     violated: dict[str, float | None] = {}
     for requirement in requirements:
         if requirement.paired or not requirement.check:
             continue
         try:
             verdict = judge_episode(requirement, episode)
-        except ConfigurationError:  # told where the requirement itself is judged
+        except ConfigurationError:  # reported where the requirement itself is judged
             continue
         if verdict.verdict == "violated":
             violated[requirement.id] = verdict.time
@@ -128,9 +128,9 @@ def _violations(episode: Episode, requirements: Sequence[Requirement]) -> dict[s
 
 
 TWINS_SUBJECT = "fault-free twins"
-"""What runs when it is found out what came of faults, as progress calls it."""
+"""Subject of these runs in reports of progress."""
 _MAX_RECENT_CHAINS = 64
-"""Episodes whose chains are kept: they are asked for while one is looked at."""
+"""Episodes whose chains are kept while a viewer shows them."""
 
 
 class FaultTracer:
@@ -172,13 +172,7 @@ class FaultTracer:
     def chains(
         self, case: Case, episode: JudgedEpisode, ahead: Iterable[EpisodeTask] = ()
     ) -> list[CausalChain]:
-        """See :meth:`pytest_dura.runner.Runner.chains`.
-
-        Args:
-            case: The case that it belongs to.
-            episode: One of its runs.
-            ahead: What will be wanted next.
-        """
+        """See :meth:`pytest_dura.runner.Runner.chains`; ``ahead`` are tasks that come next."""
         key = self.runner.key(episode)
         if key not in self._chains:
             self._chains[key] = self._linked(case, episode, ahead)
@@ -196,8 +190,8 @@ class FaultTracer:
         task = runner.twin(case, episode.spec)
 
         def second() -> JudgedEpisode:
-            # Not even a bare instance is spared it: one that remembers earlier episodes differs
-            # there as well, and then nothing can be said of the faults.
+            # A component that remembers earlier episodes differs here as well, and then nothing
+            # can be said of the faults.
             return runner.store.get(task.repeated(), ahead)
 
         twin = runner.store.get(task, ahead)

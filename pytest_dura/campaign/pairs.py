@@ -47,9 +47,9 @@ def _monitor_qualities(
         requirements: Of any kind; those on safety that a single episode can violate are used.
 
     Returns:
-        Nothing if something was done on a monitor's word in any of the episodes (under ``halt`` and
+        Nothing if an alarm changed an action in any of the episodes (under ``halt`` and
         ``refine``): a violation that was averted would make its true alarm a false one. Nor if
-        one ended once all was decided: its false alarms were still to come.
+        an episode ended once all was decided: its false alarms were still to come.
     """
     timelines = []
     for episode in episodes():
@@ -97,7 +97,7 @@ class PairedCampaign:
     def __init__(self, campaign: CampaignRuns, without: str) -> None:
         self.campaign, self.without = campaign, without
         self.case = _twin_case(campaign.case, without)
-        # Told before anything runs, where the role is not there to be switched off.
+        # Raises before anything runs if there is no such role to switch off.
         self.case.roles(campaign.runner.roles)
 
     def __repr__(self) -> str:
@@ -113,7 +113,7 @@ class PairedCampaign:
 
         Args:
             episode: One of the campaign's.
-            ahead: What will be wanted next.
+            ahead: Tasks that come next.
         """
         return self.campaign.runner.episode(
             self.case, episode.spec.run, planned=self.campaign.planned, ahead=ahead
@@ -122,7 +122,7 @@ class PairedCampaign:
     def _with_twins(
         self, episodes: Iterable[JudgedEpisode], cases: Sequence[Case]
     ) -> Iterator[tuple[JudgedEpisode, JudgedEpisode]]:
-        """Each with its twin; where another process is at that, this one is at the next ones."""
+        """Each episode with its twin; a process that waits for one simulates the next ones."""
         ahead = self.campaign.upcoming(cases)
         for episode in episodes:
             ahead.reach(episode.spec.run)
@@ -139,8 +139,8 @@ class PairedCampaign:
         judge, situations = campaign.judge_of(requirement, check), campaign.situations()
         campaign.failures, compared = ComponentFailures(), _PairResults(requirement, check)
         runs, faulty = [], []
-        episodes = campaign.enough_for(judge, [self.case])
-        for episode, twin in self._with_twins(episodes, [campaign.case, self.case]):
+        cases = [campaign.case, self.case]
+        for episode, twin in self._with_twins(campaign.in_order(cases, judge), cases):
             verdict = compared.add(episode, twin)
             judge.add(campaign.with_crash(verdict, episode, check or requirement.check))
             situations.add(episode)
@@ -152,7 +152,7 @@ class PairedCampaign:
             if episode.faults:
                 faulty.append(episode.spec.run)
         campaign.follow(faulty)
-        self._tell_of_monitors(runs)
+        self._report_monitors(runs)
         campaign_verdict = judge.verdict()
         table = {"without": self.without, "case": self.case.id, **compared.table()}
         doubt = self._doubt(compared)
@@ -161,7 +161,7 @@ class PairedCampaign:
         return replace(campaign_verdict, pairs=table)
 
     def monitors(self) -> list[MonitorQuality]:
-        """How good the monitors are on all planned runs without recovery, where they cannot act.
+        """Quality of the monitors on all planned runs without recovery, where they cannot act.
 
         Raises:
             ConfigurationError: If it is not the recovery that the twins lack.
@@ -182,7 +182,7 @@ class PairedCampaign:
 
         return _monitor_qualities(twins, self._requirements())
 
-    def _tell_of_monitors(self, runs: Sequence[int]) -> None:
+    def _report_monitors(self, runs: Sequence[int]) -> None:
         if self.without == _RECOVERY:
             self.campaign.runner.on_monitors(self.case, self._monitors(runs))
 
@@ -191,7 +191,7 @@ class PairedCampaign:
         return [known[name] for name in self.case.requirements]
 
     def _doubt(self, compared: _PairResults) -> str | None:
-        """Why the pairs cannot be trusted: runs of equal seeds differ though nothing acted."""
+        """Reason for distrust: runs of equal seeds differ although recovery never acted."""
         counts = compared.counts
         if self.without != _RECOVERY or counts is None or not counts.unexplained:
             return None
@@ -240,11 +240,11 @@ class PairedCampaign:
             paired = Paired(self.without, measure, change_at_most)
             if own.paired is not None and paired == Paired(self.without):
                 paired = replace(own.paired, without=self.without)
-            requirement = self.campaign.asked(own, given | {"paired": paired})
+            requirement = self.campaign.requirement_of_call(own, given | {"paired": paired})
             verdict = self.judge(requirement, check or None)
         except ConfigurationError as error:
             raise error.with_traceback(None) from None
-        return self.campaign.decided(verdict, requirement)
+        return self.campaign.report_verdict(verdict, requirement)
 
     def counts(self, check: Check) -> PairCounts:
         """How many of all planned pairs violate a check in both runs, one of them, or neither."""
@@ -277,7 +277,7 @@ class PairedCampaign:
 
 
 class _PairResults:
-    """The verdicts on pairs, and what they come to."""
+    """The verdicts on pairs, their counts and their changes."""
 
     def __init__(self, requirement: Requirement, check: Check | None) -> None:
         assert requirement.paired is not None
@@ -303,14 +303,14 @@ class _PairResults:
         return None if self.measure else judge_pairs(self._pairs)
 
     def table(self) -> dict[str, Any]:
-        """Plain data of what the pairs come to."""
+        """Plain data of the counts or the changes."""
         if self.counts is not None:
             return self.counts.to_json()
         return {"change": Change.between(self.measure, self._values).to_json()}
 
 
 def _measured_value(measure: str | Callable[[Episode], float], episode: Episode) -> float | None:
-    """The measure of a run; ``None`` of one that is invalid or missing, or not a whole one."""
+    """The measure of a run; ``None`` of a run that is invalid, missing or ended early."""
     whole = episode.validity == "valid" and episode.termination != "decided"
     return measured(measure, episode) if whole else None
 

@@ -31,7 +31,7 @@ class BudgetUsedUp(Exception):  # noqa: N818 - an ending, not an error
 
 @dataclass(frozen=True)
 class Reduction:
-    """What came of it.
+    """Result of a reduction.
 
     Args:
         faults: Ids of the smallest set that was found, in declared order; empty if the requirement
@@ -43,7 +43,7 @@ class Reduction:
         runs: Episodes that were run.
         episode: A violating run of that set; ``None`` if it was not reproduced.
         violated: The requirements that it violates.
-        missing: Runs that failed and so said nothing; with any, no set is known to be the smallest.
+        missing: Runs that failed; with any, no set is known to be the smallest.
     """
 
     faults: FaultSet
@@ -71,7 +71,7 @@ def reduce_faults(
         requirements: Those that it violated.
         run: Runs an episode.
         budget: Episodes that may be run.
-        on_run: Told of each run: its faults, and the requirements that it violated.
+        on_run: Called with each run's faults, and the requirements that it violated.
     """
     trials = _Trials(spec, requirements, run, budget, on_run)
     whole = trials.connected(tuple(fault["id"] for fault in spec.faults))
@@ -91,7 +91,8 @@ def reduce_faults(
         # A set whose runs the budget cut short may have violated once by chance.
         confirmed = (faults for faults, violates in trials.known.items() if violates)
         best = min(confirmed, key=len)
-        one_minimal = one_minimal or all(_without(best, faults) in trials.known for faults in best)
+        one_less = itertools.combinations(best, len(best) - 1)
+        one_minimal = one_minimal or all(faults in trials.known for faults in one_less)
     episode, violated = trials.violating[best]
     if trials.missing:
         one_minimal = smallest = False
@@ -210,7 +211,3 @@ def _smallest(whole: FaultSet, best: FaultSet, trials: _Trials) -> FaultSet:
             if trials.connected(faults) == faults and trials.violates(faults):
                 return faults
     return best
-
-
-def _without(faults: FaultSet, left_out: str) -> FaultSet:
-    return tuple(fault for fault in faults if fault != left_out)

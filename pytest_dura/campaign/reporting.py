@@ -45,15 +45,15 @@ class CampaignProgress:
 
 @dataclass
 class RunningCampaign:
-    """A campaign that tells how far it is, run after run.
+    """Progress of a campaign, updated at each run.
 
-    Told of each run, and asked a few times a second at most: only being asked costs anything.
+    An update costs nothing; ``progress``, which a display reads some times a second, computes.
 
     Args:
         case: Id of the case.
         subject: What the runs are for.
         budget: Runs that are planned, or may be run at most.
-        judge: Judges the runs, if something does.
+        judge: Judges the runs; ``None`` where nothing is judged.
     """
 
     case: str
@@ -67,12 +67,12 @@ class RunningCampaign:
     _at_first: int | None = field(default=None, init=False)
 
     def reach(self, done: int, budget: int, simulated: int) -> RunningCampaign:
-        """So many runs are over.
+        """Set how many runs are over.
 
         Args:
             done: Runs that are over.
             budget: Runs that are planned by now, or may be run at most.
-            simulated: Episodes that were simulated for this process, whatever for.
+            simulated: Episodes that were simulated for this process so far.
         """
         self.done, self.budget = done, budget
         if self._at_first is None:
@@ -82,12 +82,12 @@ class RunningCampaign:
         return self
 
     def end(self) -> RunningCampaign:
-        """No further run follows."""
+        """End it: no further run follows."""
         self.ended = True
         return self
 
     def progress(self) -> CampaignProgress:
-        """How far it is, without the bound on the rate."""
+        """Progress as plain data, without the bound on the rate."""
         judge = self.judge
         return CampaignProgress(
             case=self.case,
@@ -132,7 +132,7 @@ class ComponentFailures:
 def explain_verdict(
     verdict: CampaignVerdict, requirement: Requirement, failures: ComponentFailures
 ) -> list[str]:
-    """Why a verdict is not "supported": what, in which run, when and by how much, line by line."""
+    """Lines that say why a verdict is not "supported": in which run, when and by how much."""
     what = f"{verdict.verdict}: {verdict.requirement} on {verdict.case} ({verdict.component})"
     lines = [f"{what}: {verdict.reason}"]
     spoilt = verdict.spoilt if verdict.verdict == "undecided" else None
@@ -152,7 +152,7 @@ def explain_verdict(
         lines.append(f"{spoilt.verdict + ':':<9} {spoilt.episode}: {spoilt.detail}")
     if failures.first:
         lines.append(f"component: {failures}")
-    # What a component says must not read as a line of ours.
+    # Lines of a component's own message must not look like lines of this report.
     return [line.replace("\n", "\n    ") for line in lines]
 
 
@@ -171,7 +171,7 @@ def _violations(verdict: CampaignVerdict) -> list[str]:
 
 
 def describe_counterexample(example: Mapping[str, Any]) -> str:
-    """In which run, when, and by how much; from a counterexample's plain data."""
+    """Run, time and margin of a counterexample, from its plain data."""
     time, margin = example["time"], example["margin"]
     when = "" if time is None else f" at t = {time:.2f} s"
     by = ""
@@ -186,7 +186,7 @@ def _runs(numbers: Sequence[str]) -> str:
 
 
 def describe_check(requirement: Requirement) -> list[str]:
-    """What is judged and how, line by line."""
+    """Lines that say what is judged and how."""
     lines = [requirement.check or "decided by test code"]
     paired = requirement.paired
     if paired is not None and paired.measure:

@@ -39,7 +39,7 @@ def ignore_event(*_: object) -> None:
 
 @dataclass(repr=False)
 class EpisodeRunner:
-    """Runs single episodes; the base of :class:`pytest_dura.Runner`.
+    """Runs single episodes; base of :class:`pytest_dura.Runner`.
 
     Args:
         library: All scenarios and requirements, read at the first call.
@@ -51,13 +51,13 @@ class EpisodeRunner:
         time_budget: Replaces the seconds that scenarios give the component for one proposal.
         end_when_decided: Replaces what scenarios say of whether episodes end once all is decided.
         metrics: User-defined metrics by name.
-        on_episode: Told of every use of an episode: the case, the episode, and how many were
+        on_episode: Called at every use of an episode: the case, the episode, and how many were
             planned of this case; 0 if the episode's seed was chosen by hand.
-        on_progress: Told before each run of a campaign how far it is, and when it ends.
-        on_verdict: Told of every verdict of :meth:`Campaign.require`, and what it decides.
-        on_monitors: Told how good the monitors of a case are, wherever that was measured.
-        on_search: Told what a search came to.
-        on_searched: Told of every use of an episode of a case that a strategy chose.
+        on_progress: Called before each run of a campaign, and when it ends.
+        on_verdict: Called with every verdict of :meth:`Campaign.require` and its requirement.
+        on_monitors: Called with the quality of a case's monitors, where it was measured.
+        on_search: Called with each search that has ended.
+        on_searched: Called at every use of an episode of a case that a strategy chose.
         resolver: Resolves the parameters of roles, each class once.
         twins: Whether fault-free twins are run, to see which faults reached the proposals.
         recorded: Whether episodes keep what a viewer shows of them.
@@ -136,11 +136,11 @@ class EpisodeRunner:
         return case
 
     def _planned(self, scenario: Scenario, name: str) -> Case | None:
-        """The case of this id among those that are planned, which may hold faults of a grid."""
+        """The planned case of this id, which may hold faults of a grid."""
         if scenario.name not in self._cases:
             given = [] if self.faults is None else expand_cases([scenario], self.faults)
             planned = expand_cases([scenario], read=self.library().faults)
-            planned += given  # what is given comes before
+            planned += given  # given campaigns override
             self._cases[scenario.name] = {case.id: case for case in planned}
         return self._cases[scenario.name].get(name)
 
@@ -159,7 +159,7 @@ class EpisodeRunner:
             run: Number of the run.
             seed: Seed of the episode; by default that of the run within the case.
             planned: How many runs of this case are planned.
-            ahead: What will be wanted next.
+            ahead: Tasks that come next.
 
         Raises:
             ConfigurationError: If a role or the simulator cannot be built.
@@ -187,7 +187,7 @@ class EpisodeRunner:
             case: The case.
             run: Number of the run.
             seed: Seed of the episode; by default that of the run within the case.
-            ahead: What will be wanted next.
+            ahead: Tasks that come next.
 
         Raises:
             ConfigurationError: If a role or the simulator cannot be built.
@@ -197,13 +197,13 @@ class EpisodeRunner:
     def searched(
         self, case: Case, run: int = 0, *, again: int = 0, ahead: Iterable[EpisodeTask] = ()
     ) -> SearchedEpisode:
-        """One run of a case that a search chose: it is part of no campaign, and of no rate.
+        """One run of a case that a search chose, which is part of no campaign and no rate.
 
         Args:
             case: The case.
             run: Number of the run.
             again: Number of the repetition; another one is another simulation.
-            ahead: What will be wanted next.
+            ahead: Tasks that come next.
 
         Raises:
             ConfigurationError: If a role or the simulator cannot be built.
@@ -214,11 +214,11 @@ class EpisodeRunner:
         return SearchedEpisode.of(episode)
 
     def search_task(self, case: Case, run: int = 0, again: int = 0) -> EpisodeTask:
-        """What :meth:`searched` has an episode by. Nothing is kept of it for viewers."""
+        """The task of :meth:`searched`, without a recording for viewers."""
         return replace(self.task(case, run), recorded=False, again=again)
 
     def task(self, case: Case, run: int = 0, seed: int | None = None) -> EpisodeTask:
-        """What a run of a case is had by.
+        """The task that simulates a run of a case.
 
         Args:
             case: The case.
@@ -256,5 +256,5 @@ class EpisodeRunner:
         return [self.library().requirements[name] for name in case.requirements]
 
     def key(self, episode: Episode) -> EpisodeKey:
-        """What tells an episode of this runner apart from others."""
+        """The key of an episode of this runner, by which stores and reports know it."""
         return key_of(EpisodeTask(episode.spec, metrics=self.metrics))

@@ -1,4 +1,4 @@
-"""CampaignJudge: takes the verdicts on episodes as they come, and says when they suffice."""
+"""CampaignJudge: from verdicts on episodes, one by one, to the verdict on their campaign."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def _check_share(key: str, value: float, *, above: float) -> None:
 
 
 def _rate_test(requirement: Requirement, method: str, planned: int) -> SequentialTest | None:
-    """What decides on the requirement's rate; ``None`` where no violation is accepted.
+    """Test of the requirement's rate; ``None`` where no violation is accepted.
 
     Raises:
         ConfigurationError: For a method that cannot decide on this rate.
@@ -82,7 +82,7 @@ def _rate_test(requirement: Requirement, method: str, planned: int) -> Sequentia
 
 
 def _not_manifested(verdicts: Sequence[EpisodeVerdict]) -> list[str]:
-    """The planned faults that manifested in none of the episodes: nothing is known of them."""
+    """The planned faults that manifested in none of the episodes."""
     if not verdicts:
         return []
     first, *others = verdicts
@@ -120,7 +120,7 @@ def counterexamples(judged: Sequence[EpisodeVerdict]) -> tuple[Counterexample, .
 
 
 MAX_INVALID_SHARE = 0.2
-"""Share of invalid episodes above which a campaign says nothing."""
+"""Share of invalid episodes above which a campaign is undecided."""
 _MIN_VALID_PROPOSALS = 0.5
 """Share of valid proposals below which a claim would rest on the recovery, not on the component."""
 
@@ -154,7 +154,7 @@ class CampaignJudge:
         self.component, self.until_decided = component, until_decided
         self.verdicts: list[EpisodeVerdict] = []
         self.situation: Situation | None = None
-        """What the runs are, if all are equal; whoever adds them sees their trajectories."""
+        """What the runs are, if all are equal; set by the caller, who has their trajectories."""
         self._counts: Counter[str] = Counter()
         _check_share("confidence", requirement.confidence, above=0.5)
         if requirement.at_most is not None:
@@ -221,7 +221,7 @@ class CampaignJudge:
 
     @property
     def decided(self) -> bool:
-        """Whether further episodes are of no use.
+        """Whether further episodes cannot change the verdict.
 
         For a plan of a fixed number of runs only if they repeat one situation.
         """
@@ -328,16 +328,11 @@ class CampaignJudge:
     def _decide_on_one_situation(self) -> tuple[CampaignStatus, str]:
         """Equal runs are one observation: it violates the requirement or not, at no rate."""
         assert self.situation is not None
-        violations, valid, situation = (
-            self._count("violated"),
-            self._valid,
-            SITUATIONS[self.situation],
-        )
+        situation = SITUATIONS[self.situation]
+        violations, valid = self._count("violated"), self._valid
         if violations and (self.test is None or violations == valid):
-            return (
-                "violated",
-                f"{violations} of {valid} valid {self._noun} violated it: {situation}",
-            )
+            counts = f"{violations} of {valid} valid {self._noun} violated it"
+            return "violated", f"{counts}: {situation}"
         obstacles = self._obstacles(decided=self.decided)
         if self.situation == WITHOUT_EFFECT:
             obstacles.append(f"{situation}: all {len(self.verdicts)} {self._noun} are equal")
@@ -351,7 +346,7 @@ class CampaignJudge:
         limit, confidence = self.requirement.at_most, self.requirement.confidence
         text = f"{counts}; {self.method} at {confidence:g} confidence"
         if self._rejecting is not None and self._rejecting.decision == "violated":
-            # What this test shows is weaker than its word: the limit itself may hold.
+            # What this test shows is weaker than "violated" says: the limit itself may hold.
             p0 = self.requirement.p0
             why = "" if p0 is None else f", since the rate is above p0 = {p0:g}"
             return "violated", f"{text} rejects a rate of at most {limit:g}{why}"
@@ -395,7 +390,7 @@ class CampaignJudge:
         )
 
     def _obstacles(self, *, decided: bool = False) -> list[str]:
-        """Everything for which this campaign cannot support a claim."""
+        """Reasons why this campaign cannot support a claim."""
         run, valid = len(self.verdicts), self._valid
         missing, invalid = self._count("missing"), self._invalid
         obstacles = []

@@ -34,7 +34,7 @@ Check: TypeAlias = "str | Callable[..., Any]"
 
 @dataclass(frozen=True, slots=True)
 class CheckResult:
-    """What a check function may return instead of a truth value or a margin.
+    """Result that a check function may return instead of a truth value or a margin.
 
     Args:
         holds: Whether the episode satisfies the requirement.
@@ -57,7 +57,7 @@ def is_function_path(check: str) -> bool:
 
 
 def check_name(check: Check) -> str:
-    """The text under which a check stands in reports."""
+    """Name of a check in reports: the formula, or the function's import path."""
     if isinstance(check, str):
         return check
     named = check if hasattr(check, "__qualname__") else type(check)
@@ -93,13 +93,13 @@ def load_function(path: str) -> Callable[..., Any]:
             expected="a function of one episode",
             remedy="let it take the episode as its only required parameter",
         ) from None
-    except ValueError:  # a builtin tells no signature
+    except ValueError:  # a builtin has no signature
         pass
     return function
 
 
 def check_result(value: Any) -> CheckResult:
-    """What a check function returned, as a result: a bool, or a float as margin (0 satisfies).
+    """Result of a check function's value: a bool, or a float as margin (0 satisfies).
 
     Raises:
         TypeError: For anything else. A whole number may be a count or an exit code, of which 0 or
@@ -123,7 +123,7 @@ def check_result(value: Any) -> CheckResult:
 
 
 def _plain(result: CheckResult) -> CheckResult:
-    """The same with Python's own types, since the record is JSON; what is none of them is told."""
+    """The same with Python's own types, since the record is JSON."""
     for name in ("holds", "vacuous"):
         value = getattr(result, name)
         if not _is_truth_value(value):
@@ -152,12 +152,12 @@ def _number(value: Any, name: str = "margin") -> float:
 
 
 LATER = ("percept.", "proposal.", "loop.")
-"""Beginnings of the names of signals that are there only once the episode is complete."""
+"""Prefixes of signals that exist only once the episode is complete."""
 FIRST_LOOK = 20
-"""Ticks before the first look at the signals, and between two looks at least."""
+"""Ticks before the signals are first evaluated, and least distance of two evaluations."""
 GROWTH = 3
-"""An episode is looked at again once it has grown by this part of its length, so that all looks
-together cost a constant number of looks at the whole."""
+"""An episode is evaluated again once it has grown by this part of its length, so that all
+evaluations together cost a constant number of evaluations of the whole."""
 
 
 class RequirementJudge:
@@ -202,9 +202,9 @@ class RequirementJudge:
     def decided(self, simulator: Simulator, ticks: list[Tick], *, violated: bool) -> bool:
         """Whether it may end as it is; see ``EarlyEndJudge.decided``.
 
-        The signals are looked at where a window of a formula ends, and otherwise ever more rarely
-        as the episode goes on. A formula that cannot be judged is not decided here: that is told
-        where the requirement itself is judged.
+        The signals are evaluated where a window of a formula ends, and otherwise ever more rarely
+        as the episode goes on. A formula that cannot be judged leaves the episode open: the
+        verdict on the requirement reports the error.
         """
         if self._stays_open(simulator):
             return False
@@ -217,7 +217,7 @@ class RequirementJudge:
 
 
 class _Looks:
-    """What is known of the formulas in one episode.
+    """State of the formulas in one episode, evaluated now and then.
 
     Args:
         formulas: Of all requirements.
@@ -244,7 +244,7 @@ class _Looks:
         try:
             self._look(simulator, ticks)
             if first and not self._left and len(ticks) > 1:
-                # Decided at the only look: another one, on less, tells what it rests on.
+                # Decided at the only evaluation: a second one, on a prefix, shows what it rests on.
                 self._misjudged |= not self._as_before(simulator.signals(ticks[: len(ticks) // 2]))
         except ConfigurationError:
             self._misjudged = True
@@ -266,7 +266,7 @@ class _Looks:
             del self._left[0]
 
     def _as_before(self, signals: Mapping[str, Array]) -> bool:
-        """Whether no sample has changed since the last look: such signals tell nothing early."""
+        """Whether no sample has changed since the last evaluation, as in signals with hindsight."""
         known = {name: np.asarray(signals[name]) for name in self._names if name in signals}
         before, self._before = self._before, known
         return all(

@@ -15,10 +15,10 @@ ComparisonStatus = Literal["better", "worse", "no evidence of a change"]
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """What two counts say of a change.
+    """Result of comparing two counts.
 
     Args:
-        status: ``better`` or ``worse`` at the confidence asked for, or neither.
+        status: ``better`` or ``worse`` at the given confidence, or no evidence of a change.
         p_better: One-sided p-value against "the rate is not lower than the baseline's".
         p_worse: One-sided p-value against "the rate is not higher than the baseline's".
     """
@@ -76,11 +76,12 @@ def compare_counts(
     the new episodes are hypergeometric if nothing changed (Fisher, "Statistical Methods for
     Research Workers", 1925). Boschloo's test has more power, but its p-value is a supremum over
     the unknown rate that must be searched for numerically, and a search that misses it errs
-    towards "worse" and "better" alike. Fisher's is a sum of whole numbers that anybody can check,
-    its level holds for every rate, and here it is computed without any rounding.
+    towards "worse" and "better" alike. Fisher's is a sum of whole numbers that can be checked by
+    hand, its level holds for every rate, and here it is computed without any rounding.
 
-    The words have level ``1 - confidence`` each. "No evidence of a change" is not evidence of no
-    change: two small campaigns always say so, and one without episodes does with p-values of 1.
+    "Better" and "worse" have level ``1 - confidence`` each. "No evidence of a change" is not
+    evidence of no change: two small campaigns always come to it, and one without episodes does with
+    p-values of 1.
 
     Args:
         violations: Violating episodes of the new campaign.
@@ -124,7 +125,7 @@ def compare_pairs(only_new: int, only_baseline: int, confidence: float = 0.95) -
 
 
 def comparison_status(p_better: float, p_worse: float, confidence: float) -> ComparisonStatus:
-    """What two one-sided p-values say; the two words exclude each other above one half."""
+    """Status from two one-sided p-values; above one half, better and worse exclude each other."""
     level = error_level(confidence)
     if p_better <= level:
         return "better"

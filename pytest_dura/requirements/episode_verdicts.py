@@ -1,4 +1,4 @@
-"""Verdicts on episodes: one of a campaign, one by a test's formula, one that a search chose.
+"""Verdicts on episodes of campaigns and of searches, and the episode that test functions get.
 
 A search looks where it expects violations, so that its episodes are no sample of anything. They
 have types of their own, which neither :func:`judge_episode` nor a campaign takes.
@@ -94,7 +94,7 @@ _ENDINGS: dict[str, Ending] = {
     "violation": "open",
     "decided": "open",
 }
-"""What an episode's termination is for its trace; otherwise it is the time limit."""
+"""How a trace ended, by the episode's termination; otherwise at the time limit."""
 _WHOLE = (
     "run it with --dura-end=complete if that is known with hindsight: the episode ended once the "
     "requirements of its case were decided"
@@ -103,7 +103,7 @@ _WHOLE = (
 
 @dataclass(frozen=True, slots=True)
 class EpisodeVerdict:
-    """What one requirement says of one episode; plain data that crosses processes.
+    """Verdict of one requirement on one episode; plain data that crosses processes.
 
     Args:
         requirement: Id of the requirement.
@@ -236,7 +236,7 @@ def _violates(check: Check, episode: Episode) -> bool:
 
 
 def judged(check: Check, episode: Episode) -> tuple[EpisodeStatus, CheckResult]:
-    """The word and the result of a check on an episode, of whatever kind.
+    """Status and result of a check on an episode of any kind.
 
     Raises:
         ConfigurationError: If the check cannot be read or imported, or names a signal that the
@@ -305,7 +305,7 @@ def _by_function(
 
 
 def _uncounted(episode: Episode) -> tuple[EpisodeStatus, str] | None:
-    """Why an episode that violated nothing says nothing, if so."""
+    """Status and reason of an episode that cannot satisfy anything; ``None`` for a valid one."""
     if episode.failure is not None:
         return "missing", episode.failure
     if episode.validity == "invalid":
@@ -314,10 +314,10 @@ def _uncounted(episode: Episode) -> tuple[EpisodeStatus, str] | None:
 
 
 def evaluate_episode(formula: Formula, episode: Episode) -> tuple[Evaluation | None, str | None]:
-    """The formula on the finite part of an episode's signals, and what cut it short, if anything.
+    """Evaluate a formula on the finite part of an episode's signals; say what cut it short, if so.
 
-    ``None`` stands for an episode without samples. What a component that gives no account of its
-    proposals would have told leaves the formula undecided, unless a part without it is violated.
+    The evaluation is ``None`` for an episode without samples. Where the component gives no account
+    of its proposals, a formula that needs one is undecided, unless a part without it is violated.
     After an infrastructure error the trace is a prefix: it can show a violation, but not that there
     was none.
 
@@ -343,7 +343,7 @@ def evaluate_episode(formula: Formula, episode: Episode) -> tuple[Evaluation | N
         if samples == 0:
             undecided = Evaluation("undecided", np.inf, -np.inf, np.inf, None, 0.0, gap)
             return undecided, gap
-    # Who judged that the episode may end early did not ask for every formula.
+    # The episode may have ended early for other formulas than this one.
     whole = samples == episode.ticks and episode.failure is None
     cut = {name: column[:samples] for name, column in columns.items()}
     evaluation = evaluate(
@@ -354,7 +354,7 @@ def evaluate_episode(formula: Formula, episode: Episode) -> tuple[Evaluation | N
         time_step=episode.spec.time_step,
     )
     if episode.termination == "decided" and evaluation.status == "satisfied":
-        # So far it may be more: what would have followed can lessen it to this.
+        # What would have followed can lower the margin to this.
         evaluation = replace(evaluation, margin=evaluation.lower)
     return evaluation, gap
 
@@ -382,17 +382,14 @@ def _columns(formula: Formula, episode: Episode) -> Mapping[str, NDArray[np.floa
 
 @dataclass
 class JudgedEpisode(Episode):
-    """An episode that answers to formulas; what test functions get."""
+    """An episode with methods that evaluate formulas; what test functions get."""
 
     searched: ClassVar[bool] = False
-    """Whether a search chose it, so that it stands for no others."""
+    """Whether a search chose it, so that no rate can rest on it."""
 
     @classmethod
     def of(cls, episode: Episode) -> Self:
-        """The same episode, with the judging methods.
-
-        It cannot be changed: what one requirement looks at, the next one looks at too.
-        """
+        """The same episode with these methods, read-only: all requirements share it."""
         made = cls(**{field.name: getattr(episode, field.name) for field in fields(Episode)})
         made.time.flags.writeable = False
         made.signals = SealedColumns(made.signals)
@@ -401,7 +398,7 @@ class JudgedEpisode(Episode):
         return made
 
     def __setattr__(self, name: str, value: Any) -> None:
-        """Refuse it on an episode that others look at."""
+        """Refuse it once the episode is sealed."""
         if "_sealed" in vars(self):
             raise AttributeError(f"`{name}` of an episode cannot be changed")
         super().__setattr__(name, value)
@@ -428,14 +425,14 @@ class JudgedEpisode(Episode):
 
 
 class SearchedEpisode(JudgedEpisode):
-    """An episode that a search or a strategy chose. It answers to formulas, and enters no rate."""
+    """An episode that a search or a strategy chose; it enters no rate."""
 
     searched: ClassVar[bool] = True
 
 
 @dataclass(frozen=True, slots=True)
 class SearchVerdict:
-    """What one requirement says of one episode of a search; no :class:`EpisodeVerdict`.
+    """Verdict of one requirement on one episode of a search; no :class:`EpisodeVerdict`.
 
     Args:
         requirement: Id of the requirement.
@@ -460,7 +457,7 @@ class SearchVerdict:
 def judge_searched(
     requirement: Requirement, episode: SearchedEpisode, check: Check | None = None
 ) -> SearchVerdict:
-    """What a requirement's check says of an episode of a search.
+    """Judge an episode of a search by a requirement's check.
 
     Args:
         requirement: The requirement.

@@ -11,12 +11,14 @@ import statistics
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, replace
+from operator import itemgetter
 from typing import Any, Literal
 
 from pytest_dura.core.boundary import Boundary
 from pytest_dura.core.episode import Episode
 from pytest_dura.core.errors import ConfigurationError, describe_error
 from pytest_dura.requirements.checks import check_name, load_function
+from pytest_dura.requirements.comparison import mcnemar
 from pytest_dura.requirements.episode_verdicts import EpisodeStatus, EpisodeVerdict
 from pytest_dura.requirements.model import Requirement
 
@@ -57,7 +59,7 @@ def check_comparison(requirement: Requirement) -> None:
 
 
 def pair_verdict(with_it: EpisodeVerdict, without: EpisodeVerdict) -> EpisodeVerdict:
-    """Whether something made an episode violate a check: violated with it, satisfied without it.
+    """Verdict on a pair: it violates a check that is violated with something, satisfied without.
 
     The margin is that of the implication "satisfied without it implies satisfied with it". A pair
     of which one run is missing or invalid is so itself: there is nothing to compare. One in which
@@ -232,7 +234,7 @@ class Pair:
 
     @property
     def status(self) -> PairStatus:
-        """Which runs violated it; ``incomplete`` if one of them is not known to."""
+        """Which runs violated it; ``incomplete`` if that is unknown of one of them."""
         statuses = self.with_it.verdict, self.without.verdict
         if not {"satisfied", "violated"}.issuperset(statuses) or (
             self.with_it.without_effect or self.without.without_effect
@@ -251,7 +253,7 @@ _STATUSES: dict[tuple[bool, bool], PairStatus] = {
 
 @dataclass(frozen=True, slots=True)
 class PairCounts:
-    """How many pairs violated a requirement in which of their runs.
+    """Counts of pairs by the runs that violated a requirement.
 
     The first five counts add up to ``pairs``. A pair with an invalid, missing or open run is
     incomplete, as what the other run came to cannot be compared; a violation in it stands in
@@ -384,14 +386,8 @@ def judge_pairs(pairs: Iterable[Pair]) -> PairCounts:
         acted_neither=acted["neither"],
         violated_with=sum(pair.with_it.verdict == "violated" for pair in all_pairs),
         violated_without=sum(pair.without.verdict == "violated" for pair in all_pairs),
-        p_value=_p_value(counts["only_with"], counts["only_without"]),
+        p_value=mcnemar(counts["only_with"], counts["only_without"]),
     )
-
-
-def _p_value(only_with: int, only_without: int) -> float:
-    from pytest_dura.requirements.comparison import mcnemar
-
-    return mcnemar(only_with, only_without)
 
 
 def _check_one_claim(pairs: list[Pair]) -> None:
@@ -490,12 +486,12 @@ class Change:
     @property
     def greatest(self) -> tuple[str, float] | None:
         """The pair in which the measure grew most, the first of equals, and by how much."""
-        return max(self._changed(), key=_by_change, default=None)
+        return max(self._changed(), key=itemgetter(1), default=None)
 
     @property
     def least(self) -> tuple[str, float] | None:
         """The pair in which it grew least or shrank most; the worst for, say, a smallest gap."""
-        return min(self._changed(), key=_by_change, default=None)
+        return min(self._changed(), key=itemgetter(1), default=None)
 
     @property
     def p_value(self) -> float:
@@ -503,8 +499,6 @@ class Change:
 
         Pairs without a change, and those in which nothing changed, do not count; 1 without others.
         """
-        from pytest_dura.requirements.comparison import mcnemar
-
         # The same binomial distribution with probability 1/2.
         return mcnemar(
             sum(change > 0 for change in self.changes), sum(change < 0 for change in self.changes)
@@ -537,10 +531,6 @@ class Change:
         """The inverse of :meth:`to_json`."""
         ids = {name: tuple(data[name]) for name in ("lost", "gained", "valueless", "incomplete")}
         return cls(data["measure"], tuple(data["pairs"]), tuple(data["values"]), **ids)
-
-
-def _by_change(changed: tuple[str, float]) -> float:
-    return changed[1]
 
 
 def _compare(own: float | None, twin: float | None) -> tuple[str, float | None]:

@@ -19,7 +19,7 @@ Stretch = tuple[float, float]
 
 @dataclass(frozen=True, slots=True)
 class MonitorTimeline:
-    """What the monitors of one episode said; plain data that crosses processes.
+    """Alarms and alerts of one episode; plain data that crosses processes.
 
     Args:
         episode: Id of the episode.
@@ -34,7 +34,7 @@ class MonitorTimeline:
             about; ``None`` where no assessor was asked.
         manifested_at: Seconds at which a fault manifested first, if one did.
         detected_at: Seconds at which a manifested fault was detected first, if one was.
-        intervention: How a monitor's word changed what was carried out, if it did.
+        intervention: How an assessment changed the action that was carried out, if one did.
         began_at: Seconds from which on an alert could detect a fault that manifested, by then or
             later: its activation. By default its manifestation.
     """
@@ -65,7 +65,7 @@ class MonitorTimeline:
 
 
 def monitor_timeline(episode: Episode) -> MonitorTimeline:
-    """What the monitors of an episode said, from its metrics, decisions and fault records.
+    """Alarms and alerts of an episode, from its metrics, decisions and fault records.
 
     The ``unsafe`` events do not suffice for that: between ``unsafe`` and ``unsafe_ended`` there may
     be ticks at which the monitor was not asked, and a simulator may have events of that kind, too.
@@ -128,7 +128,7 @@ def _tuples(stretches: Iterable[Iterable[float]]) -> tuple[Stretch, ...]:
 
 @dataclass(frozen=True, slots=True)
 class MonitorQuality:
-    """How a monitor did on episodes in which nobody acted on its word; one count per episode.
+    """Quality of a monitor on episodes in which nothing acted on it; one count per episode.
 
     For a requirement, an episode is positive if it violated the requirement, at its time t. It is
     a true positive if an alarm stood at some time in ``[t - horizon, t)``: one that begins at t
@@ -151,7 +151,7 @@ class MonitorQuality:
             the window in which it would have detected the fault.
         early: The other false negatives with an alarm: all of them withdrawn before t - horizon;
             for faults, before the first activation.
-        untimed: Violated episodes whose check tells no time; in none of the counts above.
+        untimed: Violated episodes whose check gives no time; in none of the counts above.
         invalid: Invalid episodes; in none of the counts above.
         missing: Missing episodes; in none of the counts above.
         lead_times: Seconds of each true positive of a requirement.
@@ -242,7 +242,7 @@ _HORIZON = 5.0
 _ALERTS = "alerts"
 """The name of all alerts together, where they are judged as one monitor."""
 FAULTS = "faults"
-"""What alerts are judged against: that a fault has manifested."""
+"""Target of alerts in place of a requirement: that a fault has manifested."""
 _TOLERANCE = 1e-6
 """Seconds; times are sums of float steps."""
 
@@ -252,17 +252,17 @@ def judge_monitor(
     judged: Iterable[tuple[EpisodeVerdict, MonitorTimeline]],
     horizon: float = _HORIZON,
 ) -> MonitorQuality:
-    """How well a monitor's alarms foretold the violations of a requirement.
+    """Judge a monitor's alarms as predictions of a requirement's violations.
 
     Args:
         monitor: The monitor's role name.
-        judged: The verdict on each episode, and what the monitors said in it.
+        judged: The verdict on each episode, and its timeline.
         horizon: Seconds before a violation within which an alarm counts as a warning of it.
 
     Raises:
-        ConfigurationError: If a monitor's word changed what was carried out in an episode, if the
-            verdicts are of several requirements or components or not those of the episodes, if the
-            monitor was asked in none of them, or for a horizon that is no positive number.
+        ConfigurationError: If an assessment changed the action that was carried out in an episode,
+            if the verdicts are of several requirements or components or not those of the episodes,
+            if the monitor was asked in none of them, or for a horizon that is no positive number.
     """
     if not 0.0 < horizon < math.inf:
         raise ConfigurationError(
@@ -299,18 +299,18 @@ def judge_monitor(
     return tally.quality(monitor, requirement, component, horizon)
 
 
-def judge_alerts(watches: Iterable[MonitorTimeline]) -> MonitorQuality:
-    """How well the alerts told episodes with a manifested fault from those without one.
+def judge_alerts(timelines: Iterable[MonitorTimeline]) -> MonitorQuality:
+    """Judge alerts as a detector of episodes with a manifested fault.
 
     Args:
-        watches: What the monitors said in each episode; it takes episodes with and without faults
-            to tell both kinds of error.
+        timelines: Of each episode; both kinds of error show only where there are episodes with and
+            without faults.
 
     Raises:
-        ConfigurationError: If a monitor's word changed what was carried out in an episode, if no
-            assessor was asked in a valid one, or the episodes are of several components.
+        ConfigurationError: If an assessment changed the action that was carried out in an episode,
+            if no assessor was asked in a valid one, or the episodes are of several components.
     """
-    timelines = list(watches)
+    timelines = list(timelines)
     _check_uninvolved(timelines)
     tally = _Tally()
     for timeline in timelines:

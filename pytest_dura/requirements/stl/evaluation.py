@@ -10,7 +10,7 @@ from __future__ import annotations
 from bisect import bisect_left
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal, TypeAlias, get_args
+from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -115,7 +115,7 @@ _UNIFORM = 0.01
 """Share of the time step by which the distance of two samples may differ from it."""
 
 
-def _modes(ending: Ending, truth: bool) -> tuple[Mode, Mode]:
+def _modes(ending: Ending, *, truth: bool = False) -> tuple[Mode, Mode]:
     """Modes of the least and of the greatest value that the ending leaves possible.
 
     A cut window is the greatest value of a trace that was stopped: in negation normal form, cutting
@@ -130,14 +130,9 @@ def _modes(ending: Ending, truth: bool) -> tuple[Mode, Mode]:
     return (least, cut) if ending == "stopped" else (least, greatest)
 
 
-_MODES = {
-    (ending, truth): _modes(ending, truth) for ending in get_args(Ending) for truth in (True, False)
-}
-
-
 @dataclass(frozen=True, slots=True)
 class Evaluation:
-    """What a formula says of a trace.
+    """Verdict and robustness of a formula on a trace.
 
     Args:
         status: The verdict, Boolean unless the trace ends too early.
@@ -252,7 +247,7 @@ def _vacuous(plan: Plan, values: Values, ending: Ending, margin: float) -> bool:
 
 
 def _judged(conjunct: Conjunct, values: Values, ending: Ending) -> _Part:
-    least, greatest = _MODES[ending, False]
+    least, greatest = _modes(ending)
     lower, at_lower = conjunct.at_start(values, least)
     upper, at_upper = conjunct.at_start(values, greatest)
     if lower == upper:
@@ -269,7 +264,7 @@ def _status(
     conjunct: Conjunct, values: Values, ending: Ending, lower: float, upper: float
 ) -> Status:
     """The verdict. Only a margin of zero does not tell it: that satisfies >= and violates >."""
-    least, greatest = _MODES[ending, True]
+    least, greatest = _modes(ending, truth=True)
     if lower > 0 or (lower == 0 and conjunct.at_start(values, least)[0] > 0):
         return "satisfied"
     if upper < 0 or (upper == 0 and conjunct.at_start(values, greatest)[0] < 0):
@@ -282,7 +277,7 @@ def _violation(conjunct: Conjunct, values: Values) -> int:
 
     A prefix that decides it has none but such continuations, so that bisection finds the first.
     """
-    greatest = _MODES["open", True][1]
+    greatest = _modes("open", truth=True)[1]
     last: int = values.frame.shape[-1] - 1
     if conjunct.at_start(values, greatest)[0] >= 0:
         return last  # no prefix decides it, but the end of the episode

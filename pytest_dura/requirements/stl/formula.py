@@ -206,7 +206,7 @@ def _term(node: Expression) -> str:
 
 def _joined(node: Boolean | TemporalPair) -> str:
     left = node_text(node.left)
-    # A chain of one operator associates to the left, whoever reads it.
+    # A chain of one operator associates to the left in rtamt and here.
     chain = node.operator in ("and", "or")
     if not (chain and isinstance(node.left, Boolean) and node.left.operator == node.operator):
         left = f"({left})"
@@ -214,7 +214,7 @@ def _joined(node: Boolean | TemporalPair) -> str:
 
 
 def _prefix(node: Node) -> str:
-    """The operator's word, and its window where it has one."""
+    """The operator as it is written, with its window if it has one."""
     if isinstance(node, (Temporal, TemporalPair)):
         return node.operator + (seconds(node.window) if node.window else "")
     if isinstance(node, (Boolean, Comparison)):
@@ -266,7 +266,7 @@ class Formula:
     def future_operators(self) -> tuple[tuple[str, int], ...]:
         """Operators that look ahead with their columns from zero, in the order of the text.
 
-        ``unless`` is read as ``always .. or .. until``: both are told, at the place of ``unless``.
+        ``unless`` is read as ``always .. or .. until``: both stand here, at its column.
         """
         operators = [
             (node.operator, node.position)
@@ -288,7 +288,7 @@ def unknown_signal(
     position: int | None,
     remedy: str | None = None,
 ) -> ConfigurationError:
-    """The error for a signal that nobody computes; another ``remedy`` replaces the usual ones."""
+    """The error for an unknown signal; another ``remedy`` replaces the usual ones."""
     names = sorted(known)
     near = difflib.get_close_matches(name, names, n=1)
     mark = marked(formula_text, position) if position is not None else f"\n    {formula_text}"
@@ -345,7 +345,7 @@ def past_only_or_refuse(formula: Formula, what: str) -> None:
 
     Args:
         formula: The formula.
-        what: Who cannot see ahead, such as ``the monitor 'gap'``.
+        what: Its user, which cannot look ahead, such as ``the monitor 'gap'``.
 
     Raises:
         ConfigurationError: For an operator that looks ahead, with a mark under the first.
@@ -353,7 +353,7 @@ def past_only_or_refuse(formula: Formula, what: str) -> None:
     if formula.past_only:
         return
     name, position = formula.future_operators[0]
-    # The text's own word, where there is one: `G` and `unless` have other names in the nodes.
+    # As the text writes it: `G` and `unless` have other names in the nodes.
     match = re.compile(r"[A-Za-z_]\w*", re.ASCII).match(formula.text, position)
     written = match.group() if match else name
     raise ConfigurationError(

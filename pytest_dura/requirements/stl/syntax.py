@@ -1,7 +1,7 @@
 """Syntax of formulas: tokens with their columns, and the syntax tree; refusals point at the place.
 
-A word is understood by its place: a connective stands after an operand, a prefix operator before
-one, a function before a parenthesis. Anywhere else the word is a signal, so ``F (F > 2)`` is
+The place of a name decides what it is: a connective stands after an operand, a prefix operator
+before one, a function before a parenthesis. Anywhere else it is a signal, so ``F (F > 2)`` is
 ``eventually`` over the signal ``F``. ``F - 3`` can be either and is refused.
 """
 
@@ -35,7 +35,7 @@ _TOKEN = re.compile(
     r"(?P<space>\s+)"
     r"|(?P<comment>//|/\*|\#)"
     r"|(?P<number>(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?)"
-    r"|(?P<word>[A-Za-z_]\w*(?:\.[A-Za-z_]\w*)*)"
+    r"|(?P<name>[A-Za-z_]\w*(?:\.[A-Za-z_]\w*)*)"
     r"|(?P<symbol>!==|===|<->|<=>|==|!=|>=|<=|->|=>|&&|\|\||\*\*|[-+*/()\[\]:,<>!&|])"
     r"|(?P<assignment>=)"
     r"|(?P<end>;)",
@@ -57,7 +57,7 @@ _OTHER_SYNTAXES = {
 
 @dataclass(frozen=True, slots=True)
 class Token:
-    """A piece of text; ``kind`` is ``number``, ``word``, ``symbol``, or ``end`` behind the last."""
+    """A piece of text; ``kind`` is ``number``, ``name``, ``symbol``, or ``end`` behind the last."""
 
     kind: str
     text: str
@@ -162,7 +162,7 @@ def _bound(text: str, tokens: Sequence[Token], at: int) -> tuple[_Bound, int]:
         _unexpected(text, number)
     finite(text, number)
     value, unit = Fraction(number.text), tokens[at + 1]
-    if unit.kind != "word":
+    if unit.kind != "name":
         return _Bound(value, None), at + 1
     if unit.text not in _UNITS:
         refuse(text, unit.position, f"`{unit.text}` is no unit of time", "s, ms, us or ns", _REMEDY)
@@ -270,7 +270,7 @@ class Tree:
 
 @dataclass(slots=True)
 class _Pending:
-    """An operator, or a parenthesis with the function before it, that waits for its operand."""
+    """An operator, or a parenthesis with the function before it, whose operand is still to come."""
 
     kind: str
     token: Token
@@ -332,8 +332,8 @@ class _Reader:
             if token.kind == "number" or token.text == "-":
                 return self._number()
             kind = "not" if token.text == "!" else token.text
-            if token.kind == "word":
-                kind = self._kind_of_word()
+            if token.kind == "name":
+                kind = self._kind_of_name()
             if kind == "signal":
                 return self._signal()
             if kind in _FUNCTIONS or kind == "(":
@@ -368,7 +368,7 @@ class _Reader:
         return True
 
     def _reduce(self, level: int) -> _Pending | None:
-        """Apply what waits and binds as tightly as ``level``; what then waits last, if anything."""
+        """Apply pending operators that bind as tightly as ``level``; return the last that stays."""
         while self._pending and self._pending[-1].level >= level:
             last = self._pending.pop()
             count = 1 if last.kind in _UNARY else 2
@@ -401,7 +401,7 @@ class _Reader:
             sign = self._take()
         number, after = self._take(), self._token
         end = number.position + len(number.text)
-        if after.position == end and after.kind in ("word", "number"):
+        if after.position == end and after.kind in ("name", "number"):
             problem = f"a number ends in `{after.text}`"
             refuse(self._text, end, problem, "digits", "mend the number")
         finite(self._text, number)
@@ -425,8 +425,8 @@ class _Reader:
         window, self._at = _read_window(self._text, self._tokens, self._at)
         return window
 
-    def _kind_of_word(self) -> str:
-        """What a word is where an operand begins."""
+    def _kind_of_name(self) -> str:
+        """What a name is where an operand begins."""
         name, after = self._token.text, self._after.text
         if name == "not":
             return "not"
@@ -441,7 +441,7 @@ class _Reader:
             remedy = "compare a signal, as in `flag > 0.5`"
             refuse(self._text, self._token.position, problem, "comparisons", remedy)
         if after in ("(", "["):
-            self._unknown_word()
+            self._unknown_name()
         return "signal"
 
     def _is_prefix(self) -> bool:
@@ -459,12 +459,12 @@ class _Reader:
             )
             refuse(self._text, self._token.position, problem, "parentheses", remedy)
         operand = after.kind == "number" or (
-            after.kind == "word" and (after.text not in _CONNECTIVES or after.text in _SHORT)
+            after.kind == "name" and (after.text not in _CONNECTIVES or after.text in _SHORT)
         )
         return operand and not in_value
 
-    def _unknown_word(self) -> NoReturn:
-        """Refuse a word that is used as an operator, and name the nearest one."""
+    def _unknown_name(self) -> NoReturn:
+        """Refuse a name that is used as an operator, with the nearest known one."""
         name = self._token.text
         near = difflib.get_close_matches(name.lower(), _KEYWORDS, n=1)
         remedy = f"did you mean `{near[0]}`?" if near else "check its spelling"
@@ -482,8 +482,8 @@ class _Reader:
             self._no_window()
         if token.text == "not" or token.text in (*_PREFIXES, *_FUNCTIONS):
             self._wrong(_OPERATOR, "join two formulas with `and`, `or` or `implies`")
-        if token.kind == "word" and self._after.text in ("(", "["):
-            self._unknown_word()
+        if token.kind == "name" and self._after.text in ("(", "["):
+            self._unknown_name()
         self._wrong(_OPERATOR)
 
     def _wrong(self, expected: str, remedy: str = _EXAMPLE) -> NoReturn:

@@ -152,7 +152,7 @@ class Frame:
         return values if self.beyond is None else np.where(self.beyond, neutral, values)
 
     def place(self, index: tuple[int, ...]) -> str:
-        """When a sample was, for messages."""
+        """Time, and trace, of a sample, for messages."""
         tick = index[-1]
         time = tick * self.time_step if self.times is None else self.times[tick]
         if len(index) == 1:
