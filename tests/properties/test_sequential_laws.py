@@ -10,7 +10,8 @@ from pytest_dura.requirements.comparison import (
     mcnemar,
     mcnemar_one_sided,
 )
-from pytest_dura.requirements.rate_tests import METHODS, make_test
+from pytest_dura.requirements.model import METHODS
+from pytest_dura.requirements.rate_tests import make_test
 from pytest_dura.requirements.sequential import SequentialTest
 
 law = settings(derandomize=True, deadline=None, max_examples=120)
