@@ -56,7 +56,7 @@ class Conditions:
 
 
 def _changed_conditions(
-    mine: Mapping[int, Conditions], others: Mapping[int, Conditions]
+    first_runs: Mapping[int, Conditions], second_runs: Mapping[int, Conditions]
 ) -> list[str]:
     """List the dotted paths of conditions in which two campaigns on a case differ.
 
@@ -65,18 +65,22 @@ def _changed_conditions(
     compared, since a record holds the drawn values and not the range that they come from.
 
     Args:
-        mine: By the run's number.
-        others: By the run's number.
+        first_runs: By the run's number.
+        second_runs: By the run's number.
     """
-    shared = [run for run in mine if run in others and mine[run].seed == others[run].seed]
+    shared = [
+        run
+        for run in first_runs
+        if run in second_runs and first_runs[run].seed == second_runs[run].seed
+    ]
     if shared:
-        pairs = ((mine[run].values, others[run].values) for run in shared)
+        pairs = ((first_runs[run].values, second_runs[run].values) for run in shared)
         return sorted(set().union(*(_different(*pair) for pair in pairs)))
-    if not (mine and others):
+    if not (first_runs and second_runs):
         return []
-    first, other = (next(iter(runs.values())).values for runs in (mine, others))
-    varying = _varying(mine.values()) | _varying(others.values())
-    return sorted(_different(first, other) - varying)
+    first, second = (next(iter(runs.values())).values for runs in (first_runs, second_runs))
+    varying = _varying(first_runs.values()) | _varying(second_runs.values())
+    return sorted(_different(first, second) - varying)
 
 
 def _leaves(path: str, value: Any) -> list[tuple[str, Any]]:
@@ -94,9 +98,9 @@ def _leaves(path: str, value: Any) -> list[tuple[str, Any]]:
 _ABSENT = object()
 
 
-def _different(mine: Mapping[str, Any], others: Mapping[str, Any]) -> set[str]:
-    paths = {*mine, *others}
-    return {path for path in paths if mine.get(path, _ABSENT) != others.get(path, _ABSENT)}
+def _different(first: Mapping[str, Any], second: Mapping[str, Any]) -> set[str]:
+    paths = {*first, *second}
+    return {path for path in paths if first.get(path, _ABSENT) != second.get(path, _ABSENT)}
 
 
 def _varying(runs: Collection[Conditions]) -> set[str]:
@@ -466,24 +470,27 @@ class Baseline:
     claims: tuple[Claim, ...]
 
     @classmethod
-    def read(cls, given: str, relative_to: Path) -> Baseline:
+    def read(cls, path: str, relative_to: Path) -> Baseline:
         """Read a file, or the record in a directory.
 
         Raises:
             ConfigurationError: If there is none, or it is damaged, foreign or unfinished.
         """
-        file = relative_to / given
+        file = relative_to / path
         if file.is_dir():
             file /= RECORD_FILE
         record, digest = load_record(file, _BASELINE_OPTION)
         try:
+            # The files of the component are in the baseline's own record.
+            component = {"name": None, **record["component_under_test"]}
+            component.pop("sources", None)
             baseline = cls(
-                path=given,
+                path=path,
                 sha256=digest,
                 created=str(record["created"]),
                 status=str(record["status"]),
                 base_seed=_seed(record["base_seed"]),
-                component=_without_sources({"name": None, **record["component_under_test"]}),
+                component=component,
                 claims=tuple(claims_of(SessionRecord.of(record, file.parent))),
             )
         except (AttributeError, KeyError, TypeError, ValueError, RecursionError) as error:
@@ -546,9 +553,3 @@ def _seed(value: Any) -> int:
     if isinstance(value, bool) or not isinstance(value, int):
         raise TypeError(f"{value!r} is no seed")
     return value
-
-
-def _without_sources(component: dict[str, Any]) -> dict[str, Any]:
-    # The files of an earlier component are in its own record.
-    component.pop("sources", None)
-    return component

@@ -9,7 +9,7 @@ import hashlib
 import json
 import os
 import re
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from importlib import import_module
@@ -114,10 +114,10 @@ def check_directory(directory: Path) -> None:
     if record.is_symlink() or not record.is_file() or not _is_our_record(record):
         problem = f"its {RECORD_FILE} is not of a session of pytest-dura"
         raise _foreign_error(f"this directory is not empty, and {problem}", directory, RECORD_FILE)
-    ours = {RECORD_FILE, *RENDERED_FILES, *listed_files(directory)}
+    expected = {RECORD_FILE, *RENDERED_FILES, *listed_files(directory)}
     for name in names:
         folder, _, last = name.rpartition("/")
-        if name not in ours and not (folder == TRACE_FOLDER and is_trace_name(last)):
+        if name not in expected and not (folder == TRACE_FOLDER and is_trace_name(last)):
             problem = "this directory holds a file that is no part of the evidence in it"
             raise _foreign_error(problem, directory, name)
 
@@ -416,39 +416,27 @@ def write_bundle(record: SessionRecord) -> SessionRecord:
 
 
 def _write_all(record: SessionRecord) -> SessionRecord:
-    traces = {
-        episode["trace"]["file"]: {
-            "sha256": episode["trace"]["sha256"],
-            "bytes": episode["trace"]["bytes"],
-        }
-        for episode in record.episodes()
-        if episode["trace"] is not None
-    }
+    entries = (episode["trace"] for episode in record.episodes() if episode["trace"] is not None)
+    traces = {e["file"]: {"sha256": e["sha256"], "bytes": e["bytes"]} for e in entries}
     _clear_traces(record.directory, traces)
     broken = {
         file: "it is not there as it was written"
         for file, trace in traces.items()
         if _file_size(record.directory / file) != trace["bytes"]
     }
+    formats = list(all_formats())
     while True:
         written = _with_broken_files(record, broken)
         write_record(written.directory, written)
         before = len(broken)
-        for report_format in all_formats():
+        for report_format in formats:
             if report_format.FILE not in broken:
                 _write_format(report_format, written, broken)
         if len(broken) == before:
             break
     write_file(written.directory / SCHEMA_FILE, [schema_text()])
-    names = [
-        RECORD_FILE,
-        SCHEMA_FILE,
-        *(
-            report_format.FILE
-            for report_format in all_formats()
-            if report_format.FILE not in broken
-        ),
-    ]
+    rendered = [report_format.FILE for report_format in formats]
+    names = [RECORD_FILE, SCHEMA_FILE, *(name for name in rendered if name not in broken)]
     # A trace is listed with the digest that its writer computed, which may reveal a later change.
     files = {name: file_entry(written.directory / name) for name in names} | traces
     write_file(written.directory / MANIFEST_FILE, [manifest_text(files)])
@@ -464,16 +452,11 @@ def _withdraw(record: SessionRecord, error: BaseException, before: object) -> No
     if _file_identity(file) == before:
         return  # it says that the session is running
     why = f"infrastructure: the evidence could not be written as a whole: {describe_error(error)}"
-    gate = {
-        **record["gate"],
-        "result": "incomplete",
-        "exit_code": record["gate"]["exit_code"] or 1,
-        "reasons": [*record["gate"]["reasons"], why],
-    }
-    changes = {"status": "interrupted", "gate": gate}
-    changes["totals"] = {**record["totals"], "gate": gate["result"]}
+    marked = _with_gate(record, "incomplete", [why])
     try:
-        write_record(record.directory, replace(record, head={**record.head, **changes}))
+        write_record(
+            record.directory, replace(marked, head={**marked.head, "status": "interrupted"})
+        )
     except ConfigurationError:  # no room even for that
         with suppress(OSError):
             file.unlink(missing_ok=True)
@@ -517,10 +500,18 @@ def _with_broken_files(record: SessionRecord, broken: Mapping[str, str]) -> Sess
     """Put the files that could not be made into the gate of a record."""
     if not broken:
         return record
-    gate: dict[str, Any] = dict(record["gate"])
+    result = record["gate"]["result"]
     reasons = [f"infrastructure: {file} could not be made: {why}" for file, why in broken.items()]
-    gate["reasons"] = [*gate["reasons"], *reasons]
-    if gate["result"] == "passed":
-        gate["result"], gate["exit_code"] = "failed", 1
-    totals = {**record["totals"], "gate": gate["result"]}
+    return _with_gate(record, "failed" if result == "passed" else result, reasons)
+
+
+def _with_gate(record: SessionRecord, result: str, reasons: Sequence[str]) -> SessionRecord:
+    """Change the gate of a record, which then has not passed."""
+    gate = {
+        **record["gate"],
+        "result": result,
+        "exit_code": record["gate"]["exit_code"] or 1,
+        "reasons": [*record["gate"]["reasons"], *reasons],
+    }
+    totals = {**record["totals"], "gate": result}
     return replace(record, head={**record.head, "gate": gate, "totals": totals})

@@ -11,6 +11,7 @@ import math
 from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from operator import itemgetter
 from typing import Any, TypeAlias
 
 from pytest_dura.evidence.model import Counts, SessionRecord
@@ -34,7 +35,7 @@ class ParameterCoverage:
 
     def __init__(self, cases: Iterable[Data]) -> None:
         self._scenarios: dict[str, dict[str, _Spread | _Choices]] = {}
-        self._seen: set[tuple[str, str, int]] = set()
+        self._counted: set[tuple[str, str, int]] = set()
         for case in cases:
             spreads = self._scenarios.setdefault(case["scenario"], {})
             for path, variation in case.get("variation", {}).items():
@@ -50,10 +51,10 @@ class ParameterCoverage:
         scenario = spec["scenario"]["name"]
         for path, spread in self._scenarios.get(scenario, {}).items():
             key = scenario, path, spec["seed"]
-            if key not in self._seen:
+            if key not in self._counted:
                 value = _drawn_value(spec, path)
                 if value is not _ABSENT and spread.accepts(value):
-                    self._seen.add(key)
+                    self._counted.add(key)
                     spread.add(value)
 
     def to_json(self) -> list[dict[str, Any]]:
@@ -203,12 +204,9 @@ def coverage(
     parameters = ParameterCoverage(cases)
     for episode in episodes:
         parameters.add(episode)
-    names = ("scenario", "faults", "requirement", "component")
+    cells = map(grid.cell, (*grid.statuses, *shown))
     return {
-        "cells": sorted(
-            map(grid.cell, (*grid.statuses, *shown)),
-            key=lambda cell: [cell[name] for name in names],
-        ),
+        "cells": sorted(cells, key=itemgetter("scenario", "faults", "requirement", "component")),
         "left_out": untested - len(shown),
         "parameters": parameters.to_json(),
     }
@@ -342,7 +340,9 @@ class PairedCourses:
             for key, course in self._acted.items()
             if key[0] in cases and key[1] == component and key in self._without
         ]
-        return len(pairs), sum(own == twin for own, twin in pairs)
+        return len(pairs), sum(
+            with_recovery == without_recovery for with_recovery, without_recovery in pairs
+        )
 
 
 def _course(episode: Data) -> int:
@@ -422,15 +422,15 @@ def _monitor_effects(monitors: Sequence[Data]) -> Iterator[dict[str, Any]]:
 
 
 def _monitor_finding(targets: Mapping[str, Counter[str]]) -> tuple[str, str]:
-    seen = {
+    warnings = {
         name: (counted["true_positives"], counted["true_positives"] + counted["false_negatives"])
         for name, counted in sorted(targets.items())
     }
-    happened = {name: counts for name, counts in seen.items() if counts[1]}
+    happened = {name: counts for name, counts in warnings.items() if counts[1]}
     if not happened:
         detail = (
             "cannot be told here: nothing that it is to warn of happened in runs without recovery "
-            f"({', '.join(seen)})"
+            f"({', '.join(warnings)})"
         )
         return "cannot be told", detail
     in_words = ", ".join(f"{name} {hits} of {of}" for name, (hits, of) in happened.items())

@@ -129,11 +129,17 @@ _CHUNK = 1 << 20
 def file_entry(file: Path) -> dict[str, Any]:
     """Compute SHA-256 and size of a file."""
     state, size = hashlib.sha256(), 0
+    for chunk in read_chunks(file):
+        state.update(chunk)
+        size += len(chunk)
+    return {"sha256": state.hexdigest(), "bytes": size}
+
+
+def read_chunks(file: Path) -> Iterator[bytes]:
+    """Read a file in pieces of 1 MiB."""
     with file.open("rb") as stream:
         while chunk := stream.read(_CHUNK):
-            state.update(chunk)
-            size += len(chunk)
-    return {"sha256": state.hexdigest(), "bytes": size}
+            yield chunk
 
 
 def manifest_text(files: Mapping[str, Mapping[str, Any]]) -> str:
@@ -161,12 +167,12 @@ def manifest_problems(directory: Path, unlisted: Collection[str] = ()) -> Iterat
         return
     if text != canonical:
         yield f"{MANIFEST_FILE}: not as it was written; its own digest or form does not agree"
-    there = set(files_below(directory)) - {MANIFEST_FILE}
-    for name in sorted(there.difference(listed, unlisted)):
+    present = set(files_below(directory)) - {MANIFEST_FILE}
+    for name in sorted(present.difference(listed, unlisted)):
         yield f"{name}: not in the manifest"
-    for name in sorted(set(listed) - there):
+    for name in sorted(set(listed) - present):
         yield f"{name}: in the manifest, but not in the bundle"
-    for name in sorted(there & set(listed)):
+    for name in sorted(present & set(listed)):
         if (directory / name).is_symlink():
             yield f"{name}: a link, where a bundle holds files only"
         elif file_entry(directory / name) != listed[name]:

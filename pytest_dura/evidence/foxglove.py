@@ -179,8 +179,8 @@ CHANNELS = ("/signals", "/decision", "/events", "/scene/road", "/scene/truth", "
 
 def schema_of(channel: str) -> Schema:
     """Look up the schema of a channel's messages."""
-    own = {"/signals": _SIGNALS_SCHEMA, "/decision": _DECISION_SCHEMA, "/events": _LOG_SCHEMA}
-    return own.get(channel) or _scene_update_schema()
+    schemas = {"/signals": _SIGNALS_SCHEMA, "/decision": _DECISION_SCHEMA, "/events": _LOG_SCHEMA}
+    return schemas.get(channel) or _scene_update_schema()
 
 
 @cache
@@ -246,8 +246,8 @@ def signal_messages(trace: Trace, texts: TextCache) -> Iterator[Message]:
     truth: list[tuple[str, list[str]]] = []
     percept: list[tuple[str, list[str]]] = []
     for name, column in trace.signals.items():
-        own = percept if name.startswith(_PERCEPT) else truth
-        own.append((texts(name.removeprefix(_PERCEPT)), _numbers(column)))
+        group = percept if name.startswith(_PERCEPT) else truth
+        group.append((texts(name.removeprefix(_PERCEPT)), _numbers(column)))
     time = trace.time.tolist()
     rows = zip(
         _rows([name for name, _ in truth], [column for _, column in truth], len(time)),
@@ -306,9 +306,9 @@ def decision_messages(trace: Trace, texts: TextCache) -> Iterator[Message]:
     accounts = map(texts.any, recording.accounts[:length])
     account_texts = (*accounts, *["{}"] * (length - len(recording.accounts)))
     rows = zip(decisions, flags, *remarks, account_texts, strict=True)
-    for tick, (own, flag, explanation, reason, recovery, account) in enumerate(rows):
+    for tick, (columns_text, flag, explanation, reason, recovery, account) in enumerate(rows):
         message = (
-            f'"tick":{tick},"time":{_number(time[tick])},"columns":{own},'
+            f'"tick":{tick},"time":{_number(time[tick])},"columns":{columns_text},'
             f'"explanation":{explanation},"reason":{reason},"recovery":{recovery},"flags":{flag},'
             f'"account":{account}'
         )
@@ -440,10 +440,17 @@ class _Canvas:
     ) -> None:
         """Add an object to the ticks at which it is visible."""
         ticks = np.flatnonzero(when)
-        own = poses[ticks].astype(np.float64)
-        half = -own[:, 2] / 2.0
+        visible_poses = poses[ticks].astype(np.float64)
+        half = -visible_poses[:, 2] / 2.0
         columns = np.column_stack(
-            [own[:, 0], -own[:, 1], np.sin(half), np.cos(half), own[:, 4], own[:, 5]]
+            [
+                visible_poses[:, 0],
+                -visible_poses[:, 1],
+                np.sin(half),
+                np.cos(half),
+                visible_poses[:, 4],
+                visible_poses[:, 5],
+            ]
         )
         cube = _CUBE_MARKER % (_OBJECT_HEIGHT / 2.0, _OBJECT_HEIGHT, color)
         text = _TEXT_MARKER % (_OBJECT_HEIGHT + 0.5, color, label.replace("%", "%%"))

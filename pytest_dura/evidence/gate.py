@@ -152,8 +152,10 @@ def outcome_status(search: Data, outcome: Data) -> str:
     name = outcome["requirement"]
     if outcome["word"] in VIOLATED_OUTCOMES:
         return str(outcome["word"])
-    met = any(baseline["first"].get(name) is not None for baseline in search["baselines"])
-    return "baseline" if met else str(outcome["word"])
+    baseline_violates = any(
+        baseline["first"].get(name) is not None for baseline in search["baselines"]
+    )
+    return "baseline" if baseline_violates else str(outcome["word"])
 
 
 def outcome_objection(requirement: str, case: str, status: str) -> str:

@@ -6,6 +6,7 @@ import json
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, Literal
 
@@ -63,11 +64,8 @@ class Components:
 
     def to_json(self) -> dict[str, Any]:
         """Convert to the first one by name, with all ``others`` and the ``sources`` of all."""
-        known = [
-            description
-            for name in sorted(self._known)
-            for _, description in sorted(self._known[name].items())
-        ]
+        names = sorted(self._known)
+        known = [entry for name in names for _, entry in sorted(self._known[name].items())]
         first: dict[str, Any] = dict(known[0]) if known else {"name": None, "version": None}
         if len(known) > 1:
             first["others"] = known[1:]
@@ -202,15 +200,12 @@ def _assertion_summary(final: Sequence[JsonObject]) -> JsonObject:
     """
     assertions = [(outcome["episode"], outcome["assertion"]) for outcome in final]
     false = Counter(check for _, assertion in assertions for check in assertion["false"])
-    failed = sorted(
-        (name, assertion["failed"]) for name, assertion in assertions if assertion["failed"]
-    )
+    observed = {name for _, assertion in assertions for name in assertion["observed"]}
+    failed = sorted((name, entry["failed"]) for name, entry in assertions if entry["failed"])
     return {
         "alone": all(assertion["alone"] for _, assertion in assertions),
         "by_check": sum(assertion["by_check"] for _, assertion in assertions),
-        "observed": sorted({name for _, assertion in assertions for name in assertion["observed"]})[
-            :_MAX_OBSERVED
-        ],
+        "observed": sorted(observed)[:_MAX_OBSERVED],
         "false": [
             {"check": name, "episodes": false[name]} for name in sorted(false)[:_MAX_OBSERVED]
         ],
@@ -382,21 +377,15 @@ class RecordBuilder:
     def verdicts(self) -> list[JsonObject]:
         """List all verdicts, also on what never reported, sorted by case and requirement."""
         verdicts = [dict(verdict) for verdict in self._verdicts.values()]
-        verdicts += [
-            self._of_outcomes(key, list(outcome.values()))
-            for key, outcome in self._outcomes.items()
-        ]
-        reported = {
-            (verdict["item"], verdict["requirement"], verdict["case"]) for verdict in verdicts
-        }
+        for key, outcomes in self._outcomes.items():
+            verdicts.append(self._of_outcomes(key, list(outcomes.values())))
+        reported = {(entry["item"], entry["requirement"], entry["case"]) for entry in verdicts}
         for claim, case in self._unsearched():
             if claim not in reported:
                 verdicts.append(self._not_run(*claim[:2], case))
         for verdict in verdicts:
             self._qualify(verdict)
-        return sorted(
-            verdicts, key=lambda verdict: (verdict["case"], verdict["requirement"], verdict["item"])
-        )
+        return sorted(verdicts, key=itemgetter("case", "requirement", "item"))
 
     def _add_case(self, case: JsonObject) -> None:
         key = case["id"], case["component"]
@@ -453,13 +442,13 @@ class RecordBuilder:
         situation = None if known is None else known.situation
         verdict = _judge_test(self._requirement(requirement), case, component, outcomes, situation)
         waiver = self._waiver_of(final, verdict)
-        own: JsonObject = {
+        details: JsonObject = {
             "item": test,
             "waiver": waiver,
             "attempts": [],
             "assertion": _assertion_summary(final),
         }
-        return {**verdict, **_NO_QUESTION, **own}
+        return {**verdict, **_NO_QUESTION, **details}
 
     def _waiver_of(self, final: list[JsonObject], verdict: JsonObject) -> JsonObject | None:
         """Waiver of a verdict, if all that is bad about it comes from waived items."""
@@ -505,8 +494,8 @@ class RecordBuilder:
             verdict["reason"] = "episodes of the case ran, and no verdict was made on them"
         waived = self._first_waived.get(item)
         waiver = None if waived is None else self._waivers[waived]
-        own: JsonObject = {"item": item, "waiver": waiver, "attempts": [], "assertion": None}
-        return {**verdict, **_NO_QUESTION, **own}
+        details: JsonObject = {"item": item, "waiver": waiver, "attempts": [], "assertion": None}
+        return {**verdict, **_NO_QUESTION, **details}
 
     def _requirement(self, name: str) -> Requirement:
         return Requirement.from_json(self._requirements.get(name, {"id": name}))

@@ -137,13 +137,13 @@ def junit_problems(record: SessionRecord, file: Path) -> Iterator[str]:
     for key in sorted({*stated, *held}):
         in_file, recorded = stated.get(key, ()), sorted(held.get(key, []))
         decided = [status for status in recorded if status != "undecided"]
-        left = list(in_file)
+        unmatched = list(in_file)
         for status in decided:
-            if status in left:
-                left.remove(status)
+            if status in unmatched:
+                unmatched.remove(status)
             else:
                 yield f"{file.name}: {key[1]} on {key[0]} is {status} in the record, and not here"
-        if len(left) > recorded.count("undecided"):
-            yield f"{file.name}: {key[1]} on {key[0]} is {left[0]}, and not in the record"
-        elif "violated" in left:
+        if len(unmatched) > recorded.count("undecided"):
+            yield f"{file.name}: {key[1]} on {key[0]} is {unmatched[0]}, and not in the record"
+        elif "violated" in unmatched:
             yield f"{file.name}: {key[1]} on {key[0]} is violated, and undecided in the record"

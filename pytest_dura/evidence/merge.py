@@ -7,7 +7,7 @@ written into a directory of their own.
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -17,14 +17,16 @@ from pytest_dura.evidence.baseline import Baseline, regression_objections
 from pytest_dura.evidence.bundle import begin_bundle, write_bundle
 from pytest_dura.evidence.conclude import conclude_record
 from pytest_dura.evidence.episodes import ItemReport
-from pytest_dura.evidence.files import LOCK_FILE, DirectoryLock, write_file
+from pytest_dura.evidence.files import LOCK_FILE, DirectoryLock, read_chunks, write_file
 from pytest_dura.evidence.gate import NO_TESTS, OK, TESTS_FAILED, Gate
 from pytest_dura.evidence.gather import RecordBuilder
 from pytest_dura.evidence.merge_checks import (
+    KEYS_OF_ALL_COMPONENTS,
     ShardBundle,
     check_complete,
     check_consistent,
     read_parts,
+    without_keys,
 )
 from pytest_dura.evidence.metrics import UNTRACED_FAULT
 from pytest_dura.evidence.model import SessionRecord, components_under_test
@@ -33,8 +35,6 @@ from pytest_dura.evidence.traces import is_trace_path
 
 Data = Mapping[str, Any]
 _KEYS_MADE_ANEW = {"metrics", "missing_runs", "missing_runs_total", "repeat"}
-_KEYS_OF_ALL_COMPONENTS = {"others", "sources"}
-"""Keys of the first component about all of them."""
 _TRACE_REASONS = ("all", "sample", "missing", "violation")
 """Reasons to keep a trace; of several the last one is recorded."""
 
@@ -111,12 +111,12 @@ def _join_records(record: RecordBuilder, parts: Sequence[ShardBundle]) -> None:
         shard = part.record
         report = ItemReport("")
         report.components += [
-            _without(component, _KEYS_OF_ALL_COMPONENTS)
+            without_keys(component, KEYS_OF_ALL_COMPONENTS)
             for component in components_under_test(shard)
             if component["name"]
         ]
         report.sources.update(shard["component_under_test"].get("sources", {}))
-        report.cases += [_without(case, _KEYS_MADE_ANEW) for case in shard["cases"]]
+        report.cases += [without_keys(case, _KEYS_MADE_ANEW) for case in shard["cases"]]
         report.repeats += [
             {**case["repeat"], "case": case["id"], "component": case["component"]}
             for case in shard["cases"]
@@ -168,10 +168,6 @@ def _report_of(episode: Data, *, with_trace: bool) -> ItemReport:
         trace = {key: episode[key] for key in ("id", "component", "digest", "trace")}
         report.traces.append(trace)
     return report
-
-
-def _without(data: Data, keys: set[str]) -> dict[str, Any]:
-    return {key: value for key, value in data.items() if key not in keys}
 
 
 def _merged_inputs(parts: Iterable[ShardBundle]) -> list[dict[str, Any]]:
@@ -244,9 +240,6 @@ def _objections(part: ShardBundle) -> list[str]:
     return [reason for reason in gate["reasons"] if reason not in by_rule.reasons]
 
 
-_CHUNK = 1 << 20
-
-
 def check_output(output: Path, inputs: Sequence[Path]) -> None:
     """Refuse a directory that holds something, or that belongs to what is merged.
 
@@ -305,17 +298,11 @@ def _copy(source: Path, target: Path, trace: Mapping[str, Any]) -> None:
     if not is_trace_path(name) or file.is_symlink() or file.parent.is_symlink():
         raise _damaged_trace(file, "a name or a link that leads out of the bundle")
     try:
-        written = write_file(target / name, _chunks(file))
+        written = write_file(target / name, read_chunks(file))
     except OSError as error:
         raise _damaged_trace(file, error.strerror or str(error)) from None
     if (written.sha256, written.bytes) != (trace["sha256"], trace["bytes"]):
         raise _damaged_trace(file, "another file than the record names")
-
-
-def _chunks(file: Path) -> Iterator[bytes]:
-    with file.open("rb") as stream:
-        while chunk := stream.read(_CHUNK):
-            yield chunk
 
 
 def _damaged_trace(file: Path, found: str) -> ConfigurationError:

@@ -208,6 +208,8 @@ def _check_units(parts: Sequence[ShardBundle]) -> None:
         )
 
 
+KEYS_OF_ALL_COMPONENTS = {"others", "sources"}
+"""Keys of the first component about all of them."""
 NamedValues = Iterator[tuple[str, Any]]
 _SAME_OPTIONS = "give all shards the same options"
 _SAME_CODE = "run all shards of one commit, with the same packages"
@@ -338,6 +340,11 @@ def _check_version(part: ShardBundle) -> None:
         )
 
 
+def without_keys(data: Data, keys: set[str]) -> dict[str, Any]:
+    """Copy a mapping without some of its keys."""
+    return {key: value for key, value in data.items() if key not in keys}
+
+
 def _first_difference(key: str, value: Any, other: Any) -> tuple[str, Any, Any]:
     """Find the first key in which two values differ, and both values there."""
     if isinstance(value, Mapping) and isinstance(other, Mapping):
@@ -363,21 +370,13 @@ def _code(record: SessionRecord) -> NamedValues:
 
 
 def _under_test(record: SessionRecord) -> NamedValues:
-    known = [
-        component for component in components_under_test(record) if component["name"] is not None
-    ]
+    known = [entry for entry in components_under_test(record) if entry["name"] is not None]
     times = Counter(component["name"] for component in known)
     for component in known:
-        description = {
-            key: value for key, value in component.items() if key not in ("others", "sources")
-        }
-        is_only = times[component["name"]] == 1
-        origin = (
-            ""
-            if is_only
-            else f" {json.dumps([component['path'], component['params']], sort_keys=True)}"
-        )
-        yield f"component_under_test {component['name']}{origin}", description
+        key = f"component_under_test {component['name']}"
+        if times[component["name"]] > 1:
+            key += f" {json.dumps([component['path'], component['params']], sort_keys=True)}"
+        yield key, without_keys(component, KEYS_OF_ALL_COMPONENTS)
 
 
 def _read_files(record: SessionRecord) -> NamedValues:
@@ -389,8 +388,8 @@ def _requirements_and_cases(record: SessionRecord) -> NamedValues:
     for requirement in record["requirements"]:
         yield f"requirements {requirement['id']}", requirement
     for case in record["cases"]:
-        comparable = {key: value for key, value in case.items() if key not in _KEYS_THAT_MAY_DIFFER}
-        yield f"cases {case['id']} with {case['component']}", comparable
+        name = f"cases {case['id']} with {case['component']}"
+        yield name, without_keys(case, _KEYS_THAT_MAY_DIFFER)
 
 
 def _measured(record: SessionRecord) -> NamedValues:
@@ -401,11 +400,9 @@ def _measured(record: SessionRecord) -> NamedValues:
 
 def _models(record: SessionRecord) -> NamedValues:
     for model in record["models"]:
+        names = (model[name] for name in ("component", "model", "fingerprint", "mode"))
         compared = {key: model[key] for key in ("capabilities", "cassette")}
-        yield (
-            f"models {model['component']} {model['model']} {model['fingerprint']} {model['mode']}",
-            compared,
-        )
+        yield f"models {' '.join(names)}", compared
 
 
 _COMPARED_VALUES: tuple[tuple[Callable[[SessionRecord], NamedValues], str], ...] = (

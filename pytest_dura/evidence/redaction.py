@@ -9,6 +9,7 @@ from __future__ import annotations
 import base64
 import html
 import json
+import os
 import re
 import shlex
 import string
@@ -52,11 +53,11 @@ def _secrets_of(environ: Mapping[str, str], globs: Sequence[str] = ()) -> Iterat
         environ: The variables.
         globs: Names that the user declares secret, in letters of any case.
     """
-    own = [glob.upper() for glob in globs]
+    user_globs = [glob.upper() for glob in globs]
     for name, value in sorted(environ.items()):
         upper = name.upper()
         is_secret = _VARIABLE.search(upper) and not _NO_SECRET.search(upper)
-        if is_secret or any(fnmatchcase(upper, glob) for glob in own):
+        if is_secret or any(fnmatchcase(upper, glob) for glob in user_globs):
             yield name, value
         if "://" in value and "@" in value:
             password = _password(value)
@@ -237,20 +238,14 @@ _URL_SAFE = str.maketrans("+/", "-_")
 
 
 def _common_length(text: str, other: str) -> int:
-    """Length of the common beginning."""
-    pairs = zip(text, other, strict=False)
-    return next((i for i, (a, b) in enumerate(pairs) if a != b), min(len(text), len(other)))
+    return len(os.path.commonprefix((text, other)))  # noqa: RUF071 - of characters, not of paths
 
 
 def _bytes(value: str) -> bytes:
-    # What no UTF-8 can hold came from the environment as bytes.
-    return value.encode(
-        "utf-8", "surrogateescape" if _fits_surrogateescape(value) else "backslashreplace"
-    )
-
-
-def _fits_surrogateescape(value: str) -> bool:
-    return all(not "\ud800" <= char <= "\udfff" or "\udc80" <= char <= "\udcff" for char in value)
+    try:
+        return value.encode("utf-8", "surrogateescape")  # as the environment holds bytes
+    except UnicodeEncodeError:  # another lone surrogate
+        return value.encode("utf-8", "backslashreplace")
 
 
 def _lower_escapes(text: str) -> str:
@@ -289,7 +284,7 @@ class Redactor:
         self._values: dict[str, str] = {}
         self._forms: dict[str, str] = {}
         self._cores: dict[str, str] = {}
-        self._seen: dict[str, str] = {}
+        self._environ: dict[str, str] = {}
 
     @classmethod
     def of_environment(cls, environ: Mapping[str, str], globs: Sequence[str] = ()) -> Redactor:
@@ -301,8 +296,8 @@ class Redactor:
     def learn(self, environ: Mapping[str, str]) -> None:
         """Add the secrets of the environment; those added before stay."""
         # Called before anything is written, when hardly any variable has changed.
-        fresh = {name: value for name, value in environ.items() if self._seen.get(name) != value}
-        self._seen.update(fresh)
+        fresh = {name: value for name, value in environ.items() if self._environ.get(name) != value}
+        self._environ.update(fresh)
         for name, value in _secrets_of(fresh, self._globs):
             self.add(name, value)
 

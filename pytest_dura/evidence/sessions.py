@@ -246,20 +246,20 @@ def _shard_part_problems(record: SessionRecord) -> Iterator[str]:
         yield "shard: it is a shard, and merged from shards"
     if shard["index"] > shard["count"]:
         yield f"shard: {shard['index']} of {shard['count']}"
-    held = [ShardUnit.from_json(hold) for hold in shard["holds"]]
-    keys = [unit.key for unit in held]
+    units = [ShardUnit.from_json(hold) for hold in shard["holds"]]
+    keys = [unit.key for unit in units]
     if keys != sorted(set(keys)):
         yield "shard: its units are not sorted, or one is listed twice"
     if shard["plan"] is None:
-        if held or shard["units"] is not None:
+        if units or shard["units"] is not None:
             yield "shard: it holds units of no plan"
         return
-    if shard["units"] is None or len(held) > shard["units"]:
-        yield f"shard: it holds {len(held)} units, and the whole session {shard['units']}"
-    elif len(held) == shard["units"] and plan_digest(held) != shard["plan"]:
+    if shard["units"] is None or len(units) > shard["units"]:
+        yield f"shard: it holds {len(units)} units, and the whole session {shard['units']}"
+    elif len(units) == shard["units"] and plan_digest(units) != shard["plan"]:
         yield "shard: it holds all units of the session, and they are not its plan"
-    elif shard["count"] == 1 and len(held) != shard["units"]:
-        yield f"shard: the only one holds {len(held)} of {shard['units']} units"
+    elif shard["count"] == 1 and len(units) != shard["units"]:
+        yield f"shard: the only one holds {len(units)} of {shard['units']} units"
 
 
 def _merged_problems(record: SessionRecord) -> Iterator[str]:

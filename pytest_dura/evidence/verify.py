@@ -57,13 +57,6 @@ def _format_problems(record: SessionRecord, counts: Counts) -> Iterator[str]:
             yield f"{report_format.FILE}: {problem}"
 
 
-def _other_version(record: SessionRecord) -> str | None:
-    """Version that wrote the record, if it is another one, whose reports may differ."""
-    # The package is loaded already; an import by statement would look like a circle.
-    version = str(record["tool"]["version"])
-    return None if version == import_module("pytest_dura").__version__ else version
-
-
 def _problems_of_format(
     report_format: Format, record: SessionRecord, counts: Counts
 ) -> Iterator[str]:
@@ -71,6 +64,13 @@ def _problems_of_format(
         yield from _format_differences(report_format, record, counts)
     except Exception as error:  # a damaged record may break what renders it anywhere
         yield f"cannot be read back ({type(error).__name__}: {error})"
+
+
+def _other_version(record: SessionRecord) -> str | None:
+    """Version that wrote the record, if it is another one, whose reports may differ."""
+    # The package is loaded already; an import by statement would look like a circle.
+    version = str(record["tool"]["version"])
+    return None if version == import_module("pytest_dura").__version__ else version
 
 
 def _format_differences(
@@ -81,23 +81,19 @@ def _format_differences(
     for name in recorded:
         if stated[name] != recorded[name]:
             yield f"states {name} = {stated[name]}, and the record holds {recorded[name]}"
-    if _other_version(record) is None and text != _as_read_back(report_format.render(record)):
-        yield "not as it is rendered from the record"
+    if _other_version(record) is None:
+        # Surrogates are escaped in the file.
+        rendered = report_format.render(record).encode(errors="backslashreplace").decode()
+        if text != rendered:
+            yield "not as it is rendered from the record"
     broken = getattr(report_format, "broken_references", None)
     if broken is not None:
         yield from broken(text, record)
-    for fragment in re.findall(r"report\.html#([\w.:~+%/-]+)", text):
-        if f'id="{fragment}"' not in _report_text(record):
+    fragments = re.findall(r"report\.html#([\w.:~+%/-]+)", text)
+    report = (record.directory / "report.html").read_text("utf-8") if fragments else ""
+    for fragment in fragments:
+        if f'id="{fragment}"' not in report:
             yield f"refers to report.html#{fragment}, which is not there"
-
-
-def _as_read_back(text: str) -> str:
-    # Surrogates are escaped in the file.
-    return text.encode(errors="backslashreplace").decode()
-
-
-def _report_text(record: SessionRecord) -> str:
-    return (record.directory / "report.html").read_text(encoding="utf-8")
 
 
 Data = Mapping[str, Any]
@@ -109,11 +105,11 @@ _AFTERWARDS = ("redacted", "totals")
 def recomputed_problems(record: SessionRecord) -> Iterator[str]:
     """Compute what is derived in a record again, and yield the differences."""
     yield from _case_problems(record)
-    again = coverage(record["cases"], record["verdicts"], record.episodes())
-    yield from _differences("coverage", record["coverage"], again)
+    computed = coverage(record["cases"], record["verdicts"], record.episodes())
+    yield from _differences("coverage", record["coverage"], computed)
     recorded = record["timings"]
-    spent = {name: recorded[name] for name in ("wall_seconds", "evidence_seconds")}
-    yield from _differences("timings", recorded, timings(record.episodes(), **spent))
+    measured = {name: recorded[name] for name in ("wall_seconds", "evidence_seconds")}
+    yield from _differences("timings", recorded, timings(record.episodes(), **measured))
     redactions = count_redactions({k: v for k, v in record.head.items() if k not in _AFTERWARDS})
     for episode in record.episodes():
         redactions += count_redactions(episode)
@@ -129,10 +125,8 @@ def _case_problems(record: SessionRecord) -> Iterator[str]:
     metrics: dict[CaseKey, CaseMetrics] = defaultdict(CaseMetrics)
     reported: dict[CaseKey, set[int]] = defaultdict(set)
     shared = SharedViolations(record["verdicts"])
-    pooled, courses = (
-        PooledMetrics(record["cases"], record["verdicts"]),
-        PairedCourses(record["verdicts"]),
-    )
+    pooled = PooledMetrics(record["cases"], record["verdicts"])
+    courses = PairedCourses(record["verdicts"])
     for episode in record.episodes():
         if episode["planned"]:
             shared.add(episode)
@@ -141,17 +135,16 @@ def _case_problems(record: SessionRecord) -> Iterator[str]:
             key = episode["case"], episode["component"]
             metrics[key].add(episode)
             reported[key].add(episode["spec"]["run"])
-    also_withouts = [verdict["also_without"] for verdict in record["verdicts"]]
-    yield from _differences("verdicts: also_without", also_withouts, shared.to_json())
+    also_without = [verdict["also_without"] for verdict in record["verdicts"]]
+    yield from _differences("verdicts: also_without", also_without, shared.to_json())
     yield from _differences("overall", record["overall"], pooled.to_json())
-    again = effectiveness(record["verdicts"], record["monitors"], courses)
-    yield from _differences("effectiveness", record["effectiveness"], again)
+    computed = effectiveness(record["verdicts"], record["monitors"], courses)
+    yield from _differences("effectiveness", record["effectiveness"], computed)
     judged = verdicts_on_cases(record["verdicts"])
     for case in record["cases"]:
         key, name = (case["id"], case["component"]), f"case {case['id']}"
-        yield from _differences(
-            f"{name}: metrics", case["metrics"], metrics[key].to_json(case["planned"])
-        )
+        own_metrics = metrics[key].to_json(case["planned"])
+        yield from _differences(f"{name}: metrics", case["metrics"], own_metrics)
         missing = missing_runs(case, judged.get(key, []), reported[key])
         yield from _differences(name, {key: case[key] for key in missing}, missing)
         override = case["runs_override"]
@@ -179,8 +172,8 @@ def _differences(name: str, recorded: Any, computed: Any) -> Iterator[str]:
         return
 
 
-def _presence(there: bool) -> str:
-    return "there" if there else "not"
+def _presence(present: bool) -> str:
+    return "there" if present else "not"
 
 
 def _element_differences(name: str, recorded: Any, computed: Any) -> Iterator[tuple[str, str, str]]:
@@ -280,15 +273,11 @@ class _Claim:
     @classmethod
     def of(cls, number: int, verdict: Data, requirement: Data, episode: Data) -> _Claim:
         """Make it without a requirement if the verdict cannot be made on a trace alone."""
-        listed = [
-            counterexample
-            for counterexample in verdict["counterexamples"]
-            if counterexample["episode"] == episode["id"]
-        ]
+        listed = (e for e in verdict["counterexamples"] if e["episode"] == episode["id"])
         check = verdict["check"]
         by_formula = check and not is_function_path(check) and verdict["paired"] is None
         judged_by = Requirement.from_json({**requirement, "check": check}) if by_formula else None
-        return cls(number, judged_by, listed[0] if listed else None)
+        return cls(number, judged_by, next(listed, None))
 
 
 def _problems_of_trace(
@@ -302,7 +291,9 @@ def _problems_of_trace(
     for key in ("id", "case", "component", "seed", "digest", "validity", "termination", "failure"):
         if trace.about[key] != episode[key]:
             yield f"its {key} is {trace.about[key]!r}, and the record says {episode[key]!r}"
-    if [_comparable_event(event) for event in trace.events] != episode["events"]:
+    # Only traces say which events depend on the machine's speed.
+    events = [{k: v for k, v in event.items() if k != "wall_clock"} for event in trace.events]
+    if events != episode["events"]:
         yield f"its events are not those of {episode['id']} in the record"
     traced = _trace_episode(trace, episode)
     measured = outcome_figures(traced)
@@ -319,28 +310,17 @@ def _problems_of_trace(
             yield from _rejudged_problems(verdict, claim.counterexample)
 
 
-def _comparable_event(event: Data) -> dict[str, Any]:
-    """Remove from an event of a trace what the record does not have."""
-    return {key: value for key, value in event.items() if key != "wall_clock"}
-
-
 def _rejudged_problems(verdict: EpisodeVerdict, counterexample: Data | None) -> Iterator[str]:
     if counterexample is None:
         if verdict.verdict == "violated":
-            yield (
-                f"violates {verdict.requirement} at {verdict.time} s"
-                f" by {verdict.margin}, "
-                "and the record does not say so"
-            )
+            place = f"{verdict.requirement} at {verdict.time} s by {verdict.margin}"
+            yield f"violates {place}, and the record does not say so"
     elif (verdict.verdict, verdict.time, verdict.margin) != (
         "violated", counterexample["time"], counterexample["margin"],
     ):  # fmt: skip
-        yield (
-            f"{verdict.requirement} on it is {verdict.verdict} at {verdict.time} s"
-            f" by {verdict.margin}, "
-            f"and the record says violated at {counterexample['time']} s by "
-            f"{counterexample['margin']}"
-        )
+        status = f"{verdict.verdict} at {verdict.time} s by {verdict.margin}"
+        recorded = f"violated at {counterexample['time']} s by {counterexample['margin']}"
+        yield f"{verdict.requirement} on it is {status}, and the record says {recorded}"
 
 
 def _trace_episode(trace: Trace, episode: Data) -> JudgedEpisode:
@@ -479,11 +459,9 @@ def _kept_episodes(record: SessionRecord, names: Iterable[str]) -> list[str]:
 
 def _extra_files(record: SessionRecord) -> Iterator[str]:
     """Yield the files that the manifest lists and that belong to no bundle."""
-    made = {RECORD_FILE, *RENDERED_FILES}
-    made.update(
-        episode["trace"]["file"] for episode in record.episodes() if episode["trace"] is not None
-    )
-    for name in sorted(set(listed_files(record.directory)) - made):
+    expected = {RECORD_FILE, *RENDERED_FILES}
+    expected.update(e["trace"]["file"] for e in record.episodes() if e["trace"] is not None)
+    for name in sorted(set(listed_files(record.directory)) - expected):
         yield f"{name}: in the manifest, and no file of this bundle"
 
 

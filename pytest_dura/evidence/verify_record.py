@@ -40,12 +40,12 @@ def episode_problems(episode: Data, case: Data, base_seed: int) -> Iterator[str]
         case: Its case.
         base_seed: From which the seeds of planned runs follow.
     """
-    own = (
+    problems = (
         *_input_problems(episode, case, base_seed),
         *_metric_problems(episode),
         *_chain_problems(episode),
     )
-    for problem in own:
+    for problem in problems:
         yield f"episode {episode['id']}: {problem}"
 
 
@@ -70,9 +70,8 @@ def _input_problems(episode: Data, case: Data, base_seed: int) -> Iterator[str]:
         episode["failure"] is None and episode["invalid_reason"] is not None
     ):
         yield f"{episode['validity']}, because {episode['invalid_reason']!r}"
-    missing = {fault["id"] for fault in spec["faults"]} - {
-        fault["id"] for fault in episode["faults"]
-    }
+    missing = {fault["id"] for fault in spec["faults"]}
+    missing -= {fault["id"] for fault in episode["faults"]}
     if missing:
         yield f"nothing is said of its faults {', '.join(sorted(missing))}"
 
@@ -95,10 +94,8 @@ def _metric_problems(episode: Data) -> Iterator[str]:
     if metrics["valid_proposals"] > metrics["proposals"]:
         yield "more valid proposals than there were"
     yield from _tally_problems(metrics, episode["outcome"]["switching"]["decisions"])
-    oldest, lasted = (
-        max(metrics["answer_ages"], default=0.0),
-        episode["timings"]["simulated_seconds"],
-    )
+    oldest = max(metrics["answer_ages"], default=0.0)
+    lasted = episode["timings"]["simulated_seconds"]
     if oldest > round(lasted, 9):  # as ages are
         yield f"a decision came into force {oldest} s after its percept, within {lasted} s"
     first: dict[str, float] = {}
@@ -107,10 +104,8 @@ def _metric_problems(episode: Data) -> Iterator[str]:
             first.setdefault(event["subject"], event["time"])
     for fault in faults:
         if fault["manifested_at"] != first.get(fault["id"]):
-            yield (
-                f"{fault['id']} manifested at {fault['manifested_at']} s, and its events "
-                f"say {first.get(fault['id'])}"
-            )
+            manifested = f"{fault['id']} manifested at {fault['manifested_at']} s"
+            yield f"{manifested}, and its events say {first.get(fault['id'])}"
 
 
 def _chain_problems(episode: Data) -> Iterator[str]:
@@ -357,9 +352,10 @@ def _all_problems(record: SessionRecord, counts: Counts) -> Iterator[str]:
     }
     described = {component["name"] for component in components_under_test(record)} | {"none"}
     for episode in record.episodes():
-        ids.add((episode["id"], episode["component"]))
-        if (episode["id"], episode["component"]) in digests:
-            digests[episode["id"], episode["component"]].add(episode["digest"])
+        key = episode["id"], episode["component"]
+        ids.add(key)
+        if key in digests:
+            digests[key].add(episode["digest"])
         if episode["component"] not in described:
             yield f"component_under_test: {episode['component']} is not described"
         if (episode["case"], episode["component"]) not in cases:
@@ -399,17 +395,20 @@ def _session_problems(record: SessionRecord, counts: Counts) -> Iterator[str]:
     if len(requirements) < len(record["requirements"]):
         yield "requirements: one of them is listed twice"
     hashed = {(file["path"], file["sha256"]) for file in record["inputs"]}
-    for file in (
-        file for component in components_under_test(record) for file in component.get("files") or ()
-    ):
-        if (file["path"], file["sha256"]) not in hashed:
-            yield f"inputs: {file['path']} of the component is not among them"
+    for component in components_under_test(record):
+        yield from _unhashed_problems(component, hashed)
     yield from _source_problems(record)
     for tape in (model["cassette"] for model in record["models"] if model["cassette"]):
         if (tape["file"], tape["sha256"]) not in hashed:
             yield f"inputs: the cassette {tape['file']} is not among them as it was replayed"
     if record["timings"]["evidence_seconds"] > record["timings"]["wall_seconds"]:
         yield "timings: the evidence took longer than the session"
+
+
+def _unhashed_problems(component: Data, hashed: set[tuple[str, str]]) -> Iterator[str]:
+    for file in component.get("files") or ():
+        if (file["path"], file["sha256"]) not in hashed:
+            yield f"inputs: {file['path']} of the component is not among them"
 
 
 def _source_problems(record: SessionRecord) -> Iterator[str]:
@@ -444,9 +443,8 @@ def _question_problems(record: SessionRecord) -> Iterator[str]:
     for verdict in record["verdicts"]:
         yield from _problems_of_question(verdict, listed.get(verdict["requirement"]))
         parts = [verdict[name] for name in ("requirement", "case", "component", "item", "check")]
-        questions[
-            canonical([*parts, verdict["paired"], verdict["method"], _limits(verdict)]).decode()
-        ] += 1
+        parts += [verdict["paired"], verdict["method"], _limits(verdict)]
+        questions[canonical(parts).decode()] += 1
     for question, count in questions.items():
         if count > 1:
             yield f"verdicts: {question} is answered twice"

@@ -49,14 +49,10 @@ def _margin_problems(verdict: Data, on_traces: Iterable[EpisodeVerdict]) -> Iter
         on_traces: Verdicts on its episodes by their traces.
     """
     margins = verdict["margins"]
-    listed = [
-        counterexample["margin"]
-        for counterexample in verdict["counterexamples"]
-        if counterexample["valid"]
-    ]
+    counterexamples = verdict["counterexamples"]
+    listed = [entry["margin"] for entry in counterexamples if entry["valid"]]
     order = [
-        (not counterexample["valid"], counterexample["margin"] or 0.0, counterexample["episode"])
-        for counterexample in verdict["counterexamples"]
+        (not entry["valid"], entry["margin"] or 0.0, entry["episode"]) for entry in counterexamples
     ]
     if order != sorted(order):
         yield "its counterexamples are not in the order of their margins"
@@ -186,12 +182,12 @@ class _Case:
     """The planned runs of a case with one component."""
 
     runs: dict[int, _Run] = field(default_factory=dict)
-    alike: bool = True
-    """Whether each number stands for one run."""
+    is_unambiguous: bool = True
+    """Whether each number stands for a single run."""
 
     def add(self, episode: Data) -> None:
         number, metrics = episode["spec"]["run"], episode["metrics"]
-        self.alike &= number not in self.runs
+        self.is_unambiguous &= number not in self.runs
         self.runs[number] = _Run(
             episode["id"],
             episode["validity"],
@@ -240,18 +236,18 @@ def verdict_problems(record: SessionRecord, judged: TraceVerdicts) -> Iterator[s
         verdicts_on[verdict["case"], verdict["component"]].append(verdict)
     for number, verdict in enumerate(record["verdicts"]):
         name = f"verdict {verdict['requirement']} on {verdict['case']}"
-        own, other = cases[verdict["case"], verdict["component"]], None
+        case_runs, twin_runs = cases[verdict["case"], verdict["component"]], None
         case = listed.get((verdict["case"], verdict["component"]), _UNLISTED)
         if verdict["planned"] > case["planned"]:
             yield f"{name}: {verdict['planned']} runs planned, and fewer of its case"
         if verdict["pairs"] is not None:
-            other = cases[verdict["pairs"]["case"], verdict["component"]]
-        on_traces = {episode: was for (at, episode), was in judged.items() if at == number}
+            twin_runs = cases[verdict["pairs"]["case"], verdict["component"]]
+        on_traces = {episode: traced for (at, episode), traced in judged.items() if at == number}
         place = verdict["case"], verdict["component"]
-        seen = _violating_episodes(verdicts_on[place], verdict["run"], of_cases.get(place, ()))
+        violating = _violating_episodes(verdicts_on[place], verdict["run"], of_cases.get(place, ()))
         requirement = requirements.get(verdict["requirement"], {})
         check = _VerdictCheck(
-            verdict, requirement, own, other, on_traces, seen, case_situations(case)
+            verdict, requirement, case_runs, twin_runs, on_traces, violating, case_situations(case)
         )
         for problem in check.problems():
             yield f"{name}: {problem}"
@@ -279,10 +275,10 @@ class _VerdictCheck:
 
     verdict: Data
     requirement: Data
-    own: _Case
-    twins: _Case | None
+    case: _Case
+    twin: _Case | None
     on_traces: Mapping[str, EpisodeVerdict]
-    seen_elsewhere: Collection[str] | None
+    violating_episodes: Collection[str] | None
     """Ids of episodes that violate a requirement of the case; ``None`` if not all are judged."""
     situations: Situations
     """Situations of its case, without any run yet."""
@@ -292,32 +288,33 @@ class _VerdictCheck:
         verdict, unrecorded = self.verdict, self._unrecorded_run()
         if verdict["spoilt"] is not None:
             spoilt = verdict["spoilt"]["episode"]
-            if all(run.episode != spoilt for run in self.own.runs.values()):
+            if all(run.episode != spoilt for run in self.case.runs.values()):
                 yield f"{spoilt} says nothing of it, and is none of its runs"
         if unrecorded is not None:
             yield f"it rests on {verdict['run']} runs, and {unrecorded} is not among the episodes"
             return
-        if self.own.alike and verdict["situation"] != (situation := self._situation()):
+        is_unambiguous = self.case.is_unambiguous
+        if is_unambiguous and verdict["situation"] != (situation := self._situation()):
             recorded, computed = map(_situation_text, (verdict["situation"], situation))
             yield f"its runs are {recorded}, and their trajectories say {computed}"
         if verdict["pairs"] is not None:
-            recovered = sum(self.own.runs[number].recovered for number in range(verdict["run"]))
-            yield from pair_problems(verdict, recovered if self.own.alike else None)
+            recovered = sum(self.case.runs[number].recovered for number in range(verdict["run"]))
+            yield from pair_problems(verdict, recovered if is_unambiguous else None)
             return
-        looked_at = self._runs_of_verdict()
+        runs = self._runs_of_verdict()
         violated = {counterexample["episode"] for counterexample in verdict["counterexamples"]}
         # A violation that was seen before an infrastructure error counts.
         valid = sum(
             run.validity == "valid" or (run.validity == "missing" and run.episode in violated)
-            for run in looked_at
+            for run in runs
         )
         if verdict["episodes"] > valid:
             yield f"{verdict['episodes']} episodes are valid to it, and {valid} are"
-        if violated - {run.episode for run in looked_at}:
+        if violated - {run.episode for run in runs}:
             yield f"{min(violated)} is its counterexample, and none of its runs"
-        yield from self._early_ends(looked_at)
-        if len(looked_at) == verdict["run"] and self.own.alike:
-            yield from self._decided_again(looked_at)
+        yield from self._early_ends(runs)
+        if len(runs) == verdict["run"] and is_unambiguous:
+            yield from self._decided_again(runs)
 
     def _early_ends(self, runs: Sequence[_Run]) -> Iterator[str]:
         """Compare runs that are open, crashed or without effect with how they ended."""
@@ -333,20 +330,20 @@ class _VerdictCheck:
             run = ends.get(violated["episode"])
             if run is not None and violated["valid"] == (run.validity == "invalid"):
                 yield f"{run.episode} is {run.validity}, and its violation says otherwise"
-        if self.seen_elsewhere is None:
+        if self.violating_episodes is None or verdict["verdict"] != "supported":
             return
+        explained = {*self.violating_episodes, *verdict["unseen_crashes"]}
         for run in runs:
-            seen = run.episode in self.seen_elsewhere or run.episode in verdict["unseen_crashes"]
-            if run.termination == "critical" and not seen and verdict["verdict"] == "supported":
+            if run.termination == "critical" and run.episode not in explained:
                 yield f"supported, although {run.episode} crashed and violates nothing"
 
     def _situation(self) -> Situation | None:
         """Situation of its runs, by their trajectories."""
         verdict = self.verdict
         if not verdict["check"]:
-            self.own.add_to(self.situations, self.own.runs)
+            self.case.add_to(self.situations, self.case.runs)
             return self.situations.situation if verdict["run"] >= verdict["planned"] > 1 else None
-        for case in (self.own, self.twins):
+        for case in (self.case, self.twin):
             if case is not None:
                 case.add_to(self.situations, range(verdict["run"]))
         return self.situations.situation
@@ -356,8 +353,8 @@ class _VerdictCheck:
         verdict = self.verdict
         if not verdict["check"]:
             # A test on single episodes, of which a part may have been chosen.
-            return None if verdict["run"] <= len(self.own.runs) else "one of them"
-        for case in (self.own, self.twins):
+            return None if verdict["run"] <= len(self.case.runs) else "one of them"
+        for case in (self.case, self.twin):
             for number in range(verdict["run"]):
                 if case is not None and number not in case.runs:
                     return f"number {number}"
@@ -365,29 +362,28 @@ class _VerdictCheck:
 
     def _runs_of_verdict(self) -> list[_Run]:
         """List the runs that it may rest on, in their order."""
-        chosen = self.own.runs
-        if self.verdict["check"]:
-            return [chosen[number] for number in range(self.verdict["run"])]
-        return [chosen[number] for number in sorted(chosen)]
+        chosen = self.case.runs
+        numbers = range(self.verdict["run"]) if self.verdict["check"] else sorted(chosen)
+        return [chosen[number] for number in numbers]
 
     def _decided_again(self, runs: Sequence[_Run]) -> Iterator[str]:
         statuses = self._statuses(runs)
         if statuses is None:
-            verdict = self.verdict
-            counts = ", ".join(
-                f"{verdict[name]} {name}" for name in ("episodes", "invalid", "missing")
-            )
+            names = ("episodes", "invalid", "missing")
+            counts = ", ".join(f"{self.verdict[name]} {name}" for name in names)
             yield f"its runs do not come to {counts}"
             return
-        verdicts, sure = statuses
-        if not sure and (self._sequential or any(run.idle for run in verdicts)):
+        verdicts, is_only = statuses
+        if not is_only and (self._sequential or any(run.idle for run in verdicts)):
             return  # the order matters, and is not known
-        again = [self._judged(verdicts, until) for until in (False, True)]
-        known = [verdict for verdict in again if verdict is not None]
-        if not any(self._agrees(verdict) for verdict in known):
-            gives = f"{known[0].verdict}: {known[0].reason}" if known else "another number of runs"
+        decided = [self._judged(verdicts, until) for until in (False, True)]
+        possible = [verdict for verdict in decided if verdict is not None]
+        if not any(self._agrees(verdict) for verdict in possible):
+            gives = "another number of runs"
+            if possible:
+                gives = f"{possible[0].verdict}: {possible[0].reason}"
             yield f"{self.verdict['verdict']}: {self.verdict['reason']}; its runs give {gives}"
-        if sure and all(run.episode in self.on_traces for run in runs):
+        if is_only and all(run.episode in self.on_traces for run in runs):
             margins = [run.margin for run in verdicts if _has_margin(run)]
             if self.verdict["margins"] != plain_data(_margin_distribution(margins)):
                 yield "the distribution of its margins is not that of its traces"
@@ -401,24 +397,18 @@ class _VerdictCheck:
     def _statuses(self, runs: Sequence[_Run]) -> tuple[list[EpisodeVerdict], bool] | None:
         """Assign a status to each run; the flag says whether this is the only assignment."""
         verdict = self.verdict
-        violated = {
-            counterexample["episode"]: counterexample
-            for counterexample in verdict["counterexamples"]
-        }
-        left = Counter(
+        violated = {entry["episode"]: entry for entry in verdict["counterexamples"]}
+        remaining = Counter(
             satisfied=verdict["episodes"] - verdict["violations"] - len(verdict["open"]),
             open=len(verdict["open"]),
             invalid=verdict["invalid"] - verdict["without_effect"],
             missing=verdict["missing"],
             violated=verdict["violations"] + verdict["without_effect"],
         )
-        sure, vacuous, verdicts = True, verdict["vacuous"], []
-        least = Counter(
-            run.validity
-            for run in runs
-            if run.episode not in violated and run.episode not in verdict["open"]
-        )
-        exact = least["valid"] == left["satisfied"] and least["invalid"] == left["invalid"]
+        is_only, vacuous, verdicts = True, verdict["vacuous"], []
+        listed = {*violated, *verdict["open"]}
+        rest = Counter(run.validity for run in runs if run.episode not in listed)
+        exact = rest["valid"] == remaining["satisfied"] and rest["invalid"] == remaining["invalid"]
         for run in runs:
             traced, counterexample = self.on_traces.get(run.episode), violated.get(run.episode)
             status: EpisodeStatus = "satisfied"
@@ -429,23 +419,20 @@ class _VerdictCheck:
             elif traced is not None and traced.verdict != "violated":
                 status = traced.verdict
             elif run.validity != "valid":
-                # An invalid one may be missing to a function that fails.
-                status = (
-                    "missing" if run.validity == "missing" or not left["invalid"] else "invalid"
-                )
-            elif not left["satisfied"]:
-                status = "invalid" if left["invalid"] else "missing"
-            known = counterexample is not None or traced is not None or status == "open"
-            sure &= exact or known
-            left[status] -= 1
+                # A failing function makes an invalid run missing.
+                is_invalid = run.validity == "invalid" and remaining["invalid"]
+                status = "invalid" if is_invalid else "missing"
+            elif not remaining["satisfied"]:
+                status = "invalid" if remaining["invalid"] else "missing"
+            is_known = counterexample is not None or traced is not None or status == "open"
+            is_only &= exact or is_known
+            remaining[status] -= 1
             empty = vacuous > 0 and status == "satisfied" and (traced is None or traced.vacuous)
             vacuous -= empty
-            margin, time = (
-                (None, None)
-                if counterexample is None
-                else (counterexample["margin"], counterexample["time"])
-            )
-            if counterexample is None and traced is not None:
+            margin = time = None
+            if counterexample is not None:
+                margin, time = counterexample["margin"], counterexample["time"]
+            elif traced is not None:
                 margin, empty = traced.margin, traced.vacuous
             verdicts.append(
                 EpisodeVerdict(
@@ -465,7 +452,7 @@ class _VerdictCheck:
                     unseen_crash=run.episode in verdict["unseen_crashes"],
                 )
             )
-        return None if any(left.values()) else (verdicts, sure)
+        return None if any(remaining.values()) else (verdicts, is_only)
 
     def _judged(self, verdicts: Sequence[EpisodeVerdict], until: bool) -> CampaignVerdict | None:
         """Decide again; ``None`` if that takes another number of runs."""
@@ -501,28 +488,28 @@ class _VerdictCheck:
         """Count the runs of a fixed plan, further ones after invalid runs included."""
         planned = end = self.verdict["planned"]
         budget, number = math.ceil(_EXTRA_SHARE * planned), 0
-        while number < end and number in self.own.runs:
-            if self.own.runs[number].validity == "invalid" and end < planned + budget:
+        while number < end and number in self.case.runs:
+            if self.case.runs[number].validity == "invalid" and end < planned + budget:
                 end += 1
             number += 1
         return int(end)
 
-    def _agrees(self, again: CampaignVerdict) -> bool:
+    def _agrees(self, decided: CampaignVerdict) -> bool:
         verdict = self.verdict
         if verdict["run"] == 0 and verdict["verdict"] == "undecided":
             return True
-        bound = plain_data(asdict(again.bound))
-        if (again.method, again.saved, bound) != (
+        bound = plain_data(asdict(decided.bound))
+        if (decided.method, decided.saved, bound) != (
             verdict["method"],
             verdict["saved"],
             verdict["bound"],
         ):
             return False
-        if verdict["verdict"] == "undecided" and again.verdict == "supported":
+        if verdict["verdict"] == "undecided" and decided.verdict == "supported":
             return bool(verdict["reason"].startswith("infrastructure: nondeterministic"))
-        spoilt = None if again.spoilt is None else again.spoilt.verdict
+        spoilt = None if decided.spoilt is None else decided.spoilt.verdict
         recorded_spoilt = None if verdict["spoilt"] is None else verdict["spoilt"]["verdict"]
-        return (again.verdict, again.reason, spoilt) == (
+        return (decided.verdict, decided.reason, spoilt) == (
             verdict["verdict"],
             verdict["reason"],
             recorded_spoilt,
