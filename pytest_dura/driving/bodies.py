@@ -89,19 +89,19 @@ class BodyList(Sequence[Body]):
 
     @property
     def numbers(self) -> tuple[tuple[float, ...], ...]:
-        """The rows of ``data`` as plain numbers, made once for all who ask."""
+        """The rows of ``data`` as plain numbers, made at first use."""
         if self._made_numbers is None:
             self._made_numbers = tuple(map(tuple, self.data.tolist()))
         return self._made_numbers
 
     def beside(self, route: Route) -> tuple[tuple[float, float], ...]:
-        """``route.project`` of each body; what was found for the route asked for last is kept."""
-        known, found = self._made_beside
-        if known is not route:
+        """``route.project`` of each body; the result for the last route is kept."""
+        known_route, projections = self._made_beside
+        if known_route is not route:
             project = route.project
-            found = tuple([project(row[0], row[1]) for row in self.numbers])
-            self._made_beside = route, found
-        return found
+            projections = tuple([project(row[0], row[1]) for row in self.numbers])
+            self._made_beside = route, projections
+        return projections
 
     def __repr__(self) -> str:
         return f"BodyList({', '.join(map(str, self.ids))})"

@@ -32,11 +32,11 @@ _SIGNS = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]], dtype=float) / 2.0
 
 def _box_axes(heading: Floats) -> Floats:
     """Unit vectors along and across, shape ``(n, 2, 2)``: ``[:, 0]`` points ahead."""
-    empty: Floats = np.empty((len(heading), 2, 2))
-    empty[:, 0, 0] = empty[:, 1, 1] = np.cos(heading)
-    empty[:, 0, 1] = s = np.sin(heading)
-    empty[:, 1, 0] = -s
-    return empty
+    axes: Floats = np.empty((len(heading), 2, 2))
+    axes[:, 0, 0] = axes[:, 1, 1] = np.cos(heading)
+    axes[:, 0, 1] = sine = np.sin(heading)
+    axes[:, 1, 0] = -sine
+    return axes
 
 
 def _corners(boxes: Floats, along: Floats) -> Floats:
@@ -136,7 +136,7 @@ def proximity(ego: Floats, bodies: Sequence[BodyList]) -> tuple[Floats, Floats]:
     offset = others[:, :2] - mine[:, :2]
     motion = others[:, VX : VY + 1] - mine[:, 3:5]
     apart = np.hypot(offset[:, 0], offset[:, 1])
-    # Circles around the boxes tell which pairs need a closer look; most need none.
+    # Most pairs are ruled out by the circles around the boxes.
     circles = _EGO_CIRCLE + np.hypot(others[:, LENGTH], others[:, WIDTH]) / 2 + _ROUNDING
     bound = np.full(len(ego), GAP_CAP)
     np.minimum.at(bound, owner, apart)

@@ -142,7 +142,7 @@ class EgoState(NamedTuple):
 def route_map(route: Route) -> RouteMap:
     """The map channel of a route."""
     along = np.append(np.arange(0.0, route.length, WAYPOINT_SPACING), route.length)
-    points = zip(along.tolist(), *(item.tolist() for item in route.pose(along)), strict=True)
+    points = zip(along.tolist(), *(column.tolist() for column in route.pose(along)), strict=True)
     waypoints = tuple(Waypoint(*point) for point in points)
     return RouteMap(route, ARM_LENGTH, route.exit, SPEED_LIMIT, waypoints)
 

@@ -48,10 +48,10 @@ class GnssJump(PoseFault):
 
     def begin(self, value: Pose, moment: Moment) -> tuple[float, float]:
         """The offset in x and y, in m, fixed to the ground from now on."""
-        given, c, s = self.parameters, math.cos(value.heading), math.sin(value.heading)
+        parameters, c, s = self.parameters, math.cos(value.heading), math.sin(value.heading)
         # y points south, so that right of the heading (c, s) is (-s, c).
-        dx = given.east + given.along * c - given.across * s
-        return dx, -given.north + given.along * s + given.across * c
+        dx = parameters.east + parameters.along * c - parameters.across * s
+        return dx, -parameters.north + parameters.along * s + parameters.across * c
 
     def apply(self, memory: tuple[float, float], value: Pose, moment: Moment) -> Pose:
         """The pose with its offset."""

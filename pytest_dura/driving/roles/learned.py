@@ -115,8 +115,8 @@ class DrivingFeatures(FeatureSource):
         before, self._before = self._before, now
         if before is None:
             return None
-        asked = 0.0 if command is None else command_residual(command, before, now, dt)
-        own = [_capped(value) for value in (*ego_residuals(before, now, dt), asked)]
+        command_error = 0.0 if command is None else command_residual(command, before, now, dt)
+        own = [_capped(value) for value in (*ego_residuals(before, now, dt), command_error)]
         share = 1.0 - math.exp(-dt / _MEMORY)
         self._means = [
             mean + share * (value - mean) for mean, value in zip(self._means, own, strict=True)
@@ -215,11 +215,11 @@ def _against_radar(now: Snapshot) -> tuple[float, float, float]:
 def _places(now: Snapshot) -> list[tuple[float, float]]:
     """Where the radar returns are, in m."""
     own_x, own_y, heading = now.pose
-    found = []
+    places = []
     for distance, azimuth, _ in now.radar:
         bearing = heading - azimuth if math.isfinite(azimuth) else heading
-        found.append((own_x + distance * math.cos(bearing), own_y + distance * math.sin(bearing)))
-    return found
+        places.append((own_x + distance * math.cos(bearing), own_y + distance * math.sin(bearing)))
+    return places
 
 
 def _match(

@@ -121,9 +121,9 @@ def command_residual(command: Command, before: Snapshot, now: Snapshot, dt: floa
     if command.acceleration is None and command.maneuver in (Maneuver.WAIT, Maneuver.YIELD):
         s, _ = before.route.project(before.pose.x, before.pose.y)
         to_line = before.stop_line - s - HALF
-    asked = acceleration_for(command, before.speed, to_line)
+    commanded = acceleration_for(command, before.speed, to_line)
     last, reach = before.imu.acceleration, ACTUATOR_SLEW * dt
-    least = max(last - reach, min(last + reach, asked))
+    least = max(last - reach, min(last + reach, commanded))
     most = max(least, 0.0) if before.speed < _LETS_OFF else least
     return beyond(now.imu.acceleration, least, most)
 
@@ -133,12 +133,12 @@ def object_residuals(before: Snapshot, now: Snapshot, dt: float) -> dict[str, tu
 
     Objects that were not there a tick before have none.
     """
-    found = {}
+    differences = {}
     for name, row in now.objects.items():
         old = before.objects.get(name)
         if old is not None:
-            found[name] = (row[0] - old[0]) / dt - old[VX], (row[1] - old[1]) / dt - old[VY]
-    return found
+            differences[name] = (row[0] - old[0]) / dt - old[VX], (row[1] - old[1]) / dt - old[VY]
+    return differences
 
 
 def frozen(before: Snapshot, now: Snapshot) -> dict[str, bool]:
@@ -273,7 +273,7 @@ class ResidualMonitor(SecurityAssessor):
 
 
 def _checked(thresholds: Mapping[str, Sequence[float]]) -> dict[str, Limits]:
-    found = {}
+    limits = {}
     for name, pair in thresholds.items():
         if name not in LIMITS:
             raise ConfigurationError(
@@ -284,8 +284,8 @@ def _checked(thresholds: Mapping[str, Sequence[float]]) -> dict[str, Limits]:
                 remedy="correct its name",
             )
         try:
-            found[name] = Limits(*pair)
-            Cusum(*found[name])
+            limits[name] = Limits(*pair)
+            Cusum(*limits[name])
         except (TypeError, ValueError):
             raise ConfigurationError(
                 f"these are no limits of {name!r}",
@@ -294,7 +294,7 @@ def _checked(thresholds: Mapping[str, Sequence[float]]) -> dict[str, Limits]:
                 expected="drift (at least 0) and threshold (above 0)",
                 remedy=f"for example {list(LIMITS[name])}",
             ) from None
-    return found
+    return limits
 
 
 _QUIET = SecurityAssessment(score=1.0)

@@ -73,35 +73,37 @@ def nearest(
     ways = [scene.s + step for step in driven(scene.speed, acceleration, times, SPEED_LIMIT)]
     egos = scene.route.trail(ways)
     bounds = []
-    for item, row in enumerate(within):
-        bounds += _bounds(item, _squares(numbers[row], times, rates[item], egos), numbers[row], cap)
+    for number, row in enumerate(within):
+        bounds += _bounds(
+            number, _squares(numbers[row], times, rates[number], egos), numbers[row], cap
+        )
     if not bounds:
         return None
     bounds.sort()
-    best, who = math.inf, 0
+    best, nearest_number = math.inf, 0
     straight: dict[int, list[Point]] = {}
-    for bound, item, at in bounds:
+    for bound, number, at in bounds:
         if bound > best:
             break
-        s, body = ways[at], numbers[within[item]]
+        s, body = ways[at], numbers[within[number]]
         own = point(s + _BACK), egos[at], point(s + _AHEAD)
         if turning is None:
-            now = straight.get(item)
+            now = straight.get(number)
             if now is None:
-                now = straight[item] = _discs_now(body)
+                now = straight[number] = _discs_now(body)
             dx, dy = times[at] * body[VX], times[at] * body[VY]
             others = [(x + dx, y + dy) for x, y in now]
         else:
-            others = _discs_turned(body, times[at], turning[item])
+            others = _discs_turned(body, times[at], turning[number])
         # Root and difference keep the order: the least is that of the least square.
         apart = math.sqrt(_least_square(own, others)) - _radii(body[LENGTH], body[WIDTH])
-        if apart < best or (apart == best and item < who):
-            best, who = apart, item
-    return Nearest(best, ids[within[who]])
+        if apart < best or (apart == best and number < nearest_number):
+            best, nearest_number = apart, number
+    return Nearest(best, ids[within[nearest_number]])
 
 
 def _bounds(
-    item: int, squares: Sequence[float], row: Row, cap: float
+    number: int, squares: Sequence[float], row: Row, cap: float
 ) -> list[tuple[float, int, int]]:
     """Below the separation at each instant that matters; with the body's number and the instant's.
 
@@ -110,7 +112,7 @@ def _bounds(
     span = _span(row[LENGTH], row[WIDTH])
     reach = (cap + span) ** 2
     return [
-        (math.sqrt(squared) - span, item, at)
+        (math.sqrt(squared) - span, number, at)
         for at, squared in enumerate(squares)
         if squared < reach
     ]
@@ -119,19 +121,19 @@ def _bounds(
 def _squares(row: Row, times: Sequence[float], rate: float, egos: Sequence[Point]) -> list[float]:
     """Squared distance of the centres at each instant, but for rounding."""
     x, y, _, vx, vy, _, _ = row
-    found = []
+    squares = []
     if not rate:
         for time, (own_x, own_y) in zip(times, egos, strict=True):
             dx, dy = own_x - x - time * vx, own_y - y - time * vy
-            found.append(dx * dx + dy * dy)
-        return found
+            squares.append(dx * dx + dy * dy)
+        return squares
     half = rate / 2.0
     for time, (own_x, own_y) in zip(times, egos, strict=True):
         c, s = math.cos(time * half), math.sin(time * half)
         dx = own_x - x - time * (c * vx - s * vy)
         dy = own_y - y - time * (s * vx + c * vy)
-        found.append(dx * dx + dy * dy)
-    return found
+        squares.append(dx * dx + dy * dy)
+    return squares
 
 
 def _discs_now(row: Row) -> list[Point]:

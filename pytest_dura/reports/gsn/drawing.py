@@ -54,7 +54,7 @@ def wrap_text(text: str, width: float, most: int, size: float = _FONT_SIZE) -> l
 
 
 def _breakable_pieces(text: str, width: float, size: float) -> list[str]:
-    """The text at its spaces; what is wider than a line is broken, after a separator if it has one."""
+    """The text split at spaces; parts wider than a line are broken, best after a separator."""
     pieces: list[str] = []
     for part in text.split():
         rest = part
