@@ -20,9 +20,19 @@ from numpy.typing import NDArray
 
 from pytest_dura.core.loop_signals import DECIDED
 from pytest_dura.core.state import Percept, Tick
-from pytest_dura.driving import geometry
-from pytest_dura.driving.bodies import CAR_LENGTH, CAR_WIDTH, HEADING, LENGTH, VX, VY, WIDTH, X, Y
-from pytest_dura.driving.geometry import TTC_CAP
+from pytest_dura.driving.bodies import (
+    CAR_LENGTH,
+    CAR_WIDTH,
+    HEADING,
+    LENGTH,
+    TTC_CAP,
+    VX,
+    VY,
+    WIDTH,
+    X,
+    Y,
+    box_time_to_collision,
+)
 from pytest_dura.driving.junction import ARM_LENGTH
 from pytest_dura.driving.maneuvers import TOP_SPEED, Command, Maneuver, acceleration_for, speeds_of
 from pytest_dura.driving.percepts import implausible_values, own_pose, own_speed, plausible_objects
@@ -353,7 +363,7 @@ def threats(percept: Percept) -> frozenset[str]:
     box = np.tile([x, y, heading, CAR_LENGTH, CAR_WIDTH], (len(bodies), 1))
     velocity = np.tile([speed * np.cos(heading), speed * np.sin(heading)], (len(bodies), 1))
     others, moving = bodies.data[:, [X, Y, HEADING, LENGTH, WIDTH]], bodies.data[:, VX : VY + 1]
-    times = geometry.box_time_to_collision(box, velocity, others, moving, TTC_CAP)
+    times = box_time_to_collision(box, velocity, others, moving, TTC_CAP)
     least = times.min()
     if least >= _THREAT:
         return frozenset()

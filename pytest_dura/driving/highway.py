@@ -23,8 +23,18 @@ from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.seeding import stream
 from pytest_dura.core.simulator import POSE, Line, Scene, Simulator, Tracks
 from pytest_dura.core.state import Percept, Tick
-from pytest_dura.driving import camera, explanations, geometry, signals
-from pytest_dura.driving.bodies import CAR_LENGTH, CAR_WIDTH, COLUMNS, NO_BODIES, VX, VY, BodyList
+from pytest_dura.driving import camera, explanations, signals
+from pytest_dura.driving.bodies import (
+    CAR_LENGTH,
+    CAR_WIDTH,
+    COLUMNS,
+    NO_BODIES,
+    VX,
+    VY,
+    BodyList,
+    box_gap,
+    boxes_overlap,
+)
 from pytest_dura.driving.junction import ARM_LENGTH, ARMS, LANE_OFFSET, STOP_LINE, Route, route
 from pytest_dura.driving.maneuvers import Command, Maneuver, acceleration_for
 from pytest_dura.driving.percepts import own_pose, own_speed, plausible_objects
@@ -93,7 +103,7 @@ def _attribute_contact(ego: Any, before: EgoState, road: Any, exit_at: float) ->
 
 def _gap(box: Any, body: Any) -> float:
     other = np.array([[*body.position, body.heading, body.LENGTH, body.WIDTH]])
-    return float(geometry.box_gap(box, other)[0])
+    return float(box_gap(box, other)[0])
 
 
 def _side(angle: float) -> str:
@@ -571,7 +581,7 @@ def _check_obstacles(world: DrivingWorld) -> None:
         box = np.array([[x, y, heading, *obstacle.size]])
         for name, (arm, turn, distance) in starts.items():
             at = [float(value) for value in route(arm, turn).pose(ARM_LENGTH - distance)]
-            if geometry.boxes_overlap(box, np.array([[*at, CAR_LENGTH, CAR_WIDTH]]))[0]:
+            if boxes_overlap(box, np.array([[*at, CAR_LENGTH, CAR_WIDTH]]))[0]:
                 raise ConfigurationError(
                     f"an obstacle stands where the car {name} starts",
                     key=f"world.obstacles.{index}",

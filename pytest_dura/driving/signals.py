@@ -18,8 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_dura.core.state import Percept, Tick
-from pytest_dura.driving.bodies import CAR_LENGTH, CAR_WIDTH
-from pytest_dura.driving.geometry import GAP_CAP, TTC_CAP, proximity
+from pytest_dura.driving.bodies import CAR_LENGTH, CAR_WIDTH, GAP_CAP, TTC_CAP, proximity
 from pytest_dura.driving.junction import ARM_LENGTH, Route
 from pytest_dura.driving.percepts import (
     all_objects,
@@ -140,7 +139,7 @@ def _projections(a: _Box, b: _Box) -> list[tuple[float, float, float, float]]:
 
 
 def _touch(a: _Box, b: _Box) -> bool:
-    """``geometry.boxes_overlap`` of one pair."""
+    """``bodies.boxes_overlap`` of one pair."""
     return all(abs(offset) <= reach for _, _, offset, reach in _projections(a, b))
 
 
@@ -165,7 +164,7 @@ def _corner_to_box(a: _Box, b: _Box) -> float:
 
 
 def _time_to_collision(a: _Box, b: _Box, vx: float, vy: float) -> float:
-    """``geometry.box_time_to_collision`` of a pair; velocity is of ``b`` against ``a``."""
+    """``bodies.box_time_to_collision`` of a pair; velocity is of ``b`` against ``a``."""
     begin, end = -math.inf, math.inf
     for x, y, offset, reach in _projections(a, b):
         closing = x * vx + y * vy

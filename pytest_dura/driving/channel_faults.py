@@ -10,7 +10,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
-from pytest_dura.driving.faults.objects import PoseFault
+from pytest_dura.driving.object_faults import PoseFault
 from pytest_dura.driving.scene import HALF
 from pytest_dura.driving.sensors import Pose, Sign
 from pytest_dura.faults.model import Fault, Kind, Moment
