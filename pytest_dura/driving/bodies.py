@@ -66,7 +66,7 @@ class BodyList(Sequence[Body]):
 
     @classmethod
     def of(cls, bodies: Sequence[Body]) -> BodyList:
-        """From single bodies."""
+        """The list of single bodies."""
         rows = [body[1:] for body in bodies]
         return cls(tuple(body.id for body in bodies), np.array(rows, float).reshape(-1, COLUMNS))
 
@@ -109,7 +109,7 @@ class BodyList(Sequence[Body]):
         return f"BodyList({', '.join(map(str, self.ids))})"
 
     def get(self, body_id: str) -> Body | None:
-        """The body with this id, if it is there."""
+        """The body with this id, or ``None``."""
         return self[self.ids.index(body_id)] if body_id in self.ids else None
 
     def rows(self, chosen: Sequence[int]) -> BodyList:

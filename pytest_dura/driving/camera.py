@@ -35,7 +35,7 @@ COLOURS: Mapping[str, Colour] = {
     "grass": (104, 148, 84), "pavement": (172, 166, 156), "kerb": (208, 204, 196),
     "road": (82, 84, 90), "marking": (240, 240, 236), "shadow": (52, 54, 58),
 }  # fmt: skip
-"""By kind, in full light: sides of a body that face away from the sun are darker."""
+"""Colours by kind, in full light: sides of a body that face away from the sun are darker."""
 
 _WINDOW, _TYRE, _SKIN, _METAL = (44, 56, 70), (26, 26, 28), (226, 178, 146), (128, 132, 136)
 _WHITE, _LAMP, _REAR_LAMP, _UNLIT = (248, 248, 244), (255, 246, 206), (206, 16, 16), (40, 40, 42)
@@ -60,7 +60,7 @@ _GROUND = ("grass", "pavement", "kerb", "road", "marking")
 
 
 class Posed(Protocol):
-    """What has a place and a heading."""
+    """Anything with a place and a heading."""
 
     @property
     def x(self) -> float:
@@ -91,7 +91,7 @@ class Solid(NamedTuple):
 
 
 class Mount(NamedTuple):
-    """Where a camera is fixed to the ego, in m and degrees, and how it sees."""
+    """Place of a camera on the ego, in m and degrees, and its optics."""
 
     size: int
     ahead: float
@@ -273,7 +273,7 @@ class _Picture:
 
 
 def _ground(x: NDArray[np.float32], y: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """Of each point on the ground its place in ``_GROUND``."""
+    """Index into ``_GROUND`` of each point on the ground."""
     across_x, across_y = np.abs(x), np.abs(y)
     off, along = np.minimum(across_x, across_y), np.maximum(across_x, across_y)
     inner = along < STOP_LINE

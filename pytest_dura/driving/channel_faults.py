@@ -127,7 +127,7 @@ class GnssJam(PoseFault):
         return last
 
     def apply(self, memory: Pose, value: Pose, moment: Moment) -> Pose:
-        """That pose."""
+        """The last pose that was received."""
         return memory
 
 

@@ -46,7 +46,7 @@ FAILURE_CLASSES = (
 )  # fmt: skip
 """Ways in which no decision came of an answer."""
 _UNREACHED = ("unavailable", "timeout")
-"""Those of them that may have causes outside of whatever answers."""
+"""Failure classes that may have causes outside of the component."""
 _AGAIN = re.compile(r"again(_\d+)?")
 """Variants that repeat the very same request."""
 _GREATEST = 1e6

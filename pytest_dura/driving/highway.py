@@ -107,7 +107,7 @@ def _gap(box: Any, body: Any) -> float:
 
 
 def _side(angle: float) -> str:
-    """Where an angle from straight ahead points; y is south, so positive is to the right."""
+    """Side of an angle from straight ahead; y is south, so positive is to the right."""
     if abs(angle) < math.pi / 4:
         return "front"
     if abs(angle) > 3 * math.pi / 4:

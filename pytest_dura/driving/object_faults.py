@@ -90,7 +90,7 @@ class ObjectMiss(ObjectFault):
 
     @property
     def hits_by_chance(self) -> bool:
-        """Unless nothing or everything is missed."""
+        """Whether draws decide: not where nothing or everything is missed."""
         return 0.0 < self.parameters.probability < 1.0
 
     def apply(self, memory: Any, value: BodyList, moment: Moment) -> BodyList:
@@ -173,11 +173,11 @@ class ClassChange(ObjectFault):
 
     @property
     def hits_by_chance(self) -> bool:
-        """Unless none or all are mistaken."""
+        """Whether draws decide: not where none or all are mistaken."""
         return 0.0 < self.parameters.probability < 1.0
 
     def begin(self, value: BodyList, moment: Moment) -> dict[str, bool]:
-        """By id, whether an object is mistaken; filled as objects come into sight."""
+        """Whether an object is mistaken, by id; filled as objects come into sight."""
         return {}
 
     def apply(self, memory: dict[str, bool], value: BodyList, moment: Moment) -> BodyList:
@@ -224,7 +224,7 @@ class IdSwitch(ObjectFault):
     parameters: IdSwitchParameters = IdSwitchParameters()
 
     def begin(self, value: BodyList, moment: Moment) -> dict[str, str] | None:
-        """By id, the one that is reported in its place; ``None`` while there are not two."""
+        """The id that is reported in an id's place; ``None`` while there are not two objects."""
         ids = self.parameters.ids
         if ids is not None:
             return dict(zip(ids, reversed(ids), strict=True)) if set(ids) <= {*value.ids} else None

@@ -186,7 +186,7 @@ class TrafficLight(_Model):
     offset: NotNegative = Field(0.0, description="How far into its phases it begins, in s.")
 
     def state_at(self, time: float) -> str:
-        """What it shows ``time`` s after the start."""
+        """The state ``time`` s after the start."""
         remaining = math.fmod(time + self.offset + 1e-9, sum(phase.lasts for phase in self.phases))
         for phase in self.phases:
             remaining -= phase.lasts
@@ -307,7 +307,7 @@ def given_arrivals(vehicles: Iterable[ExplicitVehicle]) -> list[Arrival]:
 
 
 def in_order(arrivals: Iterable[Arrival]) -> list[Arrival]:
-    """By time, and by arm for those that enter together."""
+    """The arrivals by time, and by arm for those that enter together."""
     return sorted(arrivals, key=lambda arrival: (arrival.time, arrival.plan.origin))
 
 

@@ -161,7 +161,7 @@ class LaneNetwork(RoadNetwork):
     def get_closest_lane_index(
         self, position: NDArray[np.float64], heading: float | None = None
     ) -> Any:
-        """As highway-env has it: the lane with the least sum of offset, overshoot and angle.
+        """The lane with the least sum of offset, overshoot and angle, as highway-env finds it.
 
         Args:
             position: World position in m, shape ``(2,)``.

@@ -28,7 +28,7 @@ from pytest_dura.driving.roles.safety import SeparationMonitor
 from pytest_dura.driving.scene import HALF, Scene, time_to_cover
 
 Perceived = Callable[[Percept], BodyList]
-"""Which objects of a percept count."""
+"""Selects the objects of a percept that count."""
 
 
 def _lidar_objects(percept: Percept) -> BodyList:
@@ -66,7 +66,7 @@ class SecondOpinion:
     def judge(
         self, view: RoleView, action: Command, seen: Perceived = _lidar_objects
     ) -> Assessment:
-        """What the monitor says of an action at this tick."""
+        """The monitor's assessment of an action at this tick."""
         if view.index and len(view.percepts) > 1:
             before = _percept(view.percepts[-2], seen)
             self._monitor.run(replace(view, index=view.index - 1, percept=before, proposal=None))
@@ -337,7 +337,7 @@ class IgnoreUntrusted(RecoveryPlanner):
 
 
 def _others_refuse(view: RoleView) -> bool:
-    """Whether somebody refuses for reasons that the SeparationMonitor's predicate cannot answer."""
+    """Whether another role refuses, for reasons that the SeparationMonitor cannot assess."""
     return any(
         isinstance(output, Assessment)
         and (output.critical or (output.verdict is Assessed.UNSAFE and name != "safety_monitor"))

@@ -40,7 +40,7 @@ Row = list[float]
 
 
 class Snapshot(NamedTuple):
-    """What the sensors say at one tick; the objects by id."""
+    """Values of the sensors at a tick; the objects by id."""
 
     imu: Imu
     speed: float
@@ -52,7 +52,7 @@ class Snapshot(NamedTuple):
 
     @classmethod
     def of(cls, percept: Mapping[str, Any]) -> Snapshot:
-        """From all channels that are numbers."""
+        """The values of all channels that are numbers."""
         bodies, route_map = percept["lidar"], percept["map"]
         return cls(
             percept["imu"],
@@ -129,7 +129,7 @@ def command_residual(command: Command, before: Snapshot, now: Snapshot, dt: floa
 
 
 def object_residuals(before: Snapshot, now: Snapshot, dt: float) -> dict[str, tuple[float, float]]:
-    """How far each object is from where its velocity led to expect it, in x and y, in m/s, by id.
+    """Displacement of each object against its velocity, in x and y, in m/s, by id.
 
     Objects that were not there a tick before have none.
     """
@@ -142,7 +142,7 @@ def object_residuals(before: Snapshot, now: Snapshot, dt: float) -> dict[str, tu
 
 
 def frozen(before: Snapshot, now: Snapshot) -> dict[str, bool]:
-    """Which channels show exactly the values of a tick before, although others say they change.
+    """Whether each channel repeats the values of a tick before, although others say they change.
 
     A speed that stays while the imu accelerates, a position that stays while the wheels turn, an
     object that stays while it moves, a range that stays while it has a rate.
@@ -163,7 +163,7 @@ def frozen(before: Snapshot, now: Snapshot) -> dict[str, bool]:
 
 
 def beyond(value: float, low: float, high: float) -> float:
-    """By how much a value is above or below a range; 0 within it."""
+    """Amount by which a value is above or below a range; 0 within it."""
     if low <= value <= high:
         return 0.0
     return value - high if value > high else value - low
@@ -176,7 +176,7 @@ def _ahead(speed: float, slide: float) -> float:
 
 
 class Limits(NamedTuple):
-    """What a test forgives at each tick, and the sum at which it alarms; in the residual's unit."""
+    """Drift that a test forgives at each tick, and the sum at which it alarms, in its unit."""
 
     drift: float
     threshold: float

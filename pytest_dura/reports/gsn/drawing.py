@@ -464,7 +464,7 @@ class _Layout:
         return shape, max(bottom, y + shape.height)
 
     def _column(self, element: Element, shape: Shape, x: float, y: float) -> float:
-        """What challenges and surrounds an element, to its right, in as many columns as fit."""
+        """Draw what challenges and surrounds an element, right of it, in as many columns as fit."""
         against = self.view.against.get(element.id, [])
         beside = [*against, *element.in_context_of]
         beside = [id_ for id_ in beside if id_ in self.view.argument and id_ not in self.drawn]
