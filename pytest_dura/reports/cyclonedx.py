@@ -91,7 +91,7 @@ _FIGURES = (
 
 
 def declarations(record: SessionRecord) -> JsonObject:
-    """All that the session declares, as one self-assessment.
+    """Declarations of the session, as a self-assessment.
 
     Raises:
         ValueError: If a verdict names a requirement that the record does not list.
@@ -138,7 +138,7 @@ def _component_names(record: SessionRecord) -> str:
 
 @dataclass(frozen=True)
 class _Targets:
-    """What claims are made on: every component that the record describes or a verdict names."""
+    """Targets of the claims: every component that the record describes or a verdict names."""
 
     described: list[JsonObject]
     refs: Mapping[str, str]
@@ -274,7 +274,7 @@ def _attestation_map(record: SessionRecord) -> Iterator[JsonObject]:
 
 
 def _declared_and_untested(record: SessionRecord) -> Counter[str]:
-    """Of each requirement, how many planned cases declare it and have no verdict on it.
+    """Number of planned cases that declare a requirement and have no verdict on it, by its id.
 
     Other cells of the coverage table, a fault of one scenario in another one, nobody declared.
     """
@@ -296,7 +296,7 @@ def _declared_and_untested(record: SessionRecord) -> Counter[str]:
 
 
 def _search_outcomes(record: SessionRecord, requirement: str) -> Counter[str]:
-    """What searches have against a requirement that no waiver excuses, counted by word."""
+    """Objections of searches to a requirement that no waiver excuses, counted by status."""
     return Counter(
         status
         for search in record["searches"]
@@ -367,7 +367,7 @@ def render(record: SessionRecord) -> str:
 
 
 def _serial_number(record: SessionRecord) -> uuid.UUID:
-    """The same for the same record: from all of it, of episodes their digests."""
+    """Serial number from the whole record, of episodes their digests: equal for equal records."""
     state = hashlib.sha256(json.dumps(plain_data(record.head), sort_keys=True).encode())
     for episode in record.episodes():
         identity = [episode[key] for key in ("id", "component", "digest", "validity")]
@@ -462,7 +462,7 @@ _LISTS = ("claims", "counterClaims", "evidence", "counterEvidence", "mitigationS
 
 
 def read_counts(text: str) -> Counts:
-    """What the document states: verdicts counted among its claims, the rest from its properties.
+    """Counts that the document states: verdicts from its claims, the rest from its properties.
 
     Raises:
         ValueError: If the text is no such document, or a claim is not mapped as its evidence says.

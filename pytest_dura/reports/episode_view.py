@@ -25,7 +25,7 @@ from pytest_dura.requirements.stl.parser import parse
 
 Column = NDArray[np.float64]
 _TIME_DECIMALS = 9
-"""Of seconds; what more there is comes from adding up time steps."""
+"""Decimals of seconds; further ones come from adding up time steps."""
 
 
 def formula_of(check: str) -> Formula | None:
@@ -242,7 +242,7 @@ def _events_of_tick(trace: Trace, tick: int, kinds: Sequence[str]) -> dict[str, 
 
 
 def _other_events(trace: Trace, tick: int) -> dict[str, str]:
-    """What else was logged in this tick, of whatever kind."""
+    """The tick's events of all other kinds."""
     shown = (*_FAULTS, *_ASSESSED, *_DECIDED, "component_failure")
     others = dict.fromkeys(event["kind"] for event in trace.events if event["kind"] not in shown)
     return _events_of_tick(trace, tick, list(others))

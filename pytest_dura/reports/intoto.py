@@ -67,7 +67,7 @@ def render(record: SessionRecord) -> str:
 
 
 def read_counts(text: str) -> Counts:
-    """What the statement states: verdicts counted in its lists of tests, the rest annotated.
+    """Counts that the statement states: verdicts counted in its lists of tests, the rest annotated.
 
     Raises:
         ValueError: If the text is no such statement, or it contradicts itself.

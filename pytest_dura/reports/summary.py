@@ -230,7 +230,7 @@ def render(record: SessionRecord) -> str:
 
 
 def read_counts(text: str) -> Counts:
-    """What the page states: counted in the rows of its tables where none is left out.
+    """Counts that the page states: counted in the rows of its tables where none is left out.
 
     Raises:
         ValueError: If the text is no such page, or its rows are not what it states.
@@ -279,7 +279,7 @@ def _read_verdicts(_: str, body: str) -> JsonObject:
 
 
 def _urgency(verdict: JsonObject) -> tuple[bool, int]:
-    """What makes the gate fail comes first, violations before what is undecided."""
+    """Sort key: what makes the gate fail comes first, violations before what is undecided."""
     status = verdict["verdict"]
     return status == "supported" or verdict["waiver"] is not None, _VERDICT_ORDER.index(status)
 

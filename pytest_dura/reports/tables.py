@@ -20,7 +20,7 @@ FAILURE_MODE_HEADINGS = {
     "control": "negative control",
     "comparison": "no failure by itself",
 }
-"""What tables write above the measures of a kind."""
+"""Headings of tables above the measures of a kind."""
 _TIMEOUT = "timeout"
 """Name of the failure mode of a decision that was not there in time."""
 NULL_NOTE = (
@@ -35,7 +35,7 @@ def cases_with_accounts(cases: Sequence[Data]) -> list[Data]:
 
 
 def failure_modes_by_component(cases: Sequence[Data]) -> dict[str, list[dict[str, Any]]]:
-    """By component, its failure modes over all cases, those that could show, by kind.
+    """Failure modes of each component over all cases, those that could show, by kind.
 
     Without a bound: cases are no sample of one kind of episode.
     """
@@ -65,10 +65,10 @@ def failure_modes_by_component(cases: Sequence[Data]) -> dict[str, list[dict[str
 
 
 def measured_failure_modes(modes: Sequence[Data]) -> list[Data]:
-    """Those that could show, failures first, then the controls that they are to be read with.
+    """Failure modes that could show, failures first, then the controls to be read with them.
 
-    Also those that could only have shown of the null component: that a component gave nothing to
-    measure, as where it failed on each variant of its prompt, is not to be overlooked.
+    Those that could have shown of the null component alone are included: a reader is to see that a
+    component gave nothing to measure, as where it failed on each variant of its prompt.
     """
     measured = [mode for mode in modes if mode["of"] or mode["null_of"]]
     return [mode for kind in FAILURE_MODE_HEADINGS for mode in measured if mode["kind"] == kind]
@@ -112,7 +112,7 @@ def decision_age_lines(cases: Sequence[Data]) -> Iterator[tuple[str, str]]:
 
 
 def _timeouts(cases: Sequence[Data]) -> dict[str, tuple[int, int]]:
-    """By component: decisions to which no answer came in time, of all whose outcome is known."""
+    """Decisions of each component without an answer in time, and all whose outcome is known."""
     timeouts: dict[str, tuple[int, int]] = {}
     for case in cases_with_accounts(cases):
         for failure_mode in case["metrics"]["failure_modes"]:
@@ -123,7 +123,7 @@ def _timeouts(cases: Sequence[Data]) -> dict[str, tuple[int, int]]:
 
 
 def _metric_spreads(cases: Sequence[Data], key: str) -> dict[str, list[Data]]:
-    """By component, the values of this key of the metrics, of each case that has it."""
+    """Values of this key of the metrics for each component, of each case that has it."""
     spreads: dict[str, list[Data]] = {}
     for case in cases_with_accounts(cases):
         if case["metrics"][key] is not None:
@@ -165,7 +165,7 @@ def outcome_rank(search: Data, outcome: Data) -> int:
 
 
 def simulations_text(search: Data) -> str:
-    """How much was simulated, of how much: ``37 of 100 simulations``."""
+    """Simulations that were run, of the budget: ``37 of 100 simulations``."""
     text = f"{search['simulations']} of {counted(search['budget'], 'simulation')}"
     if search["unknown"]:
         text += f", {search['unknown']} without an answer"
@@ -251,7 +251,7 @@ def counterexample_text(counterexample: Data, check: str) -> str:
 
 
 def shrinking_text(counterexample: Data) -> str:
-    """What shrinking came to; empty where it was not asked for."""
+    """Result of shrinking; empty where none was requested."""
     shrinking = counterexample["shrinking"]
     if shrinking is None:
         return ""

@@ -38,7 +38,7 @@ _MOST_NAMES = 8
 
 
 def sample_text(verdict: Data) -> str:
-    """What a verdict rests on: ``12 valid of 15 run, 15 planned; 0 violations``."""
+    """Runs that a verdict rests on: ``12 valid of 15 run, 15 planned; 0 violations``."""
     text = (
         f"{verdict['episodes']} valid of {verdict['run']} run, {verdict['planned']} planned; "
         f"{counted(verdict['violations'], 'violation')}"
@@ -58,7 +58,7 @@ def other_run_counts(verdict: Data) -> list[str]:
 
 
 def fault_free_violations_text(verdict: Data) -> str:
-    """How many of a verdict's violations are not the faults' doing; empty if none is known."""
+    """Number of a verdict's violations that are not the faults' doing; empty if none is known."""
     count = verdict["also_without"]
     return f" ({count} of them also without the faults)" if count else ""
 
@@ -72,13 +72,13 @@ def rate_bound(verdict: Data) -> str:
 
 
 def no_rate_reason(verdict: Data) -> str:
-    """That its runs are all equal, after a colon; empty where they differ, or there is one."""
+    """Reason for which there is no rate, after a colon: all runs are equal; else empty."""
     situation = verdict.get("situation")
     return "" if situation is None else f": {SITUATIONS[situation]}"
 
 
 def assertion_sentences(verdict: Data) -> list[str]:
-    """What a verdict rests on that assertions of a test decided, sentence by sentence.
+    """Sentences on what a verdict rests on where assertions of a test decided it.
 
     There is none for a verdict by checks alone. Names in it are a user's, and have to be escaped.
     """
@@ -103,12 +103,12 @@ def assertion_sentences(verdict: Data) -> list[str]:
 
 
 def event_text(event: Data) -> str:
-    """What ended an episode: ``at t = 6.50 s the ego ran into VICTIM``."""
+    """Text on the event that ended an episode: ``at t = 6.50 s the ego ran into VICTIM``."""
     return f"at t = {event['time']:.2f} s {event['detail']}"
 
 
 def selection_text(record: SessionRecord) -> str:
-    """What the session was asked for of its plan; empty where it was the whole plan.
+    """The part of its plan that the session was asked for; empty where it was the whole plan.
 
     Such as ``1 of 2 planned verdicts asked for, 5 runs instead of 15``.
     """
@@ -123,7 +123,7 @@ def selection_text(record: SessionRecord) -> str:
 
 
 def roles_off_lines(record: SessionRecord) -> list[str]:
-    """Which roles are switched off, and in how many of the cases."""
+    """Lines on roles that are switched off, and in how many of the cases."""
     cases = [case for case in record["cases"] if not case["without"]]
     counts = Counter(role for case in cases for role in case["off"])
     return [
@@ -133,13 +133,13 @@ def roles_off_lines(record: SessionRecord) -> list[str]:
 
 
 def shard_text(record: SessionRecord) -> str:
-    """Which part of a session the record is, such as ``shard 2 of 5``; empty for a whole one."""
+    """The part of a session that the record is, such as ``shard 2 of 5``; empty for a whole one."""
     shard = record["shard"]
     return "" if shard is None else f"shard {shard['index']} of {shard['count']}"
 
 
 def merge_text(record: SessionRecord) -> str:
-    """How many shards the record was merged from, and where they ran; empty for a session's own."""
+    """Number and places of the shards that were merged; empty for a session's own record."""
     shards = record["merged_from"]
     if shards is None:
         return ""
@@ -218,7 +218,7 @@ def is_incomplete(record: SessionRecord) -> bool:
 
 
 def conclusion_sentences(record: SessionRecord) -> Iterator[str]:
-    """What the verdicts come to. Names in it are a user's, and have to be escaped."""
+    """Sentences on what the session shows. Names in them are a user's, and have to be escaped."""
     verdicts = record["verdicts"]
     if not verdicts:
         yield "No requirement led to a verdict."
@@ -240,7 +240,7 @@ def conclusion_sentences(record: SessionRecord) -> Iterator[str]:
 
 
 def limitation_sentences(record: SessionRecord) -> Iterator[str]:
-    """What the session does not show, sentence by sentence."""
+    """Sentences on what the session does not show."""
     if is_incomplete(record):
         yield "The session did not come to its end: what it would have shown is not known."
     if part := shard_text(record):
@@ -344,7 +344,7 @@ def _search_outcomes(record: SessionRecord, statuses: tuple[str, ...]) -> list[t
 
 
 def _search_violations(record: SessionRecord) -> Iterator[str]:
-    """What searches violated, confirmed or not."""
+    """Sentences on violations by searches, confirmed or not."""
     for violated_outcome, how in zip(
         VIOLATED_OUTCOMES, ("confirmed by replay", "and not each time again"), strict=True
     ):
@@ -392,7 +392,7 @@ def _not_repeatable(record: SessionRecord) -> Iterator[str]:
 
 
 def _taken_over(record: SessionRecord) -> Iterator[str]:
-    """What this session did not simulate itself."""
+    """Sentences on what this session did not simulate itself."""
     reuse, run = record["reuse"], record["totals"]["episodes"]
     if reuse["mode"] == "none":
         return

@@ -15,7 +15,7 @@ from typing import Any
 from pytest_dura.core.errors import ActionError
 from pytest_dura.core.state import GeneratorView, PastDecision
 from pytest_dura.driving.bodies import CAR_LENGTH
-from pytest_dura.driving.faults.channels import POSTER
+from pytest_dura.driving.channel_faults import POSTER
 from pytest_dura.driving.junction import ARMS
 from pytest_dura.driving.maneuvers import Command, acceleration_for
 from pytest_dura.driving.percepts import DISTANCE_TOLERANCE, PLACE

@@ -20,7 +20,7 @@ from pytest_dura.core.roles import RoleContext
 from pytest_dura.core.seeding import stream
 from pytest_dura.core.state import GeneratorView, PastDecision
 from pytest_dura.driving.bodies import CAR_LENGTH, CAR_WIDTH, Body, BodyList
-from pytest_dura.driving.faults.channels import POSTER, PromptTextParameters
+from pytest_dura.driving.channel_faults import POSTER, PromptTextParameters
 from pytest_dura.driving.junction import route
 from pytest_dura.driving.maneuvers import (
     MAX_ACCELERATION,

@@ -226,7 +226,7 @@ def _quality(key: tuple[str, str, str], rows: list[Data]) -> Element:
 
 
 COUNTEREXAMPLE_PREFIX = "found:"
-"""How the alias of a counterexample of a search begins."""
+"""Beginning of the alias of a counterexample of a search."""
 _MAX_SEARCH_ELEMENTS = 5
 """Counterexamples of a requirement that are elements; the record has all."""
 _MAX_SEARCH_TEXT = 300

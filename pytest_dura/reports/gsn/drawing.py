@@ -54,7 +54,7 @@ def wrap_text(text: str, width: float, most: int, size: float = _FONT_SIZE) -> l
 
 
 def _breakable_pieces(text: str, width: float, size: float) -> list[str]:
-    """The text at its spaces; what is wider than a line is broken, after a separator if any."""
+    """The text split at spaces; parts wider than a line are broken, best after a separator."""
     pieces: list[str] = []
     for part in text.split():
         rest = part
@@ -464,7 +464,7 @@ class _Layout:
         return shape, max(bottom, y + shape.height)
 
     def _column(self, element: Element, shape: Shape, x: float, y: float) -> float:
-        """What challenges and surrounds an element, to its right, in as many columns as fit."""
+        """Draw what challenges and surrounds an element, right of it, in as many columns as fit."""
         against = self.view.against.get(element.id, [])
         beside = [*against, *element.in_context_of]
         beside = [id_ for id_ in beside if id_ in self.view.argument and id_ not in self.drawn]

@@ -22,7 +22,7 @@ PREFIXES = {
     "A": "Assumption",
     "J": "Justification",
 }
-"""What an id begins with, in the order in which it is looked at, and the kind of its element."""
+"""Kind of an element by the prefix of its id; the first prefix that fits counts."""
 
 _READABLE = 60
 
@@ -85,7 +85,7 @@ class Element:
 
     @property
     def kind(self) -> str:
-        """Such as ``Goal``; empty if the prefix is none of GSN's."""
+        """Kind by the prefix of the id, such as ``Goal``; empty if the prefix is none of GSN's."""
         return kind_of(self.id) or ""
 
     def to_yaml(self) -> dict[str, Any]:

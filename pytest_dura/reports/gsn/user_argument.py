@@ -477,7 +477,7 @@ def _unused_counts(left: list[Element]) -> dict[str, int]:
 def _top_challenges(
     argument: Argument, taken: set[str], top: str, *, whole: bool
 ) -> Iterator[Element]:
-    """What challenges the user's top goal: violations that it leaves out, and missing runs."""
+    """Challenges to the user's top goal: violations that it leaves out, and missing runs."""
     left = [
         element.alias.partition(":")[2]
         for element in argument.values()

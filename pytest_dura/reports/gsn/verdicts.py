@@ -89,7 +89,7 @@ def _evidence_text(verdict: Data) -> str:
 
 
 def _short_evidence_text(verdict: Data) -> list[str]:
-    """The same in three lines of a few characters, for a circle of the picture."""
+    """Counts and bound in three lines of a few characters, for a circle of the picture."""
     upper = verdict["bound"]["upper"]
     bound = "no bound" if upper is None else f"≤ {percent_text(upper)}"
     return [f"n = {verdict['episodes']}", f"{verdict['violations']} violated", bound]

@@ -14,7 +14,7 @@ from pytest_dura.requirements.campaign_verdicts import CAMPAIGN_STATUSES
 FILE = "assurance-case.gsn.yaml"
 _MODULE = "module"
 _UNUSED = "unused:"
-"""How the alias of an element begins that tells what a user's argument leaves out."""
+"""Beginning of the alias of an element on what a user's argument leaves out."""
 
 _MAX_DEPTH = 16
 _STATED = ("cases", "episodes", "valid", "invalid", "missing")
@@ -72,7 +72,7 @@ def elements_of(text: str) -> dict[str, Any]:
     """
     import yaml
 
-    # The one of libyaml is ten times as fast and reads the same; not every build has it.
+    # The loader of libyaml is ten times as fast and reads the same; not every build has it.
     kind = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
     loader = None
     try:

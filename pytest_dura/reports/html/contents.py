@@ -137,7 +137,7 @@ _MAX_CANDIDATES = 36
 
 @dataclass
 class CaseTally:
-    """What the episodes of a case with one component come to.
+    """Counts of the episodes of a case with one component.
 
     Args:
         validities: How many episodes are valid, invalid and missing, those run by hand included.
@@ -276,7 +276,7 @@ _SHOWN_KEYS = (
 
 
 def _brief(episode: Data) -> Data:
-    """What is shown of an episode: a thousand whole records would take much memory."""
+    """The part of an episode that is shown: a thousand whole records would take much memory."""
     critical = [event["detail"] for event in episode["events"] if event["kind"] == "critical"]
     kept = {key: episode[key] for key in _SHOWN_KEYS}
     return {**kept, "run": episode["spec"]["run"], "critical": critical[0] if critical else ""}

@@ -268,7 +268,7 @@ def _scenario_key(cell: Data) -> tuple[str, str]:
 
 
 def _cell_key(verdict: Data) -> tuple[str, str, str]:
-    """What a cell and the verdicts on it have in common."""
+    """Key that a cell and the verdicts on it have in common."""
     return verdict["requirement"], verdict["case"], verdict["component"]
 
 
@@ -432,7 +432,7 @@ def _episode_row(episode: ListedEpisode, links: EpisodeLinks, anchors: set[str])
 
 
 MAX_MODE_ROWS = 500
-"""Of single cases; the record has all."""
+"""Rows of single cases; the record has all."""
 
 
 def failure_mode_section(

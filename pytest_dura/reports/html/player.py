@@ -256,7 +256,7 @@ def _events(trace: Trace) -> list[list[Any]]:
 
 
 def _faults(events: Sequence[Mapping[str, Any]], ticks: int) -> list[dict[str, Any]]:
-    """When each fault was active, in ticks, and when it changed what the component read."""
+    """The ticks at which each fault was active, and those at which it changed what was read."""
     faults: list[dict[str, Any]] = []
     active: dict[str, dict[str, Any]] = {}
     last = max(ticks - 1, 0)
@@ -316,7 +316,7 @@ def player_assets() -> tuple[str, str]:
 
 
 def content_hash(text: str) -> str:
-    """How a content security policy names an inline script or style of this very text."""
+    """Name of an inline script or style in a content security policy, from its text."""
     digest = base64.b64encode(hashlib.sha256(text.encode()).digest()).decode("ascii")
     return f"'sha256-{digest}'"
 

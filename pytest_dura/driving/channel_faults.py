@@ -10,7 +10,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
-from pytest_dura.driving.faults.objects import PoseFault
+from pytest_dura.driving.object_faults import PoseFault
 from pytest_dura.driving.scene import HALF
 from pytest_dura.driving.sensors import Pose, Sign
 from pytest_dura.faults.model import Fault, Kind, Moment
@@ -48,10 +48,10 @@ class GnssJump(PoseFault):
 
     def begin(self, value: Pose, moment: Moment) -> tuple[float, float]:
         """The offset in x and y, in m, fixed to the ground from now on."""
-        given, c, s = self.parameters, math.cos(value.heading), math.sin(value.heading)
+        parameters, c, s = self.parameters, math.cos(value.heading), math.sin(value.heading)
         # y points south, so that right of the heading (c, s) is (-s, c).
-        dx = given.east + given.along * c - given.across * s
-        return dx, -given.north + given.along * s + given.across * c
+        dx = parameters.east + parameters.along * c - parameters.across * s
+        return dx, -parameters.north + parameters.along * s + parameters.across * c
 
     def apply(self, memory: tuple[float, float], value: Pose, moment: Moment) -> Pose:
         """The pose with its offset."""
@@ -127,7 +127,7 @@ class GnssJam(PoseFault):
         return last
 
     def apply(self, memory: Pose, value: Pose, moment: Moment) -> Pose:
-        """That pose."""
+        """The last pose that was received."""
         return memory
 
 
