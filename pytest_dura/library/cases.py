@@ -19,7 +19,7 @@ from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.roles import STANDARD_ROLES
 from pytest_dura.core.seeding import derive_seed
 from pytest_dura.core.state import NOTHING
-from pytest_dura.domains import check_role_name, domain_of, role_spec, simulator_spec
+from pytest_dura.domains import check_role_name, domain_of, role_spec
 from pytest_dura.faults.catalogue import BY_CHANCE
 from pytest_dura.library.fault_campaigns import (
     NO_FAULTS,
@@ -164,9 +164,8 @@ class Case:
             ConfigurationError: If a role is unknown or none is the component under test.
         """
         scenario = self.scenario
-        entry = scenario.simulator
         seed = self.seed(run, base_seed) if seed is None else seed
-        simulator = simulator or simulator_spec(entry.path, entry.params)
+        simulator = simulator or scenario.simulator_spec()
         world, faults = self._varied(simulator, seed)
         resolve = (resolver or ParameterResolver()).resolve
         return EpisodeSpec(

@@ -10,7 +10,7 @@ from typing import Any
 from pytest_dura.core.errors import ConfigurationError, did_you_mean, error_at
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.roles import STANDARD_ROLES, Role
-from pytest_dura.domains import Domain, check_role_name, domain_of, role_spec, simulator_spec
+from pytest_dura.domains import Domain, check_role_name, domain_of, role_spec
 from pytest_dura.library.fault_campaigns import MAX_CASES, Faults, ScenarioFaults, expand_campaign
 from pytest_dura.library.planned_faults import check_chains, parse_fault, parse_scenario_fault
 from pytest_dura.library.scenario import (
@@ -102,8 +102,7 @@ def _error_at(scenario: Scenario, error: ConfigurationError, key: str) -> Config
 
 
 def _simulator(scenario: Scenario) -> RoleSpec:
-    entry = scenario.simulator
-    spec = simulator_spec(entry.path, entry.params)
+    spec = scenario.simulator_spec()
     _check_parameters(spec)
     return spec
 

@@ -117,17 +117,6 @@ def load_scenarios(paths: Sequence[Path | str]) -> dict[str, Scenario]:
     return _scenarios(_documents([Path(path) for path in paths]))[0]
 
 
-def load_requirements(paths: Sequence[Path | str]) -> dict[str, Requirement]:
-    """Read the requirements in files and below folders, by id, sorted; skip scenario files.
-
-    Raises:
-        ConfigurationError: One for all errors in all requirement files, and two requirements of
-            the same id.
-    """
-    located = _requirements(_documents([Path(path) for path in paths]))
-    return {name: each.requirement for name, each in located.items()}
-
-
 def select_names(names: Iterable[str], globs: Sequence[str]) -> list[str]:
     """Select the names that match any of the globs, sorted; all of them without a glob.
 

@@ -29,7 +29,7 @@ from pytest_dura.core.episode import Policy
 from pytest_dura.core.errors import ConfigurationError, did_you_mean, error_at
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.seeding import stream
-from pytest_dura.domains import DOMAINS, domain_of
+from pytest_dura.domains import DOMAINS, domain_of, simulator_spec
 from pytest_dura.faults.catalogue import FAULT_TYPES, fault_class
 from pytest_dura.library.documents import Document, translate, validate
 
@@ -238,6 +238,14 @@ class Scenario(Entry):
         scenario = validate(cls, document)
         scenario._source = document  # noqa: SLF001 - our own
         return scenario
+
+    def simulator_spec(self) -> RoleSpec:
+        """Make the RoleSpec of the scenario's own simulator.
+
+        Raises:
+            ConfigurationError: For a name that is neither an alias nor an import path.
+        """
+        return simulator_spec(self.simulator.path, self.simulator.params)
 
     @property
     def lasts(self) -> float:

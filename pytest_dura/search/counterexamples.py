@@ -16,7 +16,6 @@ import yaml
 from pytest_dura.campaign.falsification import FoundCounterexample, Shrinking
 from pytest_dura.core.errors import ConfigurationError, combine_errors
 from pytest_dura.core.files import replace_file
-from pytest_dura.domains import simulator_spec
 from pytest_dura.faults.catalogue import BY_CHANCE
 from pytest_dura.library.cases import SEARCHED_MARK, SearchedCase, expand_cases
 from pytest_dura.library.checks import scenario_problems
@@ -147,7 +146,7 @@ def _plain_scenario(case: SearchedCase) -> dict[str, Any]:
     if case.without:
         data["roles"] = {**data.get("roles", {}), **dict.fromkeys(case.without)}
     scenario = case.scenario
-    simulator = simulator_spec(scenario.simulator.path, scenario.simulator.params)
+    simulator = scenario.simulator_spec()
     data["world"] = _without_defaults(
         dict(scenario.world), lambda world: check_world(scenario, simulator, world)
     )

@@ -10,10 +10,16 @@ from functools import cached_property
 from typing import Any
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.domains import simulator_spec
 from pytest_dura.library.cases import Case, SearchedCase, make_searched_case
 from pytest_dura.library.fault_campaigns import FaultCampaign
 from pytest_dura.library.scenario import check_world, world_checker
+from pytest_dura.search.simplification import (
+    ABSENT,
+    Keys,
+    place_order,
+    value_at,
+    with_value,
+)
 from pytest_dura.search.space import (
     SLOT,
     FaultChoice,
@@ -174,9 +180,6 @@ def _number(value: Any) -> float:
     return value if plain and math.isfinite(value) else 0.0
 
 
-Keys = tuple[str | int, ...]
-
-
 @dataclass(frozen=True)
 class Omission:
     """A part of a case that may be left out.
@@ -205,8 +208,7 @@ def omissions(case: Case, world: Mapping[str, Any]) -> tuple[Omission, ...]:
         world: Its world, defaults filled in.
     """
     faults = [Omission(f"faults.{fault['id']}") for fault in case.faults]
-    entry = case.scenario.simulator
-    simulator = simulator_spec(entry.path, entry.params)
+    simulator = case.scenario.simulator_spec()
     if world_checker(simulator) is None:
         return tuple(faults)
 
@@ -215,7 +217,7 @@ def omissions(case: Case, world: Mapping[str, Any]) -> tuple[Omission, ...]:
             reduced = check_world(case.scenario, simulator, without_omissions(world, [keys]))
         except ConfigurationError:
             return False
-        return isinstance(keys[-1], int) or _at(reduced, keys) is None
+        return isinstance(keys[-1], int) or value_at(reduced, keys) is None
 
     places = [keys for keys in _places(world, ()) if accepted(keys)]
     return (*faults, *(Omission(".".join(map(str, ("world", *place))), place) for place in places))
@@ -223,21 +225,10 @@ def omissions(case: Case, world: Mapping[str, Any]) -> tuple[Omission, ...]:
 
 def without_omissions(world: Mapping[str, Any], places: Iterable[Keys]) -> dict[str, Any]:
     """Copy the world without some entries of lists, and with ``None`` for other parts."""
-    without: Any = world
     # From the last to the first, so that places stay the same.
-    for keys in sorted(places, key=lambda keys: [str(key).zfill(9) for key in keys], reverse=True):
-        without = _without(without, keys)
-    return dict(without)
-
-
-def _without(data: Any, keys: Sequence[str | int]) -> Any:
-    key, *rest = keys
-    if isinstance(data, Mapping):
-        return {**data, key: _without(data[key], rest) if rest else None}
-    assert isinstance(key, int)
-    items = list(data)
-    items[key : key + 1] = [_without(items[key], rest)] if rest else []
-    return items
+    for keys in sorted(places, key=place_order, reverse=True):
+        world = with_value(world, keys, ABSENT if isinstance(keys[-1], int) else None)
+    return dict(world)
 
 
 def _places(data: Any, keys: Keys) -> Iterator[Keys]:
@@ -249,12 +240,6 @@ def _places(data: Any, keys: Keys) -> Iterator[Keys]:
         elif isinstance(value, (list, tuple)) and all(isinstance(each, Mapping) for each in value):
             for number in range(len(value)):
                 yield (*keys, key, number)
-
-
-def _at(data: Any, keys: Keys) -> Any:
-    for key in keys:
-        data = data[key]
-    return data
 
 
 Pick = Callable[[int], int]
@@ -365,7 +350,7 @@ class CaseDrawing:
                 expected="0 <= at_least <= at_most, and faults to choose from",
             )
         scenario = case.scenario
-        simulator = simulator_spec(scenario.simulator.path, scenario.simulator.params)
+        simulator = scenario.simulator_spec()
         if scenario.variation or (faults and at_most):
             space = SearchSpace.of(case, faults, at_most=at_most)
         else:  # the seed alone, and what may be left out
@@ -411,7 +396,7 @@ class CaseDrawing:
     def _reduced(self, case: SearchedCase, left_out: Sequence[Omission]) -> SearchedCase:
         """Leave parts out of a case, and check its world."""
         scenario, seed = case.scenario, case.scenario.seed
-        simulator = simulator_spec(scenario.simulator.path, scenario.simulator.params)
+        simulator = scenario.simulator_spec()
         world = without_omissions(
             scenario.world, [omission.keys for omission in left_out if omission.keys]
         )

@@ -141,13 +141,6 @@ class Portfolio:
                         self._pushed += 1
         self._active.searcher.tell(batch.points[: len(values)], values[:, batch.objective])
 
-    @property
-    def trivial(self) -> frozenset[str]:
-        """Names of the searchers that learn nothing from values."""
-        return frozenset(
-            member.searcher.name for member in self._members if member.searcher.trivial
-        )
-
     def _begin(self, member: _Member, searcher: CmaEs) -> tuple[int, int]:
         """Begin a restart, and return its objective and world."""
         turn = sorted(self._open)

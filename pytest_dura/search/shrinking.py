@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass, field
-from functools import cache
 from queue import SimpleQueue
 from threading import Event
 from typing import Any
@@ -27,6 +26,8 @@ Places = tuple[int, ...]
 
 _PASS_SECONDS = 100.0
 """After so long a pass is begun again; Hypothesis itself gives up after 300 s."""
+_KEY = b"start"
+"""Key of the only example in a database."""
 
 
 class _InterestingExample(Exception):  # noqa: N818 - no error: how Hypothesis learns that an example counts
@@ -135,12 +136,16 @@ def _run_pass(thread: ThreadPoolExecutor, start: Places, oracle: _Oracle, seed: 
 def _pass(start: Places, interesting: Callable[[Places], bool], seed: int) -> Places:
     import hypothesis
     from hypothesis import HealthCheck, Phase, Verbosity, given, settings
+    from hypothesis.database import InMemoryExampleDatabase, choices_to_bytes
 
+    database = InMemoryExampleDatabase()
+    # With a number too many: an example that reads back as it was stored counts as shrunk already.
+    database.save(_KEY, choices_to_bytes((*start, 0)))
     least: list[Places] = []
 
     # Not hypothesis.find: it takes either a database or a seed, and both are needed here.
     @settings(
-        database=_starting_at(start),
+        database=database,
         phases=[Phase.reuse, Phase.shrink],
         max_examples=2,
         derandomize=False,
@@ -160,43 +165,12 @@ def _pass(start: Places, interesting: Callable[[Places], bool], seed: int) -> Pl
             raise _InterestingExample
 
     # As hypothesis.find does. Without it, no database is used under `--hypothesis-seed`.
-    search._hypothesis_internal_database_key = b"start"  # noqa: SLF001 - as find does
+    search._hypothesis_internal_database_key = _KEY  # noqa: SLF001 - as find does
     try:
         search()
     except _InterestingExample:
         return least[0]
     raise AssertionError(f"Hypothesis did not start at {start}")
-
-
-@cache
-def _database_class() -> Any:
-    from hypothesis.database import ExampleDatabase
-
-    class StartingPoint(ExampleDatabase):
-        """A database that holds one example under every key, and never changes."""
-
-        def __init__(self, example: bytes) -> None:
-            super().__init__()
-            self.example = example
-
-        def fetch(self, key: bytes) -> Any:
-            del key
-            return [self.example]
-
-        def save(self, key: bytes, value: bytes) -> None:
-            """Do nothing."""
-
-        def delete(self, key: bytes, value: bytes) -> None:
-            """Do nothing."""
-
-    return StartingPoint
-
-
-def _starting_at(start: Places) -> Any:
-    from hypothesis.database import choices_to_bytes
-
-    # With a number too many: an example that reads back as it was stored counts as shrunk already.
-    return _database_class()(choices_to_bytes((*start, 0)))
 
 
 def _strategy(start: Sequence[int]) -> Any:

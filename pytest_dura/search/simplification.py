@@ -17,7 +17,7 @@ from typing import Any
 from pytest_dura.campaign.falsification import ParameterChange
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.role_spec import RoleSpec
-from pytest_dura.domains import domain_of, simulator_spec
+from pytest_dura.domains import domain_of
 from pytest_dura.faults.catalogue import BY_CHANCE, fault_class
 from pytest_dura.faults.parts import Choices, Span, spans_of
 from pytest_dura.library.cases import Case, SearchedCase, make_searched_case
@@ -88,6 +88,11 @@ def with_value(data: Any, keys: Keys, value: Any) -> Any:
     return copied
 
 
+def place_order(keys: Keys) -> tuple[tuple[bool, Any], ...]:
+    """Sort places; where they are removed in reverse order, the others stay the same."""
+    return tuple((isinstance(key, str), key) for key in keys)
+
+
 def _dotted_path(keys: Keys) -> str:
     """Return a path such as ``vehicles.0.speed``."""
     return ".".join(map(str, keys))
@@ -117,8 +122,7 @@ class Nominal:
     @classmethod
     def of(cls, case: Case, simulator: RoleSpec | None = None) -> Nominal:
         """Take a case with its own simulator, or with another one."""
-        entry = case.scenario.simulator
-        return cls(case, simulator or simulator_spec(entry.path, entry.params))
+        return cls(case, simulator or case.scenario.simulator_spec())
 
     @property
     def seed(self) -> int:
@@ -152,21 +156,20 @@ class Nominal:
             ``ABSENT`` if the place may be left out and has no default, ``_REQUIRED`` if it may
             not.
         """
-        if world_checker(self.simulator) is None:
-            return _REQUIRED
-        try:
-            return value_at(self.checked(with_value(world, keys, ABSENT)), keys)
-        except ConfigurationError:
-            return _REQUIRED
+        return self._checked_value(world, keys, ABSENT)
 
     def may_be_none(self, world: Mapping[str, Any], keys: Keys) -> bool:
         """Whether a part of a world can be left out."""
+        return self._checked_value(world, keys, None) is None
+
+    def _checked_value(self, world: Mapping[str, Any], keys: Keys, value: Any) -> Any:
+        """Return what the simulator makes of a value in a world; ``_REQUIRED`` if it refuses it."""
         if world_checker(self.simulator) is None:
-            return False
+            return _REQUIRED
         try:
-            return value_at(self.checked(with_value(world, keys, None)), keys) is None
+            return value_at(self.checked(with_value(world, keys, value)), keys)
         except ConfigurationError:
-            return False
+            return _REQUIRED
 
     def fault(self, fault: Mapping[str, Any]) -> tuple[dict[str, Any], bool]:
         """Return the fault that a fault is compared with, and whether it is the case's own.
@@ -439,7 +442,7 @@ class Simplification:
                 edits = removed if value is ABSENT or value is None else replaced
                 edits.append((knob.keys, value))
         # Remove last, and from the last to the first, so that places in lists stay the same.
-        removed.sort(key=lambda edit: _order(edit[0]), reverse=True)
+        removed.sort(key=lambda edit: place_order(edit[0]), reverse=True)
         for keys, value in (*replaced, *removed):
             data = with_value(data, keys, value)
         world = self.nominal.checked(data["world"])
@@ -580,7 +583,3 @@ def _left_out(value: Any, nominal: Any) -> bool:
     """Whether nothing is left of a part of the nominal case: then it stays left out."""
     part = isinstance(nominal, Mapping) or _has_entries(nominal)
     return part and (value is None or (_is_list(value) and not value))
-
-
-def _order(keys: Keys) -> tuple[tuple[bool, Any], ...]:
-    return tuple((isinstance(key, str), key) for key in keys)

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from pytest_dura.campaign.falsification import SpaceCoverage
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.role_spec import RoleSpec
-from pytest_dura.domains import simulator_spec
 from pytest_dura.faults.catalogue import fault_class
 from pytest_dura.faults.parts import Choices, spans_of
 from pytest_dura.library.cases import Case, SearchedCase, make_searched_case
@@ -323,13 +322,17 @@ def _fault_choices(
 
 def _add(choices: dict[str, FaultChoice], choice: FaultChoice) -> None:
     """Add a choice once; a number behind the id tells other faults of the same id apart."""
-    own, number = choice.fault["id"].replace(":", "-").replace(".", "-"), 2
-    while (known := choices.get(choice.fault["id"])) is not None:
-        if known == choice:
+    for name in _ids(choice.fault):
+        named = replace(choice, fault={**choice.fault, "id": name})
+        if choices.setdefault(name, named) == named:
             return
-        choice = replace(choice, fault={**choice.fault, "id": f"{own}-{number}"})
-        number += 1
-    choices[choice.fault["id"]] = choice
+
+
+def _ids(fault: Data) -> Iterator[str]:
+    """Yield the fault's id, then names that are made of it."""
+    yield fault["id"]
+    for number in itertools.count(2):
+        yield f"{fault['id'].replace(':', '-').replace('.', '-')}-{number}"
 
 
 def _inner(
@@ -395,7 +398,7 @@ class SearchSpace:
             ConfigurationError: For faults that cannot be used, and if nothing may differ.
         """
         scenario = case.scenario
-        simulator = simulator or simulator_spec(scenario.simulator.path, scenario.simulator.params)
+        simulator = simulator or scenario.simulator_spec()
         world = check_world(scenario, simulator, scenario.world)
         planned = {fault["id"]: fault for fault in case.faults}
         parameters: list[Parameter] = []
@@ -461,10 +464,8 @@ class SearchSpace:
             else:
                 planned[name] = replace_value(planned[name], inner, value)
         for fault in added:
-            own, number = fault["id"].replace(":", "-").replace(".", "-"), 2
-            while fault["id"] in planned:
-                fault["id"], number = f"{own}-{number}", number + 1
-            planned[fault["id"]] = fault
+            name = next(name for name in _ids(fault) if name not in planned)
+            planned[name] = {**fault, "id": name}
         return make_searched_case(self.case, world, planned.values(), seed)
 
 
