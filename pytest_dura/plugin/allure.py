@@ -31,10 +31,10 @@ if TYPE_CHECKING:
     from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict
 
 
-EPIC = "dependability"
-LINK_TYPE = "requirement"
+_EPIC = "dependability"
+_LINK_TYPE = "requirement"
 """``--allure-link-pattern=requirement:https://example.org/{}`` makes links of ids."""
-SEVERITIES = {
+_SEVERITIES = {
     "safety": "blocker",
     "security": "critical",
     "recovery": "critical",
@@ -48,39 +48,46 @@ _OWN_CHOICE = ("epic", "feature", "story", "severity")
 def wanted(config: pytest.Config) -> bool:
     """Whether Allure reports this session, or selects tests by their labels."""
     options = ("allure_report_dir", *(f"allure_{name}" for name in _SELECTIONS))
-    return any(config.getoption(one, None) for one in options)
+    return any(config.getoption(option, None) for option in options)
 
 
 def mark_item(context: SessionContext, item: pytest.Item) -> None:
     """Give an item that uses the runner its labels and links; the test's own ones come first."""
     from pytest_dura.plugin.markers import marked_requirements
 
-    own = {one.kwargs.get("label_type") for one in item.iter_markers("allure_label")}
-    requirements = list({one.id: one for one in marked_requirements(context, item)}.values())
+    own = {marker.kwargs.get("label_type") for marker in item.iter_markers("allure_label")}
+    requirements = list(
+        {
+            marked_requirement.id: marked_requirement
+            for marked_requirement in marked_requirements(context, item)
+        }.values()
+    )
     target = target_of(item)
     for kind, value in _labels(requirements, None if target is None else target.case):
         if not (kind in _OWN_CHOICE and kind in own):
             item.add_marker(pytest.mark.allure_label(value, label_type=kind))
-    for one in requirements:
-        url = _url(context.config, one.id)
-        item.add_marker(pytest.mark.allure_link(url, link_type=LINK_TYPE, name=name(one.id)))
+    for requirement in requirements:
+        url = _url(context.config, requirement.id)
+        item.add_marker(
+            pytest.mark.allure_link(url, link_type=_LINK_TYPE, name=name(requirement.id))
+        )
 
 
 def _labels(requirements: Sequence[Requirement], case: Case | None) -> Iterator[tuple[str, str]]:
-    yield "epic", EPIC
+    yield "epic", _EPIC
     if case is not None:
         yield "feature", name(case.scenario.name)
-        yield "story", name(story_of(case))
-    kinds = list(dict.fromkeys(one.kind for one in requirements))
+        yield "story", name(_story_of(case))
+    kinds = list(dict.fromkeys(requirement.kind for requirement in requirements))
     if kinds:
-        yield "severity", min(map(SEVERITIES.__getitem__, kinds), key=_WORST_FIRST.index)
+        yield "severity", min(map(_SEVERITIES.__getitem__, kinds), key=_WORST_FIRST.index)
     for kind in kinds:
         yield "tag", kind
-    for one in requirements:
-        yield "requirement", name(one.id)
+    for item in requirements:
+        yield "requirement", name(item.id)
 
 
-def story_of(case: Case) -> str:
+def _story_of(case: Case) -> str:
     """The fault campaign, and the roles that are switched off."""
     faults = " + ".join(str(fault["id"]) for fault in case.faults) or "no faults"
     return ", ".join([faults, *(f"without {role}" for role in case.without)])
@@ -90,12 +97,12 @@ def _url(config: pytest.Config, requirement: str) -> str:
     """The address by the user's pattern; an id is never an address or a scheme by itself."""
     quoted = quote(requirement, safe="", errors="replace")
     patterns: dict[str, Any] = dict(config.getoption("allure_link_pattern", None) or [])
-    return str(patterns.get(LINK_TYPE, "{}")).replace("{}", quoted)
+    return str(patterns.get(_LINK_TYPE, "{}")).replace("{}", quoted)
 
 
 LARGEST = 2_000_000
 """Bytes of an attachment."""
-COUNTEREXAMPLES = 100
+_COUNTEREXAMPLES = 100
 """As many stand in the attached verdict."""
 
 
@@ -110,11 +117,13 @@ def report_item(context: SessionContext, item: pytest.Item, results: Sequence[It
     from allure_commons import plugin_manager
 
     allure = plugin_manager.hook
-    components = dict.fromkeys(one_line(one.component, 200) for one in results if one.component)
+    components = dict.fromkeys(
+        one_line(result.component, 200) for result in results if result.component
+    )
     allure.add_label(label_type="component", labels=tuple(components))
-    for one in results:
-        prefix = f"{one_line(one.requirement.id, 100)}: " if len(results) > 1 else ""
-        for parameter, value in _parameters(context, one).items():
+    for entry in results:
+        prefix = f"{one_line(entry.requirement.id, 100)}: " if len(results) > 1 else ""
+        for parameter, value in _parameters(context, entry).items():
             # A result must not make another test of this one in Allure's history.
             allure.add_parameter(name=prefix + parameter, value=value, excluded=True, mode=None)
     described = _description(context, item, results)
@@ -124,10 +133,10 @@ def report_item(context: SessionContext, item: pytest.Item, results: Sequence[It
         told = results[0]
         title = f"{item.planned.case.id}: {told.requirement.id} {told.requirement.text}"
         allure.add_title(test_title=one_line(title, 200))
-    for one in results:
-        found = one.verdict or one.outcome
-        if found is not None:
-            _attach(_json(found), f"verdict {one.requirement.id}", "JSON")
+    for entry in results:
+        verdict = entry.verdict or entry.outcome
+        if verdict is not None:
+            _attach(_json(verdict), f"verdict {entry.requirement.id}", "JSON")
     if context.options.evidence_level != "summary":
         _show_worst(context, item, results)
 
@@ -159,14 +168,14 @@ def _description(context: SessionContext, item: pytest.Item, results: Sequence[I
     given = item.get_closest_marker("allure_description")
     own = given.args[0] if given else getattr(getattr(item, "function", None), "__doc__", None)
     parts = [inspect.cleandoc(own)] if own else []
-    for one in results:
-        asked, found = one.requirement, one.verdict or one.outcome or {}
+    for result in results:
+        asked, found = result.requirement, result.verdict or result.outcome or {}
         parts.append(f"**{markdown(asked.id)}** {markdown(asked.text, 2000)}")
         for heading, text in (
             ("Source", asked.source),
             ("Why this bound", asked.reason),
-            ("Verdict", f"{one.word or 'none'}. {found.get('reason', found.get('detail', ''))}"),
-            ("Event", "; ".join(ending_events(context, one))),
+            ("Verdict", f"{result.word or 'none'}. {found.get('reason', found.get('detail', ''))}"),
+            ("Event", "; ".join(ending_events(context, result))),
             ("By assertion", _looked_at(found)),
         ):
             if text:
@@ -176,18 +185,18 @@ def _description(context: SessionContext, item: pytest.Item, results: Sequence[I
 
 def _looked_at(found: Mapping[str, Any]) -> str:
     """What a test that decided by its own assertions looked at, and what was false for it."""
-    told = found.get("assertion")
-    if not told or not (told["alone"] or told["observed"]):
+    assertion = found.get("assertion")
+    if not assertion or not (assertion["alone"] or assertion["observed"]):
         return ""
-    false = "".join(f"; false, though the test passed: {one}" for one in told["false"])
-    return f"the test looked at {', '.join(told['observed']) or 'nothing'}{false}"
+    false = "".join(f"; false, though the test passed: {item}" for item in assertion["false"])
+    return f"the test looked at {', '.join(assertion['observed']) or 'nothing'}{false}"
 
 
 def _show_worst(context: SessionContext, item: pytest.Item, results: Sequence[ItemResult]) -> None:
     """One episode: the worst violation, one that says nothing, or else the first as a sample."""
     from pytest_dura.evidence.traces import Trace
 
-    result = next((one for one in results if one.word == "violated"), None)
+    result = next((result for result in results if result.word == "violated"), None)
     result = result or next(iter(results), None)
     episode = episode_of(item) or (None if result is None else _episode(context, result))
     if episode is None:
@@ -217,7 +226,7 @@ def _is_counterexample(result: ItemResult, episode: Episode) -> bool:
     if result.outcome is not None:
         return result.word == "violated"
     examples = (result.verdict or {}).get("counterexamples", ())
-    return any(one["episode"] == episode.id for one in examples)
+    return any(example["episode"] == episode.id for example in examples)
 
 
 def _check(result: ItemResult | None) -> str:
@@ -264,8 +273,8 @@ def _loop(episode: Episode, trace: Trace, judged: EpisodeVerdict | None, check: 
     for step in steps:
         found = {}
         if step is steps[-1] and judged is not None:
-            word = one_line(f"{judged.verdict}: {judged.detail}")
-            found = {one_line(judged.requirement, 100): word}
+            line = one_line(f"{judged.verdict}: {judged.detail}")
+            found = {one_line(judged.requirement, 100): line}
         with _step(step.name, {**step.told, **found}):
             pass
 
@@ -275,9 +284,14 @@ def _signals(episode: Episode, check: str) -> list[str]:
     from pytest_dura.reports.episode_view import formula_of
 
     formula = formula_of(check)
-    names = [] if formula is None else [one.removeprefix("percept.") for one in formula.signals]
-    found = [one for one in dict.fromkeys(names) if one in episode.signals]
-    return found or [one for one in sorted(episode.signals) if not one.startswith("percept.")][:4]
+    names = (
+        [] if formula is None else [signal.removeprefix("percept.") for signal in formula.signals]
+    )
+    fromkeys = [fromkey for fromkey in dict.fromkeys(names) if fromkey in episode.signals]
+    return (
+        fromkeys
+        or [signal for signal in sorted(episode.signals) if not signal.startswith("percept.")][:4]
+    )
 
 
 def _attachments(episode: Episode, trace: Trace, judged: EpisodeVerdict | None, check: str) -> None:
@@ -305,14 +319,14 @@ def _plot(episode: Episode, judged: EpisodeVerdict | None, check: str) -> str:
             columns["percept"] = episode.signals[f"percept.{signal}"]
         panels.append(Panel(signal, columns))
     mark = None
-    told = ""
+    text = ""
     if judged is not None:
-        told = f"{judged.requirement}: {judged.verdict}"
+        text = f"{judged.requirement}: {judged.verdict}"
         if judged.time is not None:
-            mark = judged.time, f"{told} at {judged.time:.2f} s"
+            mark = judged.time, f"{text} at {judged.time:.2f} s"
     names = ", ".join(panel.name for panel in panels)
     return signal_plot(
-        f"{episode.id} {told}", f"Over time: {names}. {mark[1] if mark else ''}",
+        f"{episode.id} {text}", f"Over time: {names}. {mark[1] if mark else ''}",
         episode.time, panels, mark,
     )  # fmt: skip
 
@@ -320,9 +334,9 @@ def _plot(episode: Episode, judged: EpisodeVerdict | None, check: str) -> str:
 def _json(found: Mapping[str, Any]) -> str:
     examples = found.get("counterexamples", ())
     shown = dict(found)
-    if len(examples) > COUNTEREXAMPLES:
-        shown["counterexamples"] = examples[:COUNTEREXAMPLES]
-        shown["counterexamples_left_out"] = len(examples) - COUNTEREXAMPLES
+    if len(examples) > _COUNTEREXAMPLES:
+        shown["counterexamples"] = examples[:_COUNTEREXAMPLES]
+        shown["counterexamples_left_out"] = len(examples) - _COUNTEREXAMPLES
     return json.dumps(_bounded(shown), indent=1, allow_nan=False) + "\n"
 
 
@@ -330,9 +344,9 @@ def _bounded(value: Any) -> Any:
     if isinstance(value, str):
         return visible(value)
     if isinstance(value, Mapping):
-        return {visible(str(name)): _bounded(one) for name, one in value.items()}
+        return {visible(str(name)): _bounded(item) for name, item in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_bounded(one) for one in value]
+        return [_bounded(item) for item in value]
     return value
 
 

@@ -43,7 +43,7 @@ def run_command(session: DuraSession) -> int:
         if options.replay is None and options.reduce is None:
             session.roles.check()
             session.make_plan()
-            return show_list(session)
+            return _show_list(session)
         with session.models:
             return reduce(session) if options.replay is None else replay(session)
 
@@ -57,7 +57,7 @@ def _fault_line(name: str) -> str:
     return f"  {name} ({kind.acts_on}): {first}"
 
 
-def show_list(session: DuraSession) -> int:
+def _show_list(session: DuraSession) -> int:
     """Print everything and return the exit code."""
     from pytest_dura.campaign.reasons import describe_check
     from pytest_dura.domains import DOMAINS
@@ -97,7 +97,7 @@ def show_list(session: DuraSession) -> int:
         lines.append(f"      {number} episodes")
     items = sum(len(planned.requirements) for planned in session.plan)
     lines.append(f"{items} items, {len(session.plan)} cases, {episodes} episodes")
-    lines += [f"warning: {one}" for one in library.warnings]
+    lines += [f"warning: {warning}" for warning in library.warnings]
     lines += [
         f"warning: {place}: no scenario uses the requirement {name!r}"
         for name, place in library.unused.items()
@@ -146,7 +146,7 @@ class RecordedEpisode:
         return run_episode(spec or self.spec, judge, recorded=recorded)
 
 
-def recorded_episodes(
+def _recorded_episodes(
     config: pytest.Config, options: Options, name: str, option: str
 ) -> tuple[Data, list[RecordedEpisode]]:
     """The record, and its episodes of this id: several, with several seeds or components.
@@ -165,10 +165,10 @@ def recorded_episodes(
 
     record = read_record(options.evidence)
     _check_whole(options.evidence, option)
-    with damage_as_error(options, name, option):
+    with _damage_as_error(options, name, option):
         return record, [
-            _recorded_episode(config, record, one, option)
-            for one in _entries_named(record, name, option)
+            _recorded_episode(config, record, item, option)
+            for item in _entries_named(record, name, option)
         ]
 
 
@@ -195,7 +195,7 @@ def _check_whole(evidence: Path, option: str) -> None:
 
 
 @contextmanager
-def damage_as_error(options: Options, name: str, option: str) -> Iterator[None]:
+def _damage_as_error(options: Options, name: str, option: str) -> Iterator[None]:
     """What a record makes impossible that is not as it was written, as one error.
 
     Raises:
@@ -215,10 +215,10 @@ def damage_as_error(options: Options, name: str, option: str) -> Iterator[None]:
 
 
 def _entries_named(record: Data, name: str, option: str) -> list[Data]:
-    found = [one for one in record["episodes"] if one["id"] == name]
-    if found:
-        return found
-    known = sorted({one["id"] for one in record["episodes"]})
+    episodes = [episode for episode in record["episodes"] if episode["id"] == name]
+    if episodes:
+        return episodes
+    known = sorted({episode["id"] for episode in record["episodes"]})
     near = difflib.get_close_matches(name, known, n=3, cutoff=0.4)
     expected = ", ".join(near or known[:3]) or "an episode; this evidence has none"
     raise ConfigurationError(
@@ -249,14 +249,18 @@ def _recorded_episode(
     spec = EpisodeSpec.from_json(episode["spec"])
     roles = {name: _local_role(config, role, option) for name, role in spec.roles.items()}
     spec = replace(spec, roles=roles, simulator=_local_role(config, spec.simulator, option))
-    case = {(one["id"], one["component"]): one for one in record["cases"]}
-    known = {one["id"]: Requirement.from_json(one) for one in record["requirements"]}
+    case = {(case["id"], case["component"]): case for case in record["cases"]}
+    known = {
+        requirement["id"]: Requirement.from_json(requirement)
+        for requirement in record["requirements"]
+    }
     names = case[episode["case"], episode["component"]]["requirements"]
     violated = [
         verdict["requirement"]
         for verdict in record["verdicts"]
-        for one in verdict["counterexamples"]
-        if one["episode"] == episode["id"] and verdict["component"] == episode["component"]
+        for counterexample in verdict["counterexamples"]
+        if counterexample["episode"] == episode["id"]
+        and verdict["component"] == episode["component"]
     ]
     return RecordedEpisode(
         spec,
@@ -287,7 +291,7 @@ def _local_role(config: pytest.Config, role: RoleSpec, option: str) -> RoleSpec:
     )
 
 
-REPLAY_OPTION = "--dura-replay"
+_REPLAY_OPTION = "--dura-replay"
 
 
 def replay(session: DuraSession) -> int:
@@ -303,53 +307,53 @@ def replay(session: DuraSession) -> int:
 
     config, options = session.config, session.options
     name = str(options.replay)
-    _, found = recorded_episodes(config, options, name, REPLAY_OPTION)
+    _, found = _recorded_episodes(config, options, name, _REPLAY_OPTION)
     equal = True
-    for one in found:
-        session.models.prepare(one.spec)
-        with damage_as_error(options, name, REPLAY_OPTION):
-            episode = one.run(recorded=True)
+    for item in found:
+        session.models.prepare(item.spec)
+        with _damage_as_error(options, name, _REPLAY_OPTION):
+            episode = item.run(recorded=True)
         # As a session would have kept it.
         trace = Trace.of(episode).without_secrets(session.redact)
-        same, lines = _compared(one, episode, trace, options.evidence)
+        same, lines = _compared(item, episode, trace, options.evidence)
         equal &= same
         lines += [] if same else session.models.replay_warning()
-        print_lines([*lines, f"  player: {_write_player(one, episode, trace, options.evidence)}"])
+        print_lines([*lines, f"  player: {_write_player(item, episode, trace, options.evidence)}"])
     return 0 if equal else 1
 
 
 def _compared(
-    one: RecordedEpisode, episode: Episode, replayed: Trace, evidence: Path
+    item: RecordedEpisode, episode: Episode, replayed: Trace, evidence: Path
 ) -> tuple[bool, list[str]]:
     """Whether the episode is the recorded one, and what there is to say of it."""
-    same = one.digest == episode.digest
+    same = item.digest == episode.digest
     end = f"{episode.time[-1]:.1f} s" if episode.ticks else "no tick"
     outcome = f"{episode.termination} after {end}"
     lines = [f"{episode.id} ({episode.spec.component}, seed {episode.spec.seed}): {outcome}"]
     if episode.failure is not None:
         lines.append(f"  {episode.failure}")
-    lines += [f"  recorded digest {one.digest}", f"  replayed digest {episode.digest}"]
+    lines += [f"  recorded digest {item.digest}", f"  replayed digest {episode.digest}"]
     lines.append(
         "  the same"
         if same
         else "  DIFFERENT: the code, a package or the platform has changed, "
         "or something is not deterministic"
     )
-    if one.trace is None:
-        return same, lines if same else [*lines, *_without_trace(one, episode)]
+    if item.trace is None:
+        return same, lines if same else [*lines, *_without_trace(item, episode)]
     try:
-        recorded = _read_trace(one.trace, evidence)
+        recorded = _read_trace(item.trace, evidence)
     except FileNotFoundError:
-        lines.append(f"  its trace {one.trace['file']} is not there any more")
-        return same, lines if same else [*lines, *_by_faults(one, episode)]
+        lines.append(f"  its trace {item.trace['file']} is not there any more")
+        return same, lines if same else [*lines, *_by_faults(item, episode)]
     except ConfigurationError as error:
         told = [f"    {line}" for line in str(error).splitlines()]
         return False, [*lines, "  its trace cannot be compared:", *told]
-    return _by_trace(recorded, replayed, one, episode, lines)
+    return _by_trace(recorded, replayed, item, episode, lines)
 
 
 def _by_trace(
-    recorded: Trace, replayed: Trace, one: RecordedEpisode, episode: Episode, lines: list[str]
+    recorded: Trace, replayed: Trace, item: RecordedEpisode, episode: Episode, lines: list[str]
 ) -> tuple[bool, list[str]]:
     """Whether the episode is the recorded one, and where it differs from its trace."""
     from pytest_dura.evidence.text import one_line
@@ -357,9 +361,9 @@ def _by_trace(
 
     first = first_difference(recorded, replayed)
     place = one_line(str(first), 1000)
-    if one.digest != episode.digest:
-        told = _by_faults(one, episode) if first is None else [f"  first difference: {place}"]
-        return False, [*lines, *told]
+    if item.digest != episode.digest:
+        by_faults = _by_faults(item, episode) if first is None else [f"  first difference: {place}"]
+        return False, [*lines, *by_faults]
     covered = first_difference(recorded, replayed, covered=True)
     if covered is not None:
         place = one_line(str(covered), 1000)
@@ -369,16 +373,16 @@ def _by_trace(
     return True, lines
 
 
-def _without_trace(one: RecordedEpisode, episode: Episode) -> list[str]:
+def _without_trace(item: RecordedEpisode, episode: Episode) -> list[str]:
     kept = "no trace of it was kept (--dura-evidence-level=all keeps each)"
-    return [f"  {kept}", *_by_faults(one, episode)]
+    return [f"  {kept}", *_by_faults(item, episode)]
 
 
-def _by_faults(one: RecordedEpisode, episode: Episode) -> list[str]:
+def _by_faults(item: RecordedEpisode, episode: Episode) -> list[str]:
     """What the record itself tells of the episode, apart from its trace."""
     from pytest_dura.evidence.model import plain_data
 
-    for before, fault in zip(one.faults, episode.faults, strict=False):
+    for before, fault in zip(item.faults, episode.faults, strict=False):
         for key, value in plain_data(asdict(fault)).items():
             if key in before and before[key] != value:
                 return [f"  fault {fault.id}: {key}: recorded {before[key]}, replayed {value}"]
@@ -421,7 +425,7 @@ def _read_trace(told: Any, evidence: Path) -> Trace:
     return trace
 
 
-def _write_player(one: RecordedEpisode, episode: Episode, trace: Trace, evidence: Path) -> str:
+def _write_player(item: RecordedEpisode, episode: Episode, trace: Trace, evidence: Path) -> str:
     """Write the page that plays the episode; its URL.
 
     Raises:
@@ -432,16 +436,16 @@ def _write_player(one: RecordedEpisode, episode: Episode, trace: Trace, evidence
     from pytest_dura.reports.html.player import player_page
 
     file = sibling_directory(evidence, "replay") / f"{episode_name(trace.about)}.html"
-    write_file(file, [player_page(trace, _verdicts(one, episode))])
+    write_file(file, [player_page(trace, _verdicts(item, episode))])
     return file.as_uri()
 
 
-def _verdicts(one: RecordedEpisode, episode: Episode) -> list[dict[str, Any]]:
+def _verdicts(item: RecordedEpisode, episode: Episode) -> list[dict[str, Any]]:
     """What the requirements of the episode's case say of it now."""
     from pytest_dura.requirements.verdicts.episodes import judge_episode
 
     found: list[dict[str, Any]] = []
-    for requirement in one.requirements:
+    for requirement in item.requirements:
         if not requirement.check or requirement.paired is not None:
             continue
         try:
@@ -454,8 +458,8 @@ def _verdicts(one: RecordedEpisode, episode: Episode) -> list[dict[str, Any]]:
     return found
 
 
-REDUCE_OPTION = "--dura-reduce"
-REDUCED = "reduced"
+_REDUCE_OPTION = "--dura-reduce"
+_REDUCED = "reduced"
 """Behind the name of the evidence: where the reduced episode is recorded, to be replayed from."""
 
 
@@ -469,23 +473,25 @@ def reduce(session: DuraSession) -> int:
 
     options = session.options
     name = str(options.reduce)
-    record, found = recorded_episodes(session.config, options, name, REDUCE_OPTION)
+    record, found = _recorded_episodes(session.config, options, name, _REDUCE_OPTION)
     # Verdicts name episodes without their seeds, and rest on planned runs.
-    found.sort(key=lambda one: not one.planned)
-    recorded = next((one for one in found if one.violated), found[0])
+    found.sort(key=lambda item: not item.planned)
+    recorded = next((item for item in found if item.violated), found[0])
     _check_reducible(recorded, name)
     session.models.prepare(recorded.spec)
-    judged = [one for one in recorded.requirements if one.id in recorded.violated]
+    judged = [
+        requirement for requirement in recorded.requirements if requirement.id in recorded.violated
+    ]
     budget = BUDGET if options.runs is None else options.runs
     spec = recorded.spec
     violates = f"violates {', '.join(recorded.violated)}; at most {budget} runs"
     print_lines([f"{name} ({spec.component}): {counted(len(spec.faults), 'fault')}, {violates}"])
-    with damage_as_error(options, name, REDUCE_OPTION):
+    with _damage_as_error(options, name, _REDUCE_OPTION):
         reduction = reduce_faults(spec, judged, recorded.run, budget=budget, on_run=_show_run)
     lines = _result_lines(reduction, budget)
     if reduction.episode is not None:
-        folder = sibling_directory(options.evidence, REDUCED)
-        with damage_as_error(options, name, REDUCE_OPTION):
+        folder = sibling_directory(options.evidence, _REDUCED)
+        with _damage_as_error(options, name, _REDUCE_OPTION):
             _write_reduced(record, recorded, reduction, folder)
         lines.append(f"  replay: {replay_command(session, reduction.episode.id, folder)}")
     print_lines(lines)
@@ -496,15 +502,19 @@ def _check_reducible(recorded: RecordedEpisode, name: str) -> None:
     if not recorded.spec.faults:
         raise ConfigurationError(
             f"the episode {name!r} has no faults to leave out",
-            key=REDUCE_OPTION,
+            key=_REDUCE_OPTION,
             found=name,
             expected="an episode with at least one fault",
         )
-    checked = {one.id for one in recorded.requirements if one.check and not one.paired}
+    checked = {
+        requirement.id
+        for requirement in recorded.requirements
+        if requirement.check and not requirement.paired
+    }
     if not set(recorded.violated) & checked:
         raise ConfigurationError(
             f"the episode {name!r} is no counterexample to a requirement that could be asked again",
-            key=REDUCE_OPTION,
+            key=_REDUCE_OPTION,
             found=", ".join(recorded.violated) or "no violation",
             expected="an episode that a verdict names as a counterexample, by a check in a file",
             remedy="choose an episode that the terminal shows as `worst` or `also in`",
@@ -512,8 +522,8 @@ def _check_reducible(recorded: RecordedEpisode, name: str) -> None:
 
 
 def _show_run(faults: Sequence[str], violated: Sequence[str]) -> None:
-    told = f"violates {', '.join(violated)}" if violated else "violates nothing"
-    print_lines([f"  {' + '.join(faults) or 'none'}: {told}"])
+    text = f"violates {', '.join(violated)}" if violated else "violates nothing"
+    print_lines([f"  {' + '.join(faults) or 'none'}: {text}"])
 
 
 def _result_lines(reduction: Reduction, budget: int) -> list[str]:
@@ -551,7 +561,7 @@ def _write_reduced(
     episode = reduction.episode
     assert episode is not None
     own = recorded.spec.case, recorded.spec.component
-    (before,) = [one for one in record["cases"] if (one["id"], one["component"]) == own]
+    (before,) = [case for case in record["cases"] if (case["id"], case["component"]) == own]
     case: dict[str, Any] = {**before, "id": episode.spec.case, "planned": 1}
     case["faults"] = [dict(fault) for fault in episode.spec.faults]
     case.pop("metrics", None)

@@ -136,8 +136,8 @@ class SessionContext(ABC):
         """
         if self._library is None or isinstance(self._library, ConfigurationError):
             return {}
-        found = self._library.unused
-        return {name: found[name] for name in found if name not in self.named_requirements}
+        unused = self._library.unused
+        return {name: unused[name] for name in unused if name not in self.named_requirements}
 
     @cached_property
     def resolver(self) -> ParameterResolver:
@@ -184,7 +184,7 @@ def rerun_command(context: SessionContext, item: str) -> str:
     """The command that runs one item again."""
     # Test functions name their faults themselves, and without scenario cases the option is refused.
     test = item.partition("::")[0].endswith(".py")
-    given = [one for one in context.options.given if not (test and one[0] == "--dura-faults")]
+    given = [item for item in context.options.given if not (test and item[0] == "--dura-faults")]
     return _pytest_command(context, [item, *(f"{name}={value}" for name, value in given)])
 
 

@@ -94,8 +94,11 @@ class SessionExecutor:
     @property
     def is_lost(self) -> bool:
         """Whether whoever simulates is gone, so that no further test can tell anything."""
-        found = self._execution
-        return not (found is None or isinstance(found, ConfigurationError)) and found.is_lost
+        execution = self._execution
+        return (
+            not (execution is None or isinstance(execution, ConfigurationError))
+            and execution.is_lost
+        )
 
     def close(self) -> None:
         """Give up what is under way, and end the processes that simulate."""
@@ -129,10 +132,10 @@ class SessionExecutor:
 
     def _counts(self) -> Counter[tuple[str, str]]:
         """Of this process, and of the workers that are done."""
-        found = self._execution
-        if found is None or isinstance(found, ConfigurationError):
+        execution = self._execution
+        if execution is None or isinstance(execution, ConfigurationError):
             return self._noted
-        return self._noted + found.here
+        return self._noted + execution.here
 
     def send_to_controller(self, workeroutput: MutableMapping[str, Any]) -> None:
         """Tell the controller what this worker has simulated itself."""
@@ -220,9 +223,9 @@ class SharedEpisodes:
         if self._store is None:
             return []
         earlier = self._store.earlier
-        found = list(islice(earlier.searched, self._searches_reported, None))
-        self._searches_reported += len(found)
-        return [{"run": f"{key[0]} {key[1]}", "origin": earlier.origin(key)} for key in found]
+        searched = list(islice(earlier.searched, self._searches_reported, None))
+        self._searches_reported += len(searched)
+        return [{"run": f"{key[0]} {key[1]}", "origin": earlier.origin(key)} for key in searched]
 
     def first_to_repeat(self, case: str, component: str) -> bool:
         """Whether this process is the first of the session that repeats an episode of a case."""
@@ -419,11 +422,11 @@ class Repeats:
         ):
             return
         for (case, component), due in list(self._due.items()):
-            found = self._repeated(due)
+            repeated = self._repeated(due)
             self._done.add((case, component))
-            if found is not None:
+            if repeated is not None:
                 told = {"case": case, "component": component, "episode": due.task.spec.id}
-                yield {**told, "digest": due.digest, **found}
+                yield {**told, "digest": due.digest, **repeated}
         self._due.clear()
 
     def _repeated(self, due: _DueRepetition) -> Mapping[str, Any] | None:

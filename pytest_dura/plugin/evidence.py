@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from pytest_dura.plugin.shards import Selection, ShardHooks
 
 
-REGULAR_EXIT_CODES = (
+_REGULAR_EXIT_CODES = (
     pytest.ExitCode.OK,
     pytest.ExitCode.TESTS_FAILED,
     pytest.ExitCode.NO_TESTS_COLLECTED,
@@ -49,7 +49,7 @@ REGULAR_EXIT_CODES = (
 """Exit codes of sessions that ran to their end."""
 
 
-def waiver_of(report: pytest.TestReport) -> tuple[str, str] | None:
+def _waiver_of(report: pytest.TestReport) -> tuple[str, str] | None:
     """What excuses the item of a report, and why; ``None`` if nothing does."""
     reason = getattr(report, "wasxfail", None)
     if reason is not None:
@@ -137,7 +137,7 @@ class GivenFiles:
 Expected = tuple[str, dict[str, Any], dict[str, Any]]
 
 
-def expected_items(
+def _expected_items(
     context: SessionContext, roles: SessionRoles, chosen: Iterable[str]
 ) -> list[Expected]:
     """Node id, requirement and case of each chosen scenario item, as the evidence holds them.
@@ -155,17 +155,17 @@ def expected_items(
     names = {name for planned in context.plan for name in planned.requirements}
     told = {name: requirements[name].to_json() for name in sorted(names)}
     component_of = _Components(context, roles)
-    found: list[Expected] = []
+    expecteds: list[Expected] = []
     for planned in context.plan:
         case = planned.case
         items = [(f"{case.id}::{name}", told[name]) for name in planned.requirements]
-        items = [one for one in items if one[0] in wanted]
+        items = [item for item in items if item[0] in wanted]
         if items:
             runs = context.options.runs or case.scenario.planned
             off = case.roles_off(roles.chosen())
             record = case_record(case, component_of(case), runs, context.options.runs, off)
-            found += [(item, requirement, record) for item, requirement in items]
-    return found
+            expecteds += [(item, requirement, record) for item, requirement in items]
+    return expecteds
 
 
 class _Components:
@@ -291,9 +291,9 @@ class SessionEvidence:
             return
 
         self._expected = items
-        expected = expected_items(self.context, self._roles, items)
-        for one in self.context.redact(expected):  # as the items themselves will tell it
-            self.record.expect(*one)
+        expected = _expected_items(self.context, self._roles, items)
+        for item in self.context.redact(expected):  # as the items themselves will tell it
+            self.record.expect(*item)
 
     def read_from(self, items: list[str], claiming: Iterable[str] = ()) -> None:
         """Note the tests that will run, and their files, as near as can be to when they were read.
@@ -397,7 +397,7 @@ class SessionEvidence:
         assert self.record is not None
         begun = perf_counter()
         stopped = self.interrupted or bool(session.shouldstop or session.shouldfail)
-        interrupted = stopped or session.exitstatus not in REGULAR_EXIT_CODES
+        interrupted = stopped or session.exitstatus not in _REGULAR_EXIT_CODES
         status: Status = "interrupted" if interrupted else "complete"
         warn_undecided = self.context.options.warn_undecided
         header = {
@@ -427,8 +427,8 @@ class SessionEvidence:
         if session.exitstatus == pytest.ExitCode.OK and not interrupted:
             # Of runs that `-k` left out, or a violation that a test caught.
             self.objections += [
-                f"the gate fails: {one}, though every test passed"
-                for one in verdict_objections(
+                f"the gate fails: {verdict_objection}, though every test passed"
+                for verdict_objection in verdict_objections(
                     record["verdicts"], record["searches"], warn_undecided=warn_undecided
                 )
             ]
@@ -477,7 +477,7 @@ class SessionEvidence:
 
     def _waive(self, report: pytest.TestReport) -> None:
         assert self.record is not None
-        waiver = waiver_of(report)
+        waiver = _waiver_of(report)
         if waiver is not None:
             self.record.waive(*self.context.redact([report.nodeid, *waiver]))
 

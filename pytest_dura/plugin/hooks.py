@@ -147,7 +147,7 @@ class SessionHooks:
             self.session.begin_evidence()
             expect_progress(self.session)
         if self.session.evidence.record is not None:
-            marked = [one.nodeid for one in ours if one.get_closest_marker("dura")]
+            marked = [our.nodeid for our in ours if our.get_closest_marker("dura")]
             self.session.evidence.read_from(own, marked)
         self.session.check_argument()
         self.session.evidence.expect([item.nodeid for item in session.items])
@@ -165,7 +165,9 @@ class SessionHooks:
         """Refuse a marker that pytest does not let us see, which would run nothing and pass."""
         from pytest_dura.plugin.markers import names_no_scenario
 
-        own = any(one.name == "dura" and not names_no_scenario(one) for one in item.own_markers)
+        own = any(
+            marker.name == "dura" and not names_no_scenario(marker) for marker in item.own_markers
+        )
         if own and not hasattr(item, "callspec"):
             pytest.fail(
                 "the marker dura runs nothing here: a test of unittest.TestCase takes no fixtures; "
@@ -232,13 +234,13 @@ class SessionHooks:
             escape_error(call.excinfo.value)
         report = yield
         self.session.properties.add_section(report)
-        told = self.session.recorder.attach(item, call, report)
+        attach = self.session.recorder.attach(item, call, report)
         # A test that could not be set up is not called.
         if uses_runner(item) and (call.when == "call" or (call.when == "setup" and call.excinfo)):
             from pytest_dura.plugin.junit import add_properties
             from pytest_dura.plugin.outcomes import item_results
 
-            results = item_results(self.session, item, told)
+            results = item_results(self.session, item, attach)
             add_properties(self.session, item, report, results)
             if item.config.getoption("allure_report_dir", None):
                 from pytest_dura.plugin.allure import report_item

@@ -153,18 +153,18 @@ class SessionInputs:
         if file is None or is_installed(file):
             return
         code = user_code(file, module)
-        for one in code.files if code is not None and len(code.files) <= MAX_LISTED_FILES else ():
-            self.inputs.add(kind, one)
+        for item in code.files if code is not None and len(code.files) <= MAX_LISTED_FILES else ():
+            self.inputs.add(kind, item)
 
     def _conftests(self, folder: Path) -> None:
         if not self._new("folder", str(folder)):
             return
         root = self.context.config.rootpath
-        for one in (folder, *folder.parents):
-            if not one.is_relative_to(root):
+        for parent in (folder, *folder.parents):
+            if not parent.is_relative_to(root):
                 break
-            if self._new("conftest", str(one)) and (one / "conftest.py").is_file():
-                self.inputs.add("conftest", one / "conftest.py")
+            if self._new("conftest", str(parent)) and (parent / "conftest.py").is_file():
+                self.inputs.add("conftest", parent / "conftest.py")
 
     def _new(self, kind: str, name: str) -> bool:
         if (kind, name) in self._seen:

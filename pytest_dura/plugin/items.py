@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from pytest_dura.runner import Runner
 
 
-COLLECTOR = "::scenarios"
+_COLLECTOR = "::scenarios"
 """The node that collects all cases; no path is called so, whose conftest would apply."""
 
 
@@ -88,7 +88,7 @@ class ScenarioItem(pytest.Function):
 def scenario_items(context: SessionContext, root: pytest.Session) -> list[pytest.Item]:
     """The items of all planned cases."""
     cases = ScenarioCases.from_parent(
-        root, name=COLLECTOR, nodeid=COLLECTOR, path=context.config.rootpath
+        root, name=_COLLECTOR, nodeid=_COLLECTOR, path=context.config.rootpath
     )
     cases.context = context
     return list(root.genitems(cases))
@@ -112,8 +112,8 @@ def _judge(request: pytest.FixtureRequest, _dura_roles: None, orchestrator: Runn
         return
     lines = explain_verdict(verdict, requirement, campaign.failures)
     if verdict.counterexamples:
-        found = ItemResult(requirement, planned.case, verdict=verdict.to_json())
-        lines += [f"event:    {line}" for line in ending_events(context, found)]
+        item_result = ItemResult(requirement, planned.case, verdict=verdict.to_json())
+        lines += [f"event:    {line}" for line in ending_events(context, item_result)]
         lines.append("replay:   " + replay_command(context, verdict.counterexamples[0].episode))
     lines.append("rerun:    " + rerun_command(context, f"{planned.case.id}::{requirement.id}"))
     message = "\n".join(lines)

@@ -37,7 +37,9 @@ def add_properties(
 ) -> None:
     """Put what an item came to among its properties; they cross processes with its reports."""
     before = item.stash.get(_OURS, [])  # of an earlier attempt
-    others = [one for one in item.user_properties if one not in before]
+    others = [
+        user_property for user_property in item.user_properties if user_property not in before
+    ]
     ours = _properties(context, item, results)
     item.stash[_OURS] = ours
     item.user_properties[:] = [*others, *ours]
@@ -52,8 +54,8 @@ def _properties(
         ("base_seed", context.options.seed),
         *_episode(context, item),
     ]
-    for one in results:
-        told += _group(context, one)
+    for result in results:
+        told += _group(context, result)
     return [(name, _value(name, value)) for name, value in told if value not in (None, "")]
 
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 Data = dict[str, Any]
-MOST_MODELS = 3
+_MOST_MODELS = 3
 """So many models of a cassette are named in the header."""
 DEEDS = ("asked", "reused", "injected", "missed")
 _SESSIONS = "pytest_dura.llm.session"
@@ -58,7 +58,9 @@ class LanguageModels:
             told["dura_llm_session"] = self._name
         elif self._in_use is not None:
             # Each worker's own probe might come to something else, and so to another component.
-            told["dura_llm_described"] = [one.to_json() for one in self._in_use.descriptions]
+            told["dura_llm_described"] = [
+                description.to_json() for description in self._in_use.descriptions
+            ]
 
     def begin(self) -> None:
         """Let nothing of an earlier session of this process answer, and open the cassette.
@@ -114,8 +116,8 @@ class LanguageModels:
     def _in_use(self) -> ModelSession | None:
         """The session that is in use by now, if any is."""
         module = sys.modules.get(_SESSIONS)
-        found: ModelSession | None = None if module is None else module.in_use()
-        return found
+        in_use: ModelSession | None = None if module is None else module.in_use()
+        return in_use
 
     def resolve_parameters(self) -> None:
         """Settle the components that are known before anything runs, so that it fails here or not.
@@ -135,12 +137,12 @@ class LanguageModels:
             return [self._roles.default("generator")]
         if not context.plan or root_conftest_with(context.config, "generator") is not None:
             return []
-        found: list[RoleSpec] = []
+        role_specs: list[RoleSpec] = []
         for planned in context.plan:
             spec = planned.case.roles({})["generator"]
-            if spec not in found:
-                found.append(spec)
-        return found
+            if spec not in role_specs:
+                role_specs.append(spec)
+        return role_specs
 
     def replayed(self) -> list[str]:
         """A line on who spoke, where a cassette answers, whatever component will ask it."""
@@ -149,8 +151,8 @@ class LanguageModels:
         from pytest_dura.provenance import recorded_path
 
         spoke = [f"{each.spoken_of}, recorded {each.created[:10]}" for each in self._replayed]
-        if len(spoke) > MOST_MODELS:
-            spoke[MOST_MODELS:] = [f"and {len(spoke) - MOST_MODELS} more models"]
+        if len(spoke) > _MOST_MODELS:
+            spoke[_MOST_MODELS:] = [f"and {len(spoke) - _MOST_MODELS} more models"]
         file = recorded_path(self.context.cassette, self.context.config.rootpath)
         return [f"dura: answers replayed from {file}: {'; '.join(spoke)}"]
 
@@ -158,18 +160,18 @@ class LanguageModels:
         """A line for each model that is known by now."""
         session = self._in_use
         lines = []
-        for one in [] if session is None else session.descriptions:
-            found = one.capabilities
-            kept = " (enforced)" if found.get("enforced") else " (not enforced)"
-            level = str(found.get("structured", "unknown"))
+        for description in [] if session is None else session.descriptions:
+            capabilities = description.capabilities
+            kept = " (enforced)" if capabilities.get("enforced") else " (not enforced)"
+            level = str(capabilities.get("structured", "unknown"))
             abilities = ", ".join(
-                f"{name} {'yes' if found.get(name) else 'no'}" for name in ("vision", "seed")
+                f"{name} {'yes' if capabilities.get(name) else 'no'}" for name in ("vision", "seed")
             )
             lines.append(
-                f"dura: language model {one.model} at {one.base_url} "
+                f"dura: language model {description.model} at {description.base_url} "
                 f"({self.context.options.llm}), structured output {level}"
                 f"{'' if level == 'none' else kept}, {abilities}"
-                f"{f'; {one.about}' if one.about else ''}"
+                f"{f'; {description.about}' if description.about else ''}"
             )
         return lines
 
@@ -278,5 +280,5 @@ class LanguageModels:
             "sha256": sha256,
             "exchanges": len(session.cassette),
         }
-        models = [{**one, "cassette": cassette} for one in record["models"]]
+        models = [{**model, "cassette": cassette} for model in record["models"]]
         return replace(record, head={**record.head, "models": models})

@@ -34,7 +34,7 @@ def _requirement(context: SessionContext, marker: pytest.Mark) -> Requirement:
     from pytest_dura.core.error_messages import did_you_mean
     from pytest_dura.requirements.model import Kind, Requirement
 
-    given = marker_arguments(marker, _requirement_marker)
+    given = _marker_arguments(marker, _requirement_marker)
     name = given["id"]
     if not isinstance(name, str) or not name:
         raise ConfigurationError(
@@ -101,7 +101,7 @@ def _requirement_marker(
     """The signature of the marker ``requirement``."""
 
 
-def marker_arguments(marker: pytest.Mark, signature: Any) -> dict[str, Any]:
+def _marker_arguments(marker: pytest.Mark, signature: Any) -> dict[str, Any]:
     """The marker's arguments by name, defaults filled in."""
     known = inspect.signature(signature)
     try:
@@ -122,37 +122,37 @@ def marker_arguments(marker: pytest.Mark, signature: Any) -> dict[str, Any]:
     return dict(bound.arguments)
 
 
-FALSIFY = "falsify"
+_FALSIFY = "falsify"
 
 
-def check_falsify(context: SessionContext, definition: pytest.Item) -> None:
+def _check_falsify(context: SessionContext, definition: pytest.Item) -> None:
     """Refuse a marker that would search nothing, or cannot be read.
 
     Raises:
         ConfigurationError: For a test that has no campaign, several markers, and a formula that
             cannot be used.
     """
-    markers = list(definition.iter_markers(FALSIFY))
+    markers = list(definition.iter_markers(_FALSIFY))
     if not markers:
         return
     fixtures = getattr(definition, "fixturenames", ())
     if definition.get_closest_marker("dura") is None or "campaign" not in fixtures:
         raise ConfigurationError(
-            f"the marker {FALSIFY} searches nothing, since the test looks at no campaign",
-            key=f"pytest.mark.{FALSIFY}",
+            f"the marker {_FALSIFY} searches nothing, since the test looks at no campaign",
+            key=f"pytest.mark.{_FALSIFY}",
             found="no marker `dura` with the fixture `campaign`",
             expected="both of them, which say what is searched",
             remedy='add @pytest.mark.dura(scenario="...") and the argument `campaign`',
         )
     if len(markers) > 1:
         raise ConfigurationError(
-            f"the test has several markers {FALSIFY}, of which one alone would count",
-            key=f"pytest.mark.{FALSIFY}",
+            f"the test has several markers {_FALSIFY}, of which one alone would count",
+            key=f"pytest.mark.{_FALSIFY}",
             found=f"{len(markers)} markers",
             expected="one marker",
-            remedy=f'name all requirements in one: {FALSIFY}(["SAF-1", "SAF-2"])',
+            remedy=f'name all requirements in one: {_FALSIFY}(["SAF-1", "SAF-2"])',
         )
-    wanted = marker_arguments(markers[0], _falsify_marker)["requirement"]
+    wanted = _marker_arguments(markers[0], _falsify_marker)["requirement"]
     for text in wanted if isinstance(wanted, (list, tuple)) else [wanted]:
         if isinstance(text, str) and text not in context.library().requirements:
             _check_formula(text)
@@ -169,14 +169,14 @@ def _check_formula(text: str) -> None:
 def run_marked_search(item: pytest.Function) -> None:
     """Search as the test's marker says, if it has one, and fail the test by what is found."""
     __tracebackhide__ = True
-    marker = item.get_closest_marker(FALSIFY)
+    marker = item.get_closest_marker(_FALSIFY)
     if marker is None:
         return
-    given = marker_arguments(marker, _falsify_marker)
+    given = _marker_arguments(marker, _falsify_marker)
     campaign: Any = item.funcargs["campaign"]
     wanted = given.pop("requirement")
     try:
-        campaign.falsify(wanted, **{key: one for key, one in given.items() if one is not None})
+        campaign.falsify(wanted, **{key: item for key, item in given.items() if item is not None})
     except DuraError as error:
         # No line of the test has run, so that there is none to show.
         pytest.fail(str(error), pytrace=False)
@@ -194,7 +194,7 @@ def _falsify_marker(
     """The signature of the marker ``falsify``."""
 
 
-OUR_MARKERS = ("dura", "falsify", "requirement")
+_OUR_MARKERS = ("dura", "falsify", "requirement")
 
 
 @dataclass(frozen=True, slots=True)
@@ -224,7 +224,7 @@ def parametrize(context: SessionContext, metafunc: pytest.Metafunc, marker: pyte
     definition = metafunc.definition
     with _errors_at(definition):
         _check_use(definition, looked_at)
-        check_falsify(context, definition)
+        _check_falsify(context, definition)
         requirements = marked_requirements(context, definition)
         _check_decidable(requirements, each_run="episode" in looked_at)
         if not looked_at and names_no_scenario(marker):
@@ -246,7 +246,7 @@ def check_markers(context: SessionContext, definition: pytest.Item) -> None:
         pytest.Collector.CollectError: For one that does not exist, at the test's place.
     """
     with _errors_at(definition):
-        check_falsify(context, definition)
+        _check_falsify(context, definition)
         marked_requirements(context, definition)
 
 
@@ -260,7 +260,7 @@ def check_spelling(definition: pytest.Item) -> None:
         re.split(r"[(:]", line)[0].strip() for line in definition.config.getini("markers")
     }
     for marker in definition.iter_markers():
-        near = get_close_matches(marker.name, OUR_MARKERS, n=1, cutoff=0.75)
+        near = get_close_matches(marker.name, _OUR_MARKERS, n=1, cutoff=0.75)
         if not near or marker.name in registered:
             continue
         with _errors_at(definition):
@@ -268,7 +268,7 @@ def check_spelling(definition: pytest.Item) -> None:
                 f"there is no marker {marker.name!r}, so that it would do nothing",
                 key=f"pytest.mark.{marker.name}",
                 found=marker.name,
-                expected="one of " + ", ".join(OUR_MARKERS),
+                expected="one of " + ", ".join(_OUR_MARKERS),
                 remedy=f"did you mean {near[0]!r}? A marker of your own is registered in the ini "
                 "setting `markers`",
             )
@@ -283,16 +283,16 @@ def _errors_at(definition: pytest.Item) -> Iterator[None]:
         from pytest_dura.core.error_messages import error_at
 
         file, line, _ = definition.location
-        found = error
+        at = error
         if error.file is None:
-            found = error_at(error, file=file, line=None if line is None else line + 1)
-        raise pytest.Collector.CollectError(error_text(found)) from None
+            at = error_at(error, file=file, line=None if line is None else line + 1)
+        raise pytest.Collector.CollectError(error_text(at)) from None
 
 
 def _check_use(definition: pytest.Item, looked_at: Sequence[str]) -> None:
     """A marker that would run nothing must not read as a pass."""
     own = [marker for marker in definition.own_markers if marker.name == "dura"]
-    quiet = [one.kwargs["verdict"] for one in own if one.kwargs.get("verdict", True) is not True]
+    quiet = [item.kwargs["verdict"] for item in own if item.kwargs.get("verdict", True) is not True]
     if quiet and quiet[0] is not False:
         raise _unusable("verdict", quiet[0], "False, for a test that decides nothing")
     if quiet and looked_at and definition.get_closest_marker("requirement") is not None:
@@ -323,9 +323,9 @@ def _check_use(definition: pytest.Item, looked_at: Sequence[str]) -> None:
 
 def _check_decidable(requirements: Sequence[Requirement], *, each_run: bool) -> None:
     """What the test does not decide must not read as decided."""
-    names = list(dict.fromkeys(one.id for one in requirements))
+    names = list(dict.fromkeys(requirement.id for requirement in requirements))
     if each_run:
-        paired = [one.id for one in requirements if one.paired is not None]
+        paired = [requirement.id for requirement in requirements if requirement.paired is not None]
         if paired:
             raise ConfigurationError(
                 f"the requirement {paired[0]!r} is about pairs of runs, and the test looks at one",
@@ -347,7 +347,7 @@ def _check_decidable(requirements: Sequence[Requirement], *, each_run: bool) -> 
 def _targets(
     context: SessionContext, marker: pytest.Mark, requirements: list[Requirement], *, each_run: bool
 ) -> list[tuple[Target, str]]:
-    given = marker_arguments(marker, _dura_marker)
+    given = _marker_arguments(marker, _dura_marker)
     cases = _cases(context, given["scenario"], given["faults"])
     requirement = requirements[0] if requirements else None
     targets = []
@@ -387,9 +387,9 @@ def _are_campaigns(faults: Any) -> bool:
     if not isinstance(faults, Sequence) or not faults:
         return False
     return all(
-        isinstance(one, (str, Mapping))
-        or (isinstance(one, Sequence) and all(isinstance(fault, (str, Mapping)) for fault in one))
-        for one in faults
+        isinstance(item, (str, Mapping))
+        or (isinstance(item, Sequence) and all(isinstance(fault, (str, Mapping)) for fault in item))
+        for item in faults
     )
 
 

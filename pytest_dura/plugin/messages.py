@@ -50,10 +50,10 @@ def apply_code_places(config: pytest.Config) -> None:
 
     get, here = config.getoption, config.invocation_params.dir
     files = [here / path for path in get("dura_path")]
-    files += [here / one for one in get("dura_faults") if one.endswith((".yaml", ".yml"))]
+    files += [here / item for item in get("dura_faults") if item.endswith((".yaml", ".yml"))]
     foreign = [path if path.is_dir() else path.parent for path in files]
     foreign = [
-        one for one in foreign if not one.resolve().is_relative_to(config.rootpath.resolve())
+        item for item in foreign if not item.resolve().is_relative_to(config.rootpath.resolve())
     ]
     if get("dura_replay") is not None or get("dura_reduce") is not None:
         given = get("dura_evidence")
@@ -67,11 +67,11 @@ def apply_code_places(config: pytest.Config) -> None:
     config.add_cleanup(restore)
 
 
-LONGEST_MESSAGE = 20_000
+_LONGEST_MESSAGE = 20_000
 """Characters of a message of our own."""
-LONGEST_LINE = 5000
+_LONGEST_LINE = 5000
 """Characters of a line in the terminal."""
-LONGEST_USER_TEXT = 200_000
+_LONGEST_USER_TEXT = 200_000
 """Characters of a message of the user's own."""
 
 
@@ -83,14 +83,14 @@ def escape_error(error: BaseException) -> None:
     """
     from pytest_dura.evidence.text import visible
 
-    for one in _error_chain(error):
-        if isinstance(one, (pytest.fail.Exception, pytest.skip.Exception)):
-            one.msg = visible(str(one.msg), LONGEST_MESSAGE)
-            one.args = (one.msg,)
-        elif any(isinstance(text, str) and not text.isprintable() for text in one.args):
-            one.args = tuple(
-                visible(text, LONGEST_USER_TEXT) if isinstance(text, str) else text
-                for text in one.args
+    for item in _error_chain(error):
+        if isinstance(item, (pytest.fail.Exception, pytest.skip.Exception)):
+            item.msg = visible(str(item.msg), _LONGEST_MESSAGE)
+            item.args = (item.msg,)
+        elif any(isinstance(text, str) and not text.isprintable() for text in item.args):
+            item.args = tuple(
+                visible(text, _LONGEST_USER_TEXT) if isinstance(text, str) else text
+                for text in item.args
             )
 
 
@@ -99,11 +99,11 @@ def _error_chain(error: BaseException) -> Iterator[BaseException]:
     seen: set[int] = set()
     left: list[BaseException | None] = [error]
     while left:
-        one = left.pop()
-        if one is not None and id(one) not in seen:
-            seen.add(id(one))
-            yield one
-            left += [one.__cause__, one.__context__]
+        item = left.pop()
+        if item is not None and id(item) not in seen:
+            seen.add(id(item))
+            yield item
+            left += [item.__cause__, item.__context__]
 
 
 def escape_reason(marker: pytest.Mark) -> None:
@@ -113,14 +113,14 @@ def escape_reason(marker: pytest.Mark) -> None:
     reason = marker.kwargs.get("reason")
     if isinstance(reason, str):
         # The dictionary is the marker's own, whatever its type says.
-        marker.kwargs["reason"] = visible(reason, LONGEST_MESSAGE)  # type: ignore[index]
+        marker.kwargs["reason"] = visible(reason, _LONGEST_MESSAGE)  # type: ignore[index]
 
 
 def error_text(error: Exception) -> str:
     """The message of one of our own errors, on which no terminal acts."""
     from pytest_dura.evidence.text import visible
 
-    return visible(str(error), LONGEST_MESSAGE)
+    return visible(str(error), _LONGEST_MESSAGE)
 
 
 class usage_errors:  # noqa: N801 - reads like a statement
@@ -142,7 +142,7 @@ def safe_lines(text: str) -> Iterator[str]:
     """
     from pytest_dura.evidence.text import visible
 
-    first, *rest = visible(text, LONGEST_LINE).split("\n")
+    first, *rest = visible(text, _LONGEST_LINE).split("\n")
     yield first
     yield from (f"    {line}" for line in rest)
 
@@ -160,8 +160,8 @@ def counted(number: int, noun: str) -> str:
 def print_lines(lines: Iterable[str]) -> None:
     """Print these lines."""
     for line in lines:
-        for one in safe_lines(line):
-            print(one)  # noqa: T201 - it is what a command was asked for
+        for safe_line in safe_lines(line):
+            print(safe_line)  # noqa: T201 - it is what a command was asked for
 
 
 class SafeTerminal:
@@ -176,8 +176,8 @@ class SafeTerminal:
 
     def line(self, text: str, **colour: bool) -> None:
         """Write a line."""
-        for one in safe_lines(text):
-            self._terminal.line(one, **colour)
+        for safe_line in safe_lines(text):
+            self._terminal.line(safe_line, **colour)
 
     def write(self, text: str, **colour: bool) -> None:
         """Write the beginning of a line."""

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 MOST = 50
 """Names that are noted of a test and an episode."""
-IDENTITY = frozenset({"id", "spec", "digest", "searched"})
+_IDENTITY = frozenset({"id", "spec", "digest", "searched"})
 """Attributes that tell which episode it is, and nothing of what happened in it."""
 _ASKING = frozenset({"robustness", "satisfies", "signal", "ever", "of"})
 """Methods, which note themselves what they are asked for."""
@@ -110,7 +110,7 @@ class ObservedEpisode(JudgedEpisode):
         looks = object.__getattribute__(self, "__dict__").get("_looks")
         if looks is None or looks.closed or name.startswith("_") or name in _ASKING:
             return super().__getattribute__(name)
-        if name not in IDENTITY:
+        if name not in _IDENTITY:
             looks.note(name)
         with looks.pause():
             return super().__getattribute__(name)
@@ -137,5 +137,5 @@ class ObservedEpisode(JudgedEpisode):
 
 def observations_of(episode: JudgedEpisode) -> Observations:
     """What a test has looked at of the episode that it was given."""
-    found: Observations | None = vars(episode).get("_looks")
-    return Observations() if found is None else found
+    looks: Observations | None = vars(episode).get("_looks")
+    return Observations() if looks is None else looks

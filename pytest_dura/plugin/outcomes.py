@@ -97,21 +97,21 @@ class ItemResult:
     @property
     def word(self) -> str | None:
         """The verdict in one word, if there is one."""
-        found = self.verdict or self.outcome
-        return None if found is None else str(found["verdict"])
+        verdict = self.verdict or self.outcome
+        return None if verdict is None else str(verdict["verdict"])
 
     @property
     def component(self) -> str | None:
         """Name of the component under test, if it is known."""
-        found = self.verdict or self.outcome
-        return None if found is None else str(found["component"])
+        verdict = self.verdict or self.outcome
+        return None if verdict is None else str(verdict["component"])
 
     @property
     def question(self) -> tuple[Any, ...]:
         """What was asked: equal for several attempts of a test, and for them alone."""
-        found = self.verdict or self.outcome or {}
-        bound = found.get("bound") or {}
-        names = (found.get(name) for name in ("case", "component", "check"))
+        verdict = self.verdict or self.outcome or {}
+        bound = verdict.get("bound") or {}
+        names = (verdict.get(name) for name in ("case", "component", "check"))
         return self.requirement.id, *names, bound.get("at_most"), bound.get("confidence")
 
 
@@ -119,14 +119,14 @@ _EARLIER_RESULTS = pytest.StashKey[list[ItemResult]]()
 
 
 def item_results(
-    context: SessionContext, item: pytest.Item, told: ItemReport | None
+    context: SessionContext, item: pytest.Item, report: ItemReport | None
 ) -> list[ItemResult]:
     """What an item came to, once it has run or could not be set up.
 
     Args:
         context: The session's context.
         item: An item that uses the runner.
-        told: What it told when it ran.
+        report: What it told when it ran.
 
     Returns:
         The results in the order of their requirements in the item's markers. What was to be
@@ -135,22 +135,29 @@ def item_results(
     """
     from pytest_dura.plugin.markers import marked_requirements
 
-    claimed = {one.id: one for one in marked_requirements(context, item)}
-    found = _decided_results(context, item, told, claimed)
-    heard = {one.requirement.id for one in found}
-    if told is not None:
+    claimed = {
+        marked_requirement.id: marked_requirement
+        for marked_requirement in marked_requirements(context, item)
+    }
+    decided_results = _decided_results(context, item, report, claimed)
+    heard = {verdict.requirement.id for verdict in decided_results}
+    if report is not None:
         # Of what a test searches it asks for no verdict.
-        heard |= {one["requirement"] for search in told.searches for one in search["outcomes"]}
+        heard |= {
+            outcome["requirement"] for search in report.searches for outcome in search["outcomes"]
+        }
     target = target_of(item)
     for name, requirement in claimed.items():
         if name not in heard:
-            found.append(_undecided_result(context, item, requirement, target))
+            decided_results.append(_undecided_result(context, item, requirement, target))
     violated = {
-        one.question: one for one in item.stash.get(_EARLIER_RESULTS, []) if one.word == "violated"
+        item.question: item
+        for item in item.stash.get(_EARLIER_RESULTS, [])
+        if item.word == "violated"
     }
-    found = [violated.get(one.question, one) for one in found]
-    item.stash[_EARLIER_RESULTS] = found
-    return found
+    decided_results = [violated.get(item.question, item) for item in decided_results]
+    item.stash[_EARLIER_RESULTS] = decided_results
+    return decided_results
 
 
 def target_of(item: pytest.Item) -> Any:
@@ -160,7 +167,7 @@ def target_of(item: pytest.Item) -> Any:
         return planned
     parameters = getattr(getattr(item, "callspec", None), "params", {})
     targets = (parameters.get(name) for name in ("episode", "campaign"))
-    return next((one for one in targets if hasattr(one, "case")), None)
+    return next((target for target in targets if hasattr(target, "case")), None)
 
 
 def episode_of(item: pytest.Item) -> JudgedEpisode | None:
@@ -174,36 +181,42 @@ def episode_of(item: pytest.Item) -> JudgedEpisode | None:
 def _decided_results(
     context: SessionContext,
     item: pytest.Item,
-    told: ItemReport | None,
+    report: ItemReport | None,
     claimed: Mapping[str, Requirement],
 ) -> list[ItemResult]:
-    if told is None:
+    if report is None:
         return []
     from pytest_dura.requirements.model import Requirement
 
-    known = {one["id"]: Requirement.from_json(one) for one in told.requirements}
+    known = {
+        requirement["id"]: Requirement.from_json(requirement) for requirement in report.requirements
+    }
     known.update(claimed)
     results = [
         ItemResult(
-            known[one["requirement"]], _case_of_result(context, item, one["case"]), verdict=one
+            known[verdict["requirement"]],
+            _case_of_result(context, item, verdict["case"]),
+            verdict=verdict,
         )
-        for one in told.verdicts
+        for verdict in report.verdicts
     ]
     episode = episode_of(item)
     results += [
         ItemResult(
-            known[one["requirement"]],
-            _case_of_result(context, item, one["case"]),
-            outcome=one,
+            known[outcome["requirement"]],
+            _case_of_result(context, item, outcome["case"]),
+            outcome=outcome,
             episode=episode,
         )
-        for one in told.outcomes
+        for outcome in report.outcomes
     ]
     order = list(claimed)
     last = len(order)
     return sorted(
         results,
-        key=lambda one: order.index(one.requirement.id) if one.requirement.id in claimed else last,
+        key=lambda result: (
+            order.index(result.requirement.id) if result.requirement.id in claimed else last
+        ),
     )
 
 
@@ -264,7 +277,7 @@ def outcome_of_test(
     failed = failed if word == "violated" else ""
     detail = failed or detail
     margin = time = None
-    judged = judged_by_own_check(requirement, episode)
+    judged = _judged_by_own_check(requirement, episode)
     if judged is not None and judged.verdict == "violated":
         word, margin, time = "violated", judged.margin, judged.time
         detail = detail or judged.detail
@@ -304,15 +317,15 @@ def failed_assertion(item: pytest.Item, found: pytest.ExceptionInfo[BaseExceptio
     lines = [line for line in str(error).split("\n") if line.strip()]
     # Behind a message of the test's own stands what pytest makes of the comparison.
     compared = [line for line in lines[1:] if line.startswith("assert ")]
-    told = "; ".join([*lines[:1], *compared[:1]]) or type(error).__name__
+    text = "; ".join([*lines[:1], *compared[:1]]) or type(error).__name__
     own = [entry for entry in found.traceback if entry.path == item.path]
     if not own:
-        return one_line(told, 500)
+        return one_line(text, 500)
     place = item.nodeid.partition("::")[0]
-    return f"{one_line(told, 500)} ({place}:{own[-1].lineno + 1})"
+    return f"{one_line(text, 500)} ({place}:{own[-1].lineno + 1})"
 
 
-def judged_by_own_check(requirement: Requirement, episode: JudgedEpisode) -> EpisodeVerdict | None:
+def _judged_by_own_check(requirement: Requirement, episode: JudgedEpisode) -> EpisodeVerdict | None:
     """What the requirement's own check says; ``None`` without one, and where none can be asked."""
     if not requirement.check or requirement.paired is not None:
         return None
@@ -343,7 +356,7 @@ def status_of_test(
     return "missing", f"infrastructure: the test raised {type(error).__name__}: {first}"
 
 
-OUR_FIXTURES = "pytest_dura.plugin.fixtures"
+_OUR_FIXTURES = "pytest_dura.plugin.fixtures"
 
 
 def check_passed(
@@ -363,17 +376,17 @@ def check_passed(
     from pytest_dura.campaign.campaign import Campaign
     from pytest_dura.requirements.verdicts.episodes import JudgedEpisode
 
-    for one in used.values():
-        if one.failure:
-            pytest.fail(one.failure, pytrace=False)
+    for episode in used.values():
+        if episode.failure:
+            pytest.fail(episode.failure, pytrace=False)
     looked_at = item.funcargs.get("episode")
     if isinstance(looked_at, JudgedEpisode):
         _check_violations(context, item, looked_at)
-    for one in used.values():
-        if one.cut:
+    for episode in used.values():
+        if episode.cut:
             # What else the test looked at might have come out otherwise.
-            told = f"invalid: {one.cut}: it shows a test nothing of what would have followed"
-            _fail_undecided(context, f"{told}; run such tests with --dura-end=complete")
+            text = f"invalid: {episode.cut}: it shows a test nothing of what would have followed"
+            _fail_undecided(context, f"{text}; run such tests with --dura-end=complete")
     if isinstance(looked_at, JudgedEpisode):
         if looked_at.validity == "invalid":
             _fail_undecided(context, f"invalid: {looked_at.id}: {looked_at.invalid_reason}")
@@ -416,10 +429,10 @@ def _episode_fixtures_of(item: pytest.Item) -> list[str]:
 
 def _is_ours(name: str, definitions: Sequence[Any]) -> bool:
     """Whether a fixture is ours, or overrides ours and asks for it."""
-    for one in reversed(definitions):
-        if one.func.__module__ == OUR_FIXTURES:
+    for definition in reversed(definitions):
+        if definition.func.__module__ == _OUR_FIXTURES:
             return True
-        if name not in one.argnames:
+        if name not in definition.argnames:
             return False
     return False
 
@@ -441,7 +454,7 @@ def _check_violations(
     One that accepts a rate of violations is decided on all episodes, once they have run.
     """
     for requirement in marked_requirements(context, item):
-        judged = judged_by_own_check(requirement, episode)
+        judged = _judged_by_own_check(requirement, episode)
         if judged is not None and judged.verdict == "violated" and requirement.at_most is None:
             pytest.fail(f"violated: {_violation_text(requirement, judged)}", pytrace=False)
 
@@ -451,7 +464,7 @@ def _check_decided_by_own(
 ) -> None:
     """A test on an episode passes by what its requirements say in their files, or not at all."""
     for requirement in marked_requirements(context, item):
-        judged = judged_by_own_check(requirement, episode)
+        judged = _judged_by_own_check(requirement, episode)
         if judged is not None and judged.verdict not in ("satisfied", "violated"):
             _fail_undecided(context, f"{judged.verdict}: {_violation_text(requirement, judged)}")
 
@@ -461,9 +474,9 @@ def _check_looked(context: SessionContext, item: pytest.Function, episode: Judge
     from pytest_dura.plugin.observed_episode import observations_of
 
     alone = [
-        one.id
-        for one in marked_requirements(context, item)
-        if judged_by_own_check(one, episode) is None
+        marked_requirement.id
+        for marked_requirement in marked_requirements(context, item)
+        if _judged_by_own_check(marked_requirement, episode) is None
     ]
     if alone and not observations_of(episode).names:
         _fail_undecided(
@@ -478,7 +491,7 @@ def _check_searched(context: SessionContext, used: Iterable[UsedEpisodes]) -> No
     """A property test passes by at least one case that a strategy chose and that is valid."""
     from pytest_dura.library.cases import SearchedCase
 
-    doubts = [one.doubt for one in used if isinstance(one.case, SearchedCase)]
+    doubts = [episode.doubt for episode in used if isinstance(episode.case, SearchedCase)]
     if doubts and all(doubts):
         why = str(doubts[0]).partition("(")[2]
         _fail_undecided(context, f"undecided: none of {len(doubts)} cases is valid ({why}")
@@ -502,7 +515,7 @@ def _check_decided(
         _fail_undecided(context, used_here.doubt)
     if "episode" in item.funcargs:
         return  # it decides them
-    claimed = [one.id for one in marked_requirements(context, item)]
+    claimed = [marked_requirement.id for marked_requirement in marked_requirements(context, item)]
     left = [name for name in claimed if (name, campaign.case.id) not in decided]
     if left:
         _fail_undecided(

@@ -84,7 +84,7 @@ PROGRESS_FOLDER = ".progress"
 WRITE_INTERVAL = 0.25
 """Seconds after which a worker tells again."""
 _FILE_NAME = re.compile(r"([0-9a-f]{16})\.([A-Za-z0-9_-]{1,32})\.(json|tmp)")
-_FIELDS = {one.name for one in fields(CampaignProgress)}
+_FIELDS = {field.name for field in fields(CampaignProgress)}
 _MOST_BYTES, _MOST_FILES, _LONGEST, _GREATEST = 4096, 256, 500, 10**9
 
 

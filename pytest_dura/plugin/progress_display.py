@@ -174,7 +174,7 @@ def _cut(text: str, width: int) -> str:
 def _campaign_name(progress: CampaignProgress) -> str:
     # A name with an escape sequence in it would write to the terminal what it likes.
     name = f"{progress.case} {progress.subject}".rstrip()
-    return "".join(one if one.isprintable() else "?" for one in name)
+    return "".join(item if item.isprintable() else "?" for item in name)
 
 
 def _runs(progress: CampaignProgress) -> str:
@@ -264,11 +264,11 @@ class TerminalGuard:
 
 
 SAVE, RESTORE = "\x1b7", "\x1b8"
-WIPE = "\x1b[J"
+_WIPE = "\x1b[J"
 """From the cursor to the end of the screen."""
-DOWN = "\x1bD"
+_DOWN = "\x1bD"
 """One line down in the same column; the screen scrolls where there is none."""
-UP = "\x1b[{}A"
+_UP = "\x1b[{}A"
 _USUAL_SIZE = os.terminal_size((80, 24))
 
 
@@ -324,14 +324,14 @@ class LiveScreen:
 
     def _draw(self, lines: list[str]) -> None:
         below = "".join(f"\r\n{line}" for line in lines)
-        room = DOWN * len(lines) + UP.format(len(lines))
-        self._write(f"{WIPE}{room}{SAVE}{below}{RESTORE}")
+        room = _DOWN * len(lines) + _UP.format(len(lines))
+        self._write(f"{_WIPE}{room}{SAVE}{below}{RESTORE}")
         self._drawn = lines
 
     def _wipe(self) -> None:
         if self._drawn:
             self._drawn = []
-            self._write(WIPE)
+            self._write(_WIPE)
 
     def _write(self, text: str) -> None:
         self._stream.write(text)
@@ -348,7 +348,7 @@ class LiveScreen:
         )
 
 
-SILENCE_SHARE = 0.1
+_SILENCE_SHARE = 0.1
 """The longer a session lasts, the longer until the next line: so much of what has passed."""
 LONGEST_SILENCE = 300.0
 """But no longer than that, or twice the interval: CI services end what is silent."""
@@ -380,7 +380,7 @@ class ProgressLog:
         if now < self._due or not rows:
             return
         longest = max(LONGEST_SILENCE, 2 * self._interval)
-        self._due = now + max(self._interval, min(SILENCE_SHARE * (now - self._begun), longest))
+        self._due = now + max(self._interval, min(_SILENCE_SHARE * (now - self._begun), longest))
         with self._alone():
             self._write([f"dura: {log_line(row)}" for row in rows])
 

@@ -27,10 +27,10 @@ if TYPE_CHECKING:
     from pytest_dura.search.trials import Objective
 
 
-DEFAULT_FOLDER = "scenarios"
+_DEFAULT_FOLDER = "scenarios"
 
 
-def scenario_folder(context: SessionContext) -> Path:
+def _scenario_folder(context: SessionContext) -> Path:
     """The first folder of ini ``dura_scenario_paths``; by default one that need not exist yet.
 
     Raises:
@@ -47,7 +47,7 @@ def scenario_folder(context: SessionContext) -> Path:
             expected="a folder among them",
             remedy="add a folder, such as scenarios",
         )
-    return folders[0] if folders else config.rootpath / DEFAULT_FOLDER
+    return folders[0] if folders else config.rootpath / _DEFAULT_FOLDER
 
 
 def counterexample_store(context: SessionContext) -> CounterexampleStore:
@@ -61,7 +61,7 @@ def counterexample_store(context: SessionContext) -> CounterexampleStore:
         known = context.library().requirements
         requirement = asked.requirement
         kept = write_counterexample(
-            scenario_folder(context),
+            _scenario_folder(context),
             case,
             requirement,
             asked.check,
@@ -145,9 +145,12 @@ class PropertyTests:
         """The head of the record with the profile of Hypothesis, where it was imported."""
         from pytest_dura.provenance import describe_hypothesis
 
-        found = self._settings or describe_hypothesis()
+        settings = self._settings or describe_hypothesis()
         environment = dict(header["environment"])
-        return {**header, "environment": environment | ({"hypothesis": found} if found else {})}
+        return {
+            **header,
+            "environment": environment | ({"hypothesis": settings} if settings else {}),
+        }
 
     def send_to_controller(self, workeroutput: MutableMapping[str, Any]) -> None:
         """Tell the controller, which reads no tests, under which profile this worker ran them."""
@@ -177,8 +180,8 @@ class PropertyTests:
     def _of(self, error: BaseException) -> list[SearchedCase]:
         """The cases of the runs whose errors are reported, each once."""
         reported = set(map(id, _leaves(error)))
-        found = [case for one, cases in self._failed if id(one) in reported for case in cases]
-        return list({case.id: case for case in found}.values())
+        failed = [case for item, cases in self._failed if id(item) in reported for case in cases]
+        return list({case.id: case for case in failed}.values())
 
     def _kept(self, item: pytest.Item, case: SearchedCase) -> Iterator[str]:
         """Lines on a case that is kept, or why it is not."""
@@ -200,12 +203,15 @@ class PropertyTests:
         from pytest_dura.search.trials import Objective
 
         runner = self.context.runner
-        named = {one.id: one for one in marked_requirements(self.context, item)}
-        named |= {one.id: one for one in runner.requirements_of(case) if one.id not in named}
+        named = {
+            marked_requirement.id: marked_requirement
+            for marked_requirement in marked_requirements(self.context, item)
+        }
+        named |= {item.id: item for item in runner.requirements_of(case) if item.id not in named}
         episode = runner.searched(case)
-        for one in named.values():
-            asked = Objective(one)
-            if one.check and not one.paired and asked.judge(episode).word == "violated":
+        for entry in named.values():
+            asked = Objective(entry)
+            if entry.check and not entry.paired and asked.judge(episode).word == "violated":
                 return asked
         return None
 
@@ -237,14 +243,14 @@ class PropertyTests:
             written.append(found[0])
             return found
 
-        found = store_counterexample(
+        counterexample = store_counterexample(
             trials, asked, confirmed, noted, f"simplest failing case of {item.nodeid}"
         )
-        command = rerun_command(self.context, f"{found.name}::{written[0].requirement.id}")
+        command = rerun_command(self.context, f"{counterexample.name}::{written[0].requirement.id}")
         yield f"{case.id} violates {name}, confirmed by replay with an equal digest"
-        for change in found.changes:
+        for change in counterexample.changes:
             yield f"          {change.path}: {change.value} instead of {change.nominal}"
-        yield f"kept in:  {found.file}, which --dura-scenarios runs from now on"
+        yield f"kept in:  {counterexample.file}, which --dura-scenarios runs from now on"
         yield f"rerun:    {command}"
 
 
@@ -252,7 +258,7 @@ def _leaves(error: BaseException) -> Iterator[BaseException]:
     """The error, or those that a group of them holds."""
     inner = getattr(error, "exceptions", None)
     if isinstance(inner, (tuple, list)):
-        for one in inner:
-            yield from _leaves(one)
+        for item in inner:
+            yield from _leaves(item)
     else:
         yield error

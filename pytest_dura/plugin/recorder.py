@@ -231,8 +231,8 @@ class ItemRecorder:
         if key not in self._recorded:
             self._recorded.add(key)
             origin = self.context.runner.store.earlier.origin(own)
-            told = episode_record(episode, planned=planned > 0, origin=origin)
-            self._report.episodes.append(told)
+            record = episode_record(episode, planned=planned > 0, origin=origin)
+            self._report.episodes.append(record)
             self._relieve()
         self._last = episode
         self.traces.used(episode)
@@ -289,14 +289,14 @@ class ItemRecorder:
 
     def monitors_judged(self, case: Case, qualities: list[MonitorQuality]) -> None:
         """It was measured how good a case's monitors are."""
-        self._report.monitors += [{"case": case.id, **one.to_json()} for one in qualities]
+        self._report.monitors += [{"case": case.id, **quality.to_json()} for quality in qualities]
 
     def faults_followed(
         self, case: Case, episode: JudgedEpisode, chains: list[CausalChain]
     ) -> None:
         """It was found what came of each fault of an episode."""
         told = {"case": case.id, "component": episode.spec.component, "episode": episode.id}
-        self._report.chains += [{**told, **one.to_json()} for one in chains]
+        self._report.chains += [{**told, **chain.to_json()} for chain in chains]
         self._relieve()
 
     def case_repeated(self, repeat: Mapping[str, Any]) -> None:
@@ -358,12 +358,14 @@ class ItemRecorder:
             self._report.models += models
         if self._pending is None:
             return None
-        told, self._pending = self._pending, None
-        told.item = item.nodeid
-        told = told.without_secrets(self.context.redact)
-        if told:
-            setattr(report, REPORT_ATTRIBUTE, json.dumps(told.to_json(), allow_nan=False))
-        return told
+        without_secrets, self._pending = self._pending, None
+        without_secrets.item = item.nodeid
+        without_secrets = without_secrets.without_secrets(self.context.redact)
+        if without_secrets:
+            setattr(
+                report, REPORT_ATTRIBUTE, json.dumps(without_secrets.to_json(), allow_nan=False)
+            )
+        return without_secrets
 
     def _called(
         self, item: pytest.Item, call: pytest.CallInfo[None], report: pytest.TestReport
@@ -404,7 +406,9 @@ class ItemRecorder:
 
     def _case_used(self, case: Case, generator: RoleSpec, planned: int) -> None:
         report, component = self._report, self._component_used(generator)
-        if not any((one["id"], one["component"]) == (case.id, component) for one in report.cases):
+        if not any(
+            (item["id"], item["component"]) == (case.id, component) for item in report.cases
+        ):
             off = case.roles_off(self.context.runner.roles)
             runs = self.context.options.runs
             report.cases.append(case_record(case, component, planned, runs, off))
@@ -438,9 +442,9 @@ class ItemRecorder:
         return component
 
     def _planned(self, case: str, component: str, planned: int) -> None:
-        for one in self._report.cases:
-            if (one["id"], one["component"]) == (case, component):
-                one["planned"] = max(one["planned"], planned)
+        for item in self._report.cases:
+            if (item["id"], item["component"]) == (case, component):
+                item["planned"] = max(item["planned"], planned)
 
     def _requirement_used(self, requirement: Requirement) -> None:
         if requirement.to_json() not in self._report.requirements:
@@ -488,12 +492,12 @@ class ItemRecorder:
         for requirement in marked_requirements(self.context, item):
             self._requirement_used(requirement)
             of_case = self.context.runner.requirements_of(target.case)
-            told = outcome_of_test(requirement, of_case, episode, error, failed)
-            if told["verdict"] == "violated":
+            outcome_test = outcome_of_test(requirement, of_case, episode, error, failed)
+            if outcome_test["verdict"] == "violated":
                 self.traces.violated(episode)
             self._report.outcomes.append(
                 {
-                    **told,
+                    **outcome_test,
                     "case": target.case.id,
                     "planned": target.planned,
                     "at_most": requirement.at_most,

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from pytest_dura.plugin.context import SessionContext
 
 
-OVERRIDABLE = (
+_OVERRIDABLE = (
     "simulator",
     "generator",
     "safety_monitor",
@@ -55,7 +55,7 @@ def none_in_root_conftest(config: pytest.Config) -> list[tuple[str, str]]:
     if not roles:
         return []
     tree = ast.parse(root.read_bytes())
-    functions = {one.name: one for one in tree.body if isinstance(one, ast.FunctionDef)}
+    functions = {item.name: item for item in tree.body if isinstance(item, ast.FunctionDef)}
     return [(root.name, role) for role in roles if _returns_none(functions.get(role))]
 
 
@@ -63,12 +63,14 @@ def _returns_none(function: ast.FunctionDef | None) -> bool:
     if function is None:
         return False
     nodes = list(ast.walk(function))
-    values = [one.value for one in nodes if isinstance(one, ast.Return) and one.value is not None]
-    generates = any(isinstance(one, (ast.Yield, ast.YieldFrom)) for one in nodes)
+    values = [
+        node.value for node in nodes if isinstance(node, ast.Return) and node.value is not None
+    ]
+    generates = any(isinstance(node, (ast.Yield, ast.YieldFrom)) for node in nodes)
     return not generates and all(isinstance(v, ast.Constant) and v.value is None for v in values)
 
 
-def conftest_defining(config: pytest.Config, value: object) -> str | None:
+def _conftest_defining(config: pytest.Config, value: object) -> str | None:
     """The ``conftest.py`` at whose top level a class or function is defined, if it is in one.
 
     pytest may have loaded several modules of the name ``conftest``, of which ``sys.modules`` holds
@@ -83,7 +85,7 @@ def conftest_defining(config: pytest.Config, value: object) -> str | None:
 
 
 def defined_in_conftest(config: pytest.Config, file: str, name: str) -> Any:
-    """What :func:`conftest_defining` was asked about; ``None`` if that file is not loaded."""
+    """What :func:`_conftest_defining` was asked about; ``None`` if that file is not loaded."""
     wanted = config.rootpath / file
     return next((vars(m).get(name) for path, m in _conftests(config) if path == wanted), None)
 
@@ -92,7 +94,7 @@ def _overrides(config: pytest.Config) -> list[tuple[Path, str]]:
     return [
         (file, role)
         for file, module in _conftests(config)
-        for role in OVERRIDABLE
+        for role in _OVERRIDABLE
         if _is_fixture(module, role)
     ]
 
@@ -103,7 +105,7 @@ def _conftests(config: pytest.Config) -> list[tuple[Path, ModuleType]]:
         file = getattr(plugin, "__file__", None)
         if isinstance(plugin, ModuleType) and file and Path(file).name == "conftest.py":
             found.append((Path(file), plugin))
-    return sorted(found, key=lambda one: one[0])
+    return sorted(found, key=lambda item: item[0])
 
 
 def _is_fixture(module: ModuleType, name: str) -> bool:
@@ -157,7 +159,7 @@ class SessionRoles:
         from pytest_dura.library.roles import role_of_fixture
 
         overridden = {
-            role: role_of_fixture(role, value, conftest_defining(self.context.config, value))
+            role: role_of_fixture(role, value, _conftest_defining(self.context.config, value))
             for role, value in given.items()
             if value is not self.default(role)
         }

@@ -38,7 +38,7 @@ Chosen = tuple[str, str]
 """A case and a requirement; "" stands for all of its requirements."""
 
 
-def scenario_arguments(context: SessionContext) -> dict[str, Chosen]:
+def _scenario_arguments(context: SessionContext) -> dict[str, Chosen]:
     """The arguments that name no file and a case, and what they choose.
 
     Raises:
@@ -128,7 +128,7 @@ def make_plan(context: SessionContext, chosen: Mapping[str, Chosen]) -> list[Pla
             requirements = tuple(
                 requirement
                 for requirement in case.requirements
-                if any(_chooses(one, name, requirement) for one in chosen.values())
+                if any(_chooses(item, name, requirement) for item in chosen.values())
             )
         if requirements:
             context.take_case(case)
@@ -140,7 +140,7 @@ def _chooses(chosen: Chosen, case: str, requirement: str) -> bool:
     return chosen[0] == case and chosen[1] in ("", requirement)
 
 
-PROGRESS_PLUGIN = "dura-progress"
+_PROGRESS_PLUGIN = "dura-progress"
 
 
 def begin_progress(context: SessionContext) -> None:
@@ -151,28 +151,28 @@ def begin_progress(context: SessionContext) -> None:
 
 def expect_progress(context: SessionContext) -> None:
     """Campaigns are among what this process is to run."""
-    file = progress_file(context) if context.is_worker else None
+    file = _progress_file(context) if context.is_worker else None
     if file is not None:
         file.expect()
 
 
-def progress_listener(context: SessionContext) -> Callable[[RunningCampaign], None]:
+def _progress_listener(context: SessionContext) -> Callable[[RunningCampaign], None]:
     """What a runner reports its progress to."""
     if context.is_worker:
-        file = progress_file(context)
+        file = _progress_file(context)
         return _show_nothing if file is None else file.tell
     return _register_progress(context)
 
 
-def progress_file(context: SessionContext) -> WorkerFile | None:
+def _progress_file(context: SessionContext) -> WorkerFile | None:
     """Where a worker tells; ``None`` if nothing is shown."""
-    told = context.worker_input
-    if "dura_progress" not in told:
+    worker_input = context.worker_input
+    if "dura_progress" not in worker_input:
         return None
     from pytest_dura.plugin.progress import PROGRESS_FOLDER, WorkerFile
 
     folder = context.evidence_directory / PROGRESS_FOLDER
-    return WorkerFile(folder, told["dura_progress"], told["workerid"])
+    return WorkerFile(folder, worker_input["dura_progress"], worker_input["workerid"])
 
 
 def _register_progress(context: SessionContext) -> Callable[[RunningCampaign], None]:
@@ -184,12 +184,12 @@ def _register_progress(context: SessionContext) -> Callable[[RunningCampaign], N
         return _show_nothing
     from pytest_dura.plugin.progress import ProgressHooks
 
-    hooks = context.config.pluginmanager.getplugin(PROGRESS_PLUGIN)
+    hooks = context.config.pluginmanager.getplugin(_PROGRESS_PLUGIN)
     if hooks is None:
         hooks = ProgressHooks(context, way)
-        context.config.pluginmanager.register(hooks, PROGRESS_PLUGIN)
-    found: Callable[[RunningCampaign], None] = hooks.tell
-    return found
+        context.config.pluginmanager.register(hooks, _PROGRESS_PLUGIN)
+    tell: Callable[[RunningCampaign], None] = hooks.tell
+    return tell
 
 
 def _show_nothing(_: RunningCampaign) -> None:
@@ -285,7 +285,9 @@ class DuraSession(SessionContext):
         """Leave to pytest the arguments that name files, and none if scenarios run alone."""
         config = self.config
         if self._own_arguments:
-            config.args = [one for one in config.args if one not in self._own_arguments]
+            config.args = [
+                argument for argument in config.args if argument not in self._own_arguments
+            ]
         elif self.options.scenarios and config.args_source is not config.ArgsSource.ARGS:
             config.args = []
 
@@ -304,7 +306,7 @@ class DuraSession(SessionContext):
             time_budget=self.options.time_budget,
             end_when_decided=self.options.end_when_decided,
             on_episode=self.recorder.episode_used,
-            on_progress=progress_listener(self),
+            on_progress=_progress_listener(self),
             on_verdict=self.recorder.verdict_reached,
             on_monitors=self.recorder.monitors_judged,
             on_chains=self.recorder.faults_followed,
@@ -324,7 +326,7 @@ class DuraSession(SessionContext):
         Raises:
             ConfigurationError: For arguments and scenarios that cannot be used.
         """
-        chosen = scenario_arguments(self)
+        chosen = _scenario_arguments(self)
         self._own_arguments = set(chosen)
         if self.options.scenarios or self.options.list_only or chosen:
             self.plan += make_plan(self, chosen)

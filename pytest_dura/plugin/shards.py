@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from pytest_dura.plugin.options import Shard
 
 
-MOST_LISTED = 20
+_MOST_LISTED = 20
 """Verdicts that are named of those that were left out."""
 _SELECTION_KEY = "dura_selection"
 """Key of what a worker of pytest-xdist tells the controller, which collects nothing."""
@@ -57,11 +57,11 @@ class Selection:
         asked = dict(self._verdicts(items))
         left_out = [name for name in self._planned if name not in asked]
         runs = self.context.options.runs
-        fewer = {one for one in asked.values() if runs is not None and runs < one}
+        fewer = {item for item in asked.values() if runs is not None and runs < item}
         self._left = {
             "planned": len(self._planned | asked),
             "asked": len(asked),
-            "left_out": sorted(left_out)[:MOST_LISTED],
+            "left_out": sorted(left_out)[:_MOST_LISTED],
             "runs": runs if fewer else None,
             "declared_runs": [min(fewer), max(fewer)] if fewer else [],
         }
@@ -102,7 +102,10 @@ class Selection:
         if decides_nothing(item):
             return []
         try:
-            names = [one.id for one in marked_requirements(self.context, item)]
+            names = [
+                marked_requirement.id
+                for marked_requirement in marked_requirements(self.context, item)
+            ]
         except ConfigurationError:  # the test's own error says so
             names = []
         return [f"{name} on {case} by {test}" for name in dict.fromkeys(names)] or [
@@ -175,7 +178,7 @@ class ShardHooks:
         from pytest_dura.evidence.sessions import plan_digest, split_units
 
         result = yield
-        units = units_of(self.context, items)
+        units = _units_of(self.context, items)
         holds = split_units(units, self.shard.count)[self.shard.index - 1]
         kept = {id(item) for unit in holds for item in units[unit]}
         left = [item for item in items if id(item) not in kept]
@@ -210,7 +213,7 @@ class ShardHooks:
         if self._split is None:
             return []
         held = self._split["holds"]
-        episodes, items = (sum(one[key] for one in held) for key in ("episodes", "items"))
+        episodes, items = (sum(item[key] for item in held) for key in ("episodes", "items"))
         text = f"{len(held)} of {self._split['units']} units, {items} items, {episodes} episodes"
         return [f"dura: {self.shard} holds {text}"]
 
@@ -232,10 +235,12 @@ class ShardHooks:
 def _compared_options(config: pytest.Config) -> dict[str, str]:
     """What was asked of the session on which its results depend, as JSON."""
     told = vars(config.option)
-    names = [one for one in told if one.startswith("dura_") and one not in _MAY_DIFFER]
+    names = [item for item in told if item.startswith("dura_") and item not in _MAY_DIFFER]
     given = {name: told[name] for name in (*names, *_COMPARED_OPTIONS_OF_OTHERS) if name in told}
     settings = given.get("override_ini") or []
-    given["override_ini"] = sorted(one for one in settings if not one.startswith(_DISPLAY_SETTINGS))
+    given["override_ini"] = sorted(
+        setting for setting in settings if not setting.startswith(_DISPLAY_SETTINGS)
+    )
     return {
         f"--{name.replace('_', '-')}": json.dumps(value, default=str)
         for name, value in sorted(given.items())
@@ -243,7 +248,7 @@ def _compared_options(config: pytest.Config) -> dict[str, str]:
     }
 
 
-def units_of(
+def _units_of(
     context: SessionContext, items: Sequence[pytest.Item]
 ) -> dict[ShardUnit, list[pytest.Item]]:
     """The items in units, all of one case in one, and so those of cases that share episodes.
@@ -262,11 +267,11 @@ def units_of(
     tests: dict[str, list[pytest.Item]] = defaultdict(list)
     of_cases: list[tuple[str, pytest.Item]] = []
     for item in items:
-        found = _planned_case_of(context, item)
-        if found is None:
+        planned_case = _planned_case_of(context, item)
+        if planned_case is None:
             tests[item.nodeid].append(item)
             continue
-        case, planned, faults_left_out = found
+        case, planned, faults_left_out = planned_case
         groups.add(case.id, planned)
         if faults_left_out:
             twin = case.without_faults().id
@@ -315,7 +320,7 @@ def _pairs(context: SessionContext, case: Case, names: Iterable[str]) -> bool:
 
     known = context.library().requirements
     paired = [known[name].paired for name in names if name in known]
-    return bool(case.faults) and any(one is not None and one.without == FAULTS for one in paired)
+    return bool(case.faults) and any(item is not None and item.without == FAULTS for item in paired)
 
 
 class _Groups:
@@ -335,13 +340,13 @@ class _Groups:
             case = self._above[case]
         return case
 
-    def join(self, one: str, other: str) -> None:
-        first, second = sorted((self.root(one), self.root(other)))
+    def join(self, item: str, other: str) -> None:
+        first, second = sorted((self.root(item), self.root(other)))
         self._above[second] = first
 
     def episodes(self) -> Counter[str]:
         """Of each group, by its root."""
-        found: Counter[str] = Counter()
+        counter: Counter[str] = Counter()
         for case, planned in self._planned.items():
-            found[self.root(case)] += planned
-        return found
+            counter[self.root(case)] += planned
+        return counter

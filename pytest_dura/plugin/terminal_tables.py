@@ -43,10 +43,10 @@ def case_table(cases: Sequence[Data], overall: Sequence[Data] = ()) -> list[str]
     """
     users = sorted({name for case in cases for name in case["metrics"]["user"]})
     names, metrics = _case_names(cases, overall)
-    rows = [_case_row(one, users) for one in metrics]
-    starred = any(_beyond(one["collided"]) for one in metrics)
-    legend = [*CASE_LEGEND, BEYOND] if starred else CASE_LEGEND
-    return [*aligned("case", (*CASE_COLUMNS, *users), names, rows), *legend]
+    rows = [_case_row(metric, users) for metric in metrics]
+    starred = any(_beyond(metric["collided"]) for metric in metrics)
+    legend = [*_CASE_LEGEND, _BEYOND] if starred else _CASE_LEGEND
+    return [*aligned("case", (*_CASE_COLUMNS, *users), names, rows), *legend]
 
 
 def reliance_table(cases: Sequence[Data], overall: Sequence[Data] = ()) -> list[str]:
@@ -57,23 +57,25 @@ def reliance_table(cases: Sequence[Data], overall: Sequence[Data] = ()) -> list[
         overall: The record's, over all of them.
     """
     names, metrics = _case_names(cases, overall)
-    known = {name for one in metrics for name in one["reactions"]}
+    known = {name for metric in metrics for name in metric["reactions"]}
     classes = [*REACTIONS, *sorted(known.difference(REACTIONS))] if known else []
-    felt = any(one["comfort_failed"] for one in metrics)
-    if not (felt or known or any(one["rescued"] and one["rescued"]["run"] for one in metrics)):
+    felt = any(metric["comfort_failed"] for metric in metrics)
+    if not (
+        felt or known or any(metric["rescued"] and metric["rescued"]["run"] for metric in metrics)
+    ):
         return []
     rows = [
         [
-            _percent(one["rescued"]),
-            "-" if one["switching"] is None else f"{100 * one['switching']['share']:.1f}",
-            *([_percent(one["comfort_failed"])] if felt else ()),
-            *(str(one["reactions"].get(kind, 0)) for kind in classes),
+            _percent(metric["rescued"]),
+            "-" if metric["switching"] is None else f"{100 * metric['switching']['share']:.1f}",
+            *([_percent(metric["comfort_failed"])] if felt else ()),
+            *(str(metric["reactions"].get(kind, 0)) for kind in classes),
         ]
-        for one in metrics
+        for metric in metrics
     ]
     columns = ["rescued %", "time %", *(["comfort %"] if felt else ())]
-    columns += [SHORT.get(kind, kind) for kind in classes]
-    legend = [RESCUED, *([COMFORT] if felt else ()), *([REACTED] if known else ())]
+    columns += [_SHORT.get(kind, kind) for kind in classes]
+    legend = [_RESCUED, *([_COMFORT] if felt else ()), *([_REACTED] if known else ())]
     return [*aligned("reliance", columns, names, rows), *legend]
 
 
@@ -82,17 +84,21 @@ def _case_names(cases: Sequence[Data], overall: Sequence[Data]) -> tuple[list[st
     several = len({case["component"] for case in cases}) > 1
     names = [f"{case['id']} ({case['component']})" if several else case["id"] for case in cases]
     metrics = [case["metrics"] for case in cases]
-    for one in overall:
-        if one["cases"] > 1:
-            names.append(f"overall ({one['component']})" if several else "overall")
-            metrics.append(one["metrics"])
+    for item in overall:
+        if item["cases"] > 1:
+            names.append(f"overall ({item['component']})" if several else "overall")
+            metrics.append(item["metrics"])
     return names, metrics
 
 
-SHORT = {"follows the fake": "follows"}
-RESCUED = "rescued: runs in which recovery took over; time: share of it for which it was in control"
-COMFORT = "comfort: runs that at some time were beyond what passengers take"
-REACTED = "unaffected ... follows (the fake): reactions to what looked like an attack, each counted"
+_SHORT = {"follows the fake": "follows"}
+_RESCUED = (
+    "rescued: runs in which recovery took over; time: share of it for which it was in control"
+)
+_COMFORT = "comfort: runs that at some time were beyond what passengers take"
+_REACTED = (
+    "unaffected ... follows (the fake): reactions to what looked like an attack, each counted"
+)
 
 
 def aligned(
@@ -101,7 +107,7 @@ def aligned(
     """Lines of a table; a name that is too long stands on a line of its own."""
     # The names of cases, faults and metrics may have any length.
     names = [indent_if_reserved(name(text, LONGEST)) for text in names]
-    table = [[name(one) for one in columns], *rows]
+    table = [[name(column) for column in columns], *rows]
     widths = [max(len(row[i]) for row in table) for i in range(len(columns))]
     room = max(24, WIDTH - sum(widths) - 2 * len(widths))
     left = min(max(map(len, [title, *names])), room)
@@ -115,12 +121,12 @@ def aligned(
     return lines
 
 
-CASE_COLUMNS = ("n", "flag %", "coll %", "clearance s", "grid", "recov", "alerts", "inv")
-CASE_LEGEND = (
+_CASE_COLUMNS = ("n", "flag %", "coll %", "clearance s", "grid", "recov", "alerts", "inv")
+_CASE_LEGEND = (
     "n: valid runs (of those planned); flag, coll: runs with an unsafe proposal, with a collision;",
     "clearance: mean +- sd over cleared runs (their number); grid: gridlock, not cleared in time",
 )
-BEYOND = "3*: so many collisions in runs that are invalid or missing, which are in no rate"
+_BEYOND = "3*: so many collisions in runs that are invalid or missing, which are in no rate"
 
 
 def _case_row(metrics: Data, users: Sequence[str]) -> list[str]:
@@ -163,8 +169,8 @@ def _user(value: Data | None) -> str:
     return "-" if value is None or value["mean"] is None else f"{value['mean']:.4g}"
 
 
-ATTACK_COLUMNS = ("pairs", "caused", "spared", "both", "cost", "max", "never", "p")
-ATTACK_LEGEND = (
+_ATTACK_COLUMNS = ("pairs", "caused", "spared", "both", "cost", "max", "never", "p")
+_ATTACK_LEGEND = (
     "pairs: runs with the faults and without, equal seeds; violations there are only with them",
     "(caused) and only without (spared); cost: mean growth of the measure; never: pairs without a",
     "value only with the faults; p: exact McNemar, for a measure exact sign test",
@@ -196,13 +202,13 @@ def attack_table(verdicts: Sequence[Data], cases: Sequence[Data]) -> list[str]:
             continue
         names.append(f"{verdict['requirement']} on {verdict['case']}")
         rows.append([_complete(complete, incomplete), *cells, _p_value(verdict, p_value)])
-    return [*aligned("attack", ATTACK_COLUMNS, names, rows), *ATTACK_LEGEND] if rows else []
+    return [*aligned("attack", _ATTACK_COLUMNS, names, rows), *_ATTACK_LEGEND] if rows else []
 
 
-PAIR_COLUMNS = (
+_PAIR_COLUMNS = (
     "pairs", "prev", "intro", "futile", "unnec", "success", "p", "takeovers", "to safe s",
 )  # fmt: skip
-PAIR_LEGEND = (
+_PAIR_LEGEND = (
     "pairs: runs with recovery and without, equal seeds; violations that recovery prevented and",
     "introduced, that it met in vain (futile); runs in which it acted unnecessarily; success:",
     "prevented of prevented and futile, in % (their number); p: exact McNemar; to safe: median",
@@ -230,7 +236,7 @@ def pair_table(verdicts: Sequence[Data], cases: Sequence[Data]) -> list[str]:
             whose = f" ({component})" if len({who for _, who in sums}) > 1 else ""
             names.append(f"{requirement} overall{whose}")
             rows.append(_all_pairs_row(found))
-    return [*aligned("recovery", PAIR_COLUMNS, names, rows), *PAIR_LEGEND] if rows else []
+    return [*aligned("recovery", _PAIR_COLUMNS, names, rows), *_PAIR_LEGEND] if rows else []
 
 
 def _pair_row(verdict: Data, switching: Data | None) -> list[str]:
@@ -286,18 +292,22 @@ def effectiveness_lines(found: Sequence[Data], role: str | None = None) -> list[
         found: The record's ``effectiveness``.
         role: Of this role alone; ``None`` for all but recovery.
     """
-    several = len({one["component"] for one in found}) > 1
+    several = len({item["component"] for item in found}) > 1
     lines = []
-    for one in found:
-        if (one["role"] == role) if role else (one["role"] != RECOVERY_ROLE):
-            whose = f" with {name(one['component'])}" if several else ""
-            told = indent_if_reserved(name(f"{one['role']}{whose}: {one['detail']}", LONGEST))
-            lines += textwrap.wrap(told, WIDTH, subsequent_indent="  ", break_long_words=False)
+    for entry in found:
+        if (entry["role"] == role) if role else (entry["role"] != RECOVERY_ROLE):
+            whose = f" with {name(entry['component'])}" if several else ""
+            if_reserved = indent_if_reserved(
+                name(f"{entry['role']}{whose}: {entry['detail']}", LONGEST)
+            )
+            lines += textwrap.wrap(
+                if_reserved, WIDTH, subsequent_indent="  ", break_long_words=False
+            )
     return lines
 
 
-MONITOR_COLUMNS = ("TP", "FN", "FP", "TN", "precision", "recall", "lead s", "false/h")
-MONITOR_LEGEND = (
+_MONITOR_COLUMNS = ("TP", "FN", "FP", "TN", "precision", "recall", "lead s", "false/h")
+_MONITOR_LEGEND = (
     "runs without recovery: violated, flagged in the 5 s before (TP) or not (FN); not violated,",
     "flagged (FP) or not (TN); lead: median from flag to violation, for faults from activation",
     "to the alert; false/h: false alarms per simulated hour",
@@ -311,24 +321,24 @@ def monitor_table(monitors: Sequence[Data]) -> list[str]:
     flagged there is none.
     """
     same: dict[tuple[str, ...], list[str]] = {}
-    for one in monitors:
-        if one["true_positives"] + one["false_negatives"] + one["false_positives"]:
-            key = one["case"].partition("~")[0], one["monitor"], *_monitor_row(one)
-            same.setdefault(key, []).append(one["target"])
+    for monitor in monitors:
+        if monitor["true_positives"] + monitor["false_negatives"] + monitor["false_positives"]:
+            key = monitor["case"].partition("~")[0], monitor["monitor"], *_monitor_row(monitor)
+            same.setdefault(key, []).append(monitor["target"])
     names = [f"{who}, {case}: {', '.join(on)}" for (case, who, *_), on in same.items()]
     rows = [row for _, _, *row in same]
-    return [*aligned("monitor", MONITOR_COLUMNS, names, rows), *MONITOR_LEGEND] if rows else []
+    return [*aligned("monitor", _MONITOR_COLUMNS, names, rows), *_MONITOR_LEGEND] if rows else []
 
 
-def _monitor_row(one: Data) -> list[str]:
-    time = one["lead_time"] or one["delay"]
-    per_hour = one["false_alarms_per_hour"]
+def _monitor_row(item: Data) -> list[str]:
+    time = item["lead_time"] or item["delay"]
+    per_hour = item["false_alarms_per_hour"]
     return [
-        str(one["true_positives"]),
-        str(one["false_negatives"]),
-        str(one["false_positives"]),
-        str(one["true_negatives"]),
-        *("-" if one[key] is None else f"{one[key]:.2f}" for key in ("precision", "recall")),
+        str(item["true_positives"]),
+        str(item["false_negatives"]),
+        str(item["false_positives"]),
+        str(item["true_negatives"]),
+        *("-" if item[key] is None else f"{item[key]:.2f}" for key in ("precision", "recall")),
         "-" if time is None else f"{time['median']:.1f}",
         "-" if per_hour is None else f"{per_hour:.0f}",
     ]
@@ -363,11 +373,11 @@ def worst_cases(
 ) -> list[Data]:
     """The cases that tables show: first those with the worst verdicts, also on a comparison."""
     rank: dict[tuple[str, str], int] = {}
-    for one in verdicts:
-        for case in (one["case"], (one["pairs"] or {}).get("case")):
-            key = str(case), one["component"]
-            rank[key] = min(rank.get(key, len(VERDICT_RANK)), VERDICT_RANK[one["verdict"]])
-    ranks = [rank.get((one["id"], one["component"]), len(VERDICT_RANK)) for one in cases]
+    for verdict in verdicts:
+        for case in (verdict["case"], (verdict["pairs"] or {}).get("case")):
+            key = str(case), verdict["component"]
+            rank[key] = min(rank.get(key, len(VERDICT_RANK)), VERDICT_RANK[verdict["verdict"]])
+    ranks = [rank.get((case["id"], case["component"]), len(VERDICT_RANK)) for case in cases]
     return keep_worst(cases, ranks, most=most)
 
 
@@ -380,8 +390,8 @@ def left_out_lines(words: Iterable[str]) -> list[str]:
     return [f"and {counted(counts.total(), 'verdict')} more: {parts}; {WHERE_ALL_ARE}"]
 
 
-FAULT_COLUMNS = ("runs", "act", "manif", "prop", "det", "after s", "recov", "after s", "viol")
-FAULT_LEGEND = (
+_FAULT_COLUMNS = ("runs", "act", "manif", "prop", "det", "after s", "recov", "after s", "viol")
+_FAULT_LEGEND = (
     "act, manif: runs in which it became active, changed what the component read; of the latter,",
     "prop: proposals left those of the fault-free twin; det: an alert, median time from when it",
     "became active; recov: recovery acted, median time from manifestation; viol: a requirement was",
@@ -399,11 +409,11 @@ def fault_table(cases: Sequence[Data]) -> list[str]:
             # Most cases are named after their only fault, which need not be said twice. Of several
             # none is left out: what remained would be the name of another case.
             alone = len(case["metrics"]["faults"]) == 1
-            told = case["id"].removesuffix(f"+{fault['id']}") if alone else case["id"]
+            removesuffix = case["id"].removesuffix(f"+{fault['id']}") if alone else case["id"]
             component = f" ({case['component']})" if several else ""
-            names.append(f"{fault['id']} on {told}{component}")
+            names.append(f"{fault['id']} on {removesuffix}{component}")
             rows.append(_fault_row(fault))
-    return [*aligned("fault", FAULT_COLUMNS, names, rows), *FAULT_LEGEND] if rows else []
+    return [*aligned("fault", _FAULT_COLUMNS, names, rows), *_FAULT_LEGEND] if rows else []
 
 
 def _fault_row(fault: Data) -> list[str]:
@@ -463,8 +473,8 @@ def _by(*names: Any) -> str:
     return f" ({': '.join(known)})" if known else ""
 
 
-FAILURE_MODE_COLUMNS = ("decisions", "share %", "null %", "episodes")
-FAILURE_MODE_LEGEND = (
+_FAILURE_MODE_COLUMNS = ("decisions", "share %", "null %", "episodes")
+_FAILURE_MODE_LEGEND = (
     "decisions: those that showed it, of those that could; episodes: those in which it ever did;",
     "null: a component that ignores its input, on the same decisions: what it also reaches says",
     "nothing about the model",
@@ -476,10 +486,10 @@ def failure_mode_table(cases: Sequence[Data], *, by_case: bool = False) -> list[
 
     The negative control, and what is no failure by itself, stand apart below.
     """
-    found = failure_modes_by_component(cases)
-    several = len(found) > 1
+    by_component = failure_modes_by_component(cases)
+    several = len(by_component) > 1
     lines = []
-    for component, modes in found.items():
+    for component, modes in by_component.items():
         lines += _failure_mode_rows(modes, f" of {component}" if several else "")
     for component, text in decision_time_lines(cases):
         lines.append(f"answers{f' of {component}' if several else ''}: {text}")
@@ -494,31 +504,31 @@ def failure_mode_table(cases: Sequence[Data], *, by_case: bool = False) -> list[
                 measured_failure_modes(case["metrics"]["failure_modes"]), f" on {case['id']}{whose}"
             ),
         ]
-    return [*lines, *FAILURE_MODE_LEGEND] if lines else []
+    return [*lines, *_FAILURE_MODE_LEGEND] if lines else []
 
 
 def _failure_mode_rows(modes: Sequence[Data], whose: str) -> list[str]:
     names, rows, kind = [], [], ""
-    for one in modes:
-        if one["kind"] != kind:
-            kind = one["kind"]
+    for mode in modes:
+        if mode["kind"] != kind:
+            kind = mode["kind"]
             if kind != "failure":
                 names.append(f"{FAILURE_MODE_HEADINGS[kind]}:")
-                rows.append([""] * len(FAILURE_MODE_COLUMNS))
-        names.append(failure_mode_text(one["name"]))
-        rows.append(_failure_mode_row(one))
+                rows.append([""] * len(_FAILURE_MODE_COLUMNS))
+        names.append(failure_mode_text(mode["name"]))
+        rows.append(_failure_mode_row(mode))
     return [
         line.rstrip()
         for line in aligned(
-            FAILURE_MODE_HEADINGS["failure"] + whose, FAILURE_MODE_COLUMNS, names, rows
+            FAILURE_MODE_HEADINGS["failure"] + whose, _FAILURE_MODE_COLUMNS, names, rows
         )
     ]
 
 
-def _failure_mode_row(one: Data) -> list[str]:
+def _failure_mode_row(item: Data) -> list[str]:
     return [
-        f"{one['hits']}/{one['of']}",
-        percent_text(one["share"]),
-        percent_text(one["null_share"]),
-        f"{one['episodes']}/{one['of_episodes']}",
+        f"{item['hits']}/{item['of']}",
+        percent_text(item["share"]),
+        percent_text(item["null_share"]),
+        f"{item['episodes']}/{item['of_episodes']}",
     ]

@@ -50,9 +50,9 @@ if TYPE_CHECKING:
 
 LONGEST_TEXT = 2000
 """Characters of a text that is told in several lines."""
-NO_BREAK = "\N{NO-BREAK SPACE}"
+_NO_BREAK = "\N{NO-BREAK SPACE}"
 """Keeps a requirement and its margin on one line, and is shown as a space."""
-VERDICT_COLOURS = {
+_VERDICT_COLOURS = {
     "supported": {"green": True},
     "violated": {"red": True},
     "undecided": {"yellow": True},
@@ -66,15 +66,19 @@ def show_verdicts(context: SessionContext, terminal: Any, record: SessionRecord)
         return
     terminal.line("")
     most = None if context.config.option.verbose > 0 else MOST_ROWS
-    shown = keep_worst(verdicts, [VERDICT_RANK[one["verdict"]] for one in verdicts], most=most)
-    kept = {id(one) for one in shown}
+    shown = keep_worst(
+        verdicts, [VERDICT_RANK[verdict["verdict"]] for verdict in verdicts], most=most
+    )
+    kept = {id(item) for item in shown}
     same: dict[tuple[str, ...], list[Data]] = {}
     for verdict in shown:
         told = verdict["verdict"], _where(verdict), _counts(verdict), *_rests_on(verdict)
         same.setdefault(told, []).append(verdict)
     for told, group in same.items():
         _show_alike(terminal, told, group)
-    for line in left_out_lines(one["verdict"] for one in verdicts if id(one) not in kept):
+    for line in left_out_lines(
+        verdict["verdict"] for verdict in verdicts if id(verdict) not in kept
+    ):
         terminal.line(line)
     terminal.line(f"{'':<11}(behind each requirement: its least margin, in the check's unit)")
     alike: dict[tuple[str, ...], list[Data]] = {}
@@ -85,7 +89,7 @@ def show_verdicts(context: SessionContext, terminal: Any, record: SessionRecord)
             apart = (verdict["requirement"],) if verdict["verdict"] == "violated" else cause
             alike.setdefault((verdict["case"], verdict["component"], *apart), []).append(verdict)
     episodes = _shown_episodes(record, [group[0] for group in alike.values()])
-    checks = {one["id"]: one["check"] for one in record["requirements"]}
+    checks = {requirement["id"]: requirement["check"] for requirement in record["requirements"]}
     for group in alike.values():
         check = str(group[0]["check"] or checks.get(group[0]["requirement"], ""))
         _show_failure(context, terminal, check, group, episodes)
@@ -94,12 +98,12 @@ def show_verdicts(context: SessionContext, terminal: Any, record: SessionRecord)
 def _show_alike(terminal: Any, told: tuple[str, ...], verdicts: Sequence[Data]) -> None:
     """Verdicts of a case that differ by their requirement and margin alone."""
     word, where, counts, *rests_on = told
-    terminal.write(f"{word:<9}", **VERDICT_COLOURS[word])
+    terminal.write(f"{word:<9}", **_VERDICT_COLOURS[word])
     terminal.line(f"  {where}")
     terminal.line(f"{'':<11}{counts}")
     names = ", ".join(dict.fromkeys(map(_with_margin, verdicts)))
     for line in textwrap.wrap(names, WIDTH - 11, break_on_hyphens=False):
-        terminal.line(f"{'':<11}{line.replace(NO_BREAK, ' ')}")
+        terminal.line(f"{'':<11}{line.replace(_NO_BREAK, ' ')}")
     for sentence in rests_on:
         for line in textwrap.wrap(sentence, WIDTH - 11, subsequent_indent="  "):
             terminal.line(f"{'':<11}{line}")
@@ -111,7 +115,9 @@ def _counts(verdict: Data) -> str:
     counts = f"n = {verdict['episodes']}, {violations}"
     if verdict["pairs"]:
         counts = f"pairs without {verdict['pairs']['without']}: {counts}"
-    left = [told for told in other_run_counts(verdict) if not told.endswith("vacuous")]
+    left = [
+        run_count for run_count in other_run_counts(verdict) if not run_count.endswith("vacuous")
+    ]
     counts = ", ".join([counts, *left])
     bound = verdict["bound"]
     if bound["upper"] is not None:
@@ -127,8 +133,11 @@ def _counts(verdict: Data) -> str:
 
 def _rests_on(verdict: Data) -> list[str]:
     """That assertions decided it, and what they looked at; what failed is shown further below."""
-    told = [one_line(one, LONGEST_TEXT) for one in assertion_sentences(verdict)]
-    return [one for one in told if not one.startswith(("failed: ", "by its check"))]
+    told = [
+        one_line(assertion_sentence, LONGEST_TEXT)
+        for assertion_sentence in assertion_sentences(verdict)
+    ]
+    return [item for item in told if not item.startswith(("failed: ", "by its check"))]
 
 
 def _with_margin(verdict: Data) -> str:
@@ -139,7 +148,7 @@ def _with_margin(verdict: Data) -> str:
     shown = name(verdict["requirement"])
     if not told:
         return shown
-    return f"{shown}{NO_BREAK}({f',{NO_BREAK}'.join(told)})".replace(" ", NO_BREAK)
+    return f"{shown}{_NO_BREAK}({f',{_NO_BREAK}'.join(told)})".replace(" ", _NO_BREAK)
 
 
 def _where(verdict: Data) -> str:
@@ -154,11 +163,11 @@ def _show_failure(
     episodes: Mapping[tuple[str, str], Data],
 ) -> None:
     first = verdicts[0]
-    names = ", ".join(dict.fromkeys(name(one["requirement"]) for one in verdicts))
+    names = ", ".join(dict.fromkeys(name(verdict["requirement"]) for verdict in verdicts))
     terminal.line("")
     terminal.line(
         f"{first['verdict']}: {names} on {_where(first)}",
-        **VERDICT_COLOURS[first["verdict"]],
+        **_VERDICT_COLOURS[first["verdict"]],
     )
     for line in textwrap.wrap(one_line(first["reason"], LONGEST_TEXT), WIDTH - 2):
         terminal.line(f"  {line}")
@@ -169,7 +178,9 @@ def _show_failure(
     if check and len(verdicts) == 1 and check != first["requirement"] and not held:
         terminal.line(f"  check:  {check}")
     _show_episode(context, terminal, first, episodes)
-    items = list(dict.fromkeys(item for one in verdicts for item in one["item"].split(", ")))
+    items = list(
+        dict.fromkeys(item for verdict in verdicts for item in verdict["item"].split(", "))
+    )
     if len(items) > 1 and all(item.startswith(f"{first['case']}::") for item in items):
         items = [first["case"]]
     for item in items:
@@ -224,7 +235,7 @@ def _shown_episodes(record: SessionRecord, verdicts: Iterable[Data]) -> dict[tup
 
     They are found in one go, since a record may have a great many.
     """
-    named = [(_shown_episode_id(one), one["component"]) for one in verdicts]
+    named = [(_shown_episode_id(verdict), verdict["component"]) for verdict in verdicts]
     wanted = {(shown, component) for shown, component in named if shown is not None}
     found: dict[tuple[str, str], Data] = {}
     for episode in record.episodes() if wanted else ():
@@ -234,16 +245,18 @@ def _shown_episodes(record: SessionRecord, verdicts: Iterable[Data]) -> dict[tup
     return found
 
 
-SEARCH_WIDTH = 80
+_SEARCH_WIDTH = 80
 MOST_CHANGES = 12
-LONGEST_SEARCH_TEXT = 500
+_LONGEST_SEARCH_TEXT = 500
 """Characters of a text that is told in several lines."""
-SEARCH_COLOURS: Mapping[str, dict[str, bool]] = {
+_SEARCH_COLOURS: Mapping[str, dict[str, bool]] = {
     "falsified": {"red": True},
     "not repeatable": {"red": True},
     "undecided": {"yellow": True},
 }
-SEARCH_RANK = {word: rank for rank, word in enumerate(OBJECTIONABLE_OUTCOMES)}
+_SEARCH_RANK = {
+    objectionable_outcome: rank for rank, objectionable_outcome in enumerate(OBJECTIONABLE_OUTCOMES)
+}
 
 
 def show_searches(context: SessionContext, terminal: Any, record: SessionRecord) -> None:
@@ -254,20 +267,20 @@ def show_searches(context: SessionContext, terminal: Any, record: SessionRecord)
     most = None if context.config.option.verbose > 0 else MOST_ROWS
     ranks = [
         min(
-            SEARCH_RANK.get(outcome_status(one, outcome), len(SEARCH_RANK))
-            for outcome in one["outcomes"]
+            _SEARCH_RANK.get(outcome_status(search, outcome), len(_SEARCH_RANK))
+            for outcome in search["outcomes"]
         )
-        for one in searches
+        for search in searches
     ]
     shown = worst_of(searches, ranks, most=most)
-    for one in shown:
+    for item in shown:
         terminal.line("")
-        _show_search(context, terminal, one)
+        _show_search(context, terminal, item)
     if len(shown) < len(searches):
         more = counted(len(searches) - len(shown), "search")
         terminal.line(f"and {more.replace('searchs', 'searches')} more; {WHERE_ALL_ARE}")
     terminal.line("")
-    for line in textwrap.wrap(NOTHING_SUPPORTED, SEARCH_WIDTH):
+    for line in textwrap.wrap(NOTHING_SUPPORTED, _SEARCH_WIDTH):
         terminal.line(line)
 
 
@@ -277,9 +290,9 @@ def search_counts(record: SessionRecord) -> str:
         outcome["word"] for search in record["searches"] for outcome in search["outcomes"]
     )
     return ", ".join(
-        f"{words[word]} {word}"
-        for word in (*OBJECTIONABLE_OUTCOMES, "nothing found")
-        if words[word]
+        f"{words[objectionable_outcome]} {objectionable_outcome}"
+        for objectionable_outcome in (*OBJECTIONABLE_OUTCOMES, "nothing found")
+        if words[objectionable_outcome]
     )
 
 
@@ -295,8 +308,8 @@ def _show_search(context: SessionContext, terminal: Any, search: Data) -> None:
 def _show_outcome(context: SessionContext, terminal: Any, search: Data, outcome: Data) -> None:
     word, requirement = outcome["word"], outcome["requirement"]
     head = outcome_headline(search, outcome)
-    for line in textwrap.wrap(head, SEARCH_WIDTH, subsequent_indent="  ", break_on_hyphens=False):
-        terminal.line(line, **SEARCH_COLOURS.get(word, {}))
+    for line in textwrap.wrap(head, _SEARCH_WIDTH, subsequent_indent="  ", break_on_hyphens=False):
+        terminal.line(line, **_SEARCH_COLOURS.get(word, {}))
     if outcome_status(search, outcome) == "baseline":
         terminal.line(f"  {OBJECTIONABLE_OUTCOMES['baseline']}", red=True)
     for line in _outcome_lines(outcome):
@@ -304,35 +317,35 @@ def _show_outcome(context: SessionContext, terminal: Any, search: Data, outcome:
     if is_notable_outcome(search, outcome):
         for line in _searcher_table(search, requirement):
             terminal.line(f"  {line}")
-    found = outcome["counterexample"]
-    kept = found is not None and found["file"] is not None
+    counterexample = outcome["counterexample"]
+    kept = counterexample is not None and counterexample["file"] is not None
     if kept:
-        terminal.line(f"  kept:     {one_line(found['file'])}")
+        terminal.line(f"  kept:     {one_line(counterexample['file'])}")
     if word != "nothing found":
-        again = found["name"] if kept else search["item"]
+        again = counterexample["name"] if kept else search["item"]
         terminal.line(f"  rerun:    {rerun_command(context, again)}")
 
 
 def _outcome_lines(outcome: Data) -> Iterator[str]:
     """The check, and the counterexample as far as there is one."""
-    found = outcome["counterexample"]
+    counterexample = outcome["counterexample"]
     if outcome["check"] not in ("", outcome["requirement"]):
         yield from _entry("check", outcome["check"])
-    if found is None:
+    if counterexample is None:
         return
-    yield from _entry("worst", counterexample_text(found, outcome["check"]))
-    if found["shrinking"] is not None:
-        yield from _entry("simpler", shrinking_text(found))
-    told = [f"{path}: {change}" for path, change in parameter_changes(found, MOST_CHANGES)]
-    for number, one in enumerate(told or ["in nothing: the case violates it as it stands"]):
-        yield from _entry("" if number else "differs", one)
-    if len(found["changes"]) > MOST_CHANGES:
-        yield f"{'':<12}and {len(found['changes']) - MOST_CHANGES} more, in evidence.json"
+    yield from _entry("worst", counterexample_text(counterexample, outcome["check"]))
+    if counterexample["shrinking"] is not None:
+        yield from _entry("simpler", shrinking_text(counterexample))
+    told = [f"{path}: {change}" for path, change in parameter_changes(counterexample, MOST_CHANGES)]
+    for number, item in enumerate(told or ["in nothing: the case violates it as it stands"]):
+        yield from _entry("" if number else "differs", item)
+    if len(counterexample["changes"]) > MOST_CHANGES:
+        yield f"{'':<12}and {len(counterexample['changes']) - MOST_CHANGES} more, in evidence.json"
 
 
 def _entry(what: str, text: str) -> Iterator[str]:
     lines = textwrap.wrap(
-        one_line(text, LONGEST_SEARCH_TEXT), SEARCH_WIDTH - 14, break_on_hyphens=False
+        one_line(text, _LONGEST_SEARCH_TEXT), _SEARCH_WIDTH - 14, break_on_hyphens=False
     )
     head = f"  {what}:" if what else ""
     for number, line in enumerate(lines or [""]):
@@ -341,7 +354,7 @@ def _entry(what: str, text: str) -> Iterator[str]:
 
 def _wrapped(text: str, indent: int) -> list[str]:
     space = " " * indent
-    return textwrap.wrap(text, SEARCH_WIDTH, initial_indent=space, subsequent_indent=space)
+    return textwrap.wrap(text, _SEARCH_WIDTH, initial_indent=space, subsequent_indent=space)
 
 
 def _searcher_table(search: Data, requirement: str) -> Iterator[str]:
@@ -351,6 +364,6 @@ def _searcher_table(search: Data, requirement: str) -> Iterator[str]:
     told = [*own, ("trivial, each by itself:", [""] * len(SEARCHER_COLUMNS)), *alone]
     if not alone:
         told[len(own)] = ("trivial: none was run", [""] * len(SEARCHER_COLUMNS))
-    names, cells = [one for one, _ in told], [row for _, row in told]
+    names, cells = [item for item, _ in told], [row for _, row in told]
     yield from (line.rstrip() for line in aligned("searcher", SEARCHER_COLUMNS, names, cells))
-    yield from textwrap.wrap(SEARCHER_LEGEND, SEARCH_WIDTH - 2)
+    yield from textwrap.wrap(SEARCHER_LEGEND, _SEARCH_WIDTH - 2)

@@ -60,7 +60,7 @@ def _may_steal(context: SessionContext, run: pytest.Session) -> bool:
 def _silenced(runner: Runner) -> Runner:
     """The same runner, which tells nobody anything."""
     silent: dict[str, Any] = {
-        one.name: one.default for one in fields(runner) if one.name.startswith("on_")
+        field.name: field.default for field in fields(runner) if field.name.startswith("on_")
     }
     return replace(runner, **silent, keep=None)
 
