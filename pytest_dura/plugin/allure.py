@@ -57,10 +57,7 @@ def mark_item(context: SessionContext, item: pytest.Item) -> None:
 
     own = {marker.kwargs.get("label_type") for marker in item.iter_markers("allure_label")}
     requirements = list(
-        {
-            marked_requirement.id: marked_requirement
-            for marked_requirement in marked_requirements(context, item)
-        }.values()
+        {requirement.id: requirement for requirement in marked_requirements(context, item)}.values()
     )
     target = target_of(item)
     for kind, value in _labels(requirements, None if target is None else target.case):
@@ -83,8 +80,8 @@ def _labels(requirements: Sequence[Requirement], case: Case | None) -> Iterator[
         yield "severity", min(map(_SEVERITIES.__getitem__, kinds), key=_WORST_FIRST.index)
     for kind in kinds:
         yield "tag", kind
-    for item in requirements:
-        yield "requirement", name(item.id)
+    for requirement in requirements:
+        yield "requirement", name(requirement.id)
 
 
 def _story_of(case: Case) -> str:
@@ -121,22 +118,22 @@ def report_item(context: SessionContext, item: pytest.Item, results: Sequence[It
         one_line(result.component, 200) for result in results if result.component
     )
     allure.add_label(label_type="component", labels=tuple(components))
-    for entry in results:
-        prefix = f"{one_line(entry.requirement.id, 100)}: " if len(results) > 1 else ""
-        for parameter, value in _parameters(context, entry).items():
+    for result in results:
+        prefix = f"{one_line(result.requirement.id, 100)}: " if len(results) > 1 else ""
+        for parameter, value in _parameters(context, result).items():
             # A result must not make another test of this one in Allure's history.
             allure.add_parameter(name=prefix + parameter, value=value, excluded=True, mode=None)
-    described = _description(context, item, results)
-    if described:
-        allure.add_description(test_description=described)
+    description = _description(context, item, results)
+    if description:
+        allure.add_description(test_description=description)
     if hasattr(item, "planned") and results:
-        told = results[0]
-        title = f"{item.planned.case.id}: {told.requirement.id} {told.requirement.text}"
+        result = results[0]
+        title = f"{item.planned.case.id}: {result.requirement.id} {result.requirement.text}"
         allure.add_title(test_title=one_line(title, 200))
-    for entry in results:
-        verdict = entry.verdict or entry.outcome
+    for result in results:
+        verdict = result.verdict or result.outcome
         if verdict is not None:
-            _attach(_json(verdict), f"verdict {entry.requirement.id}", "JSON")
+            _attach(_json(verdict), f"verdict {result.requirement.id}", "JSON")
     if context.options.evidence_level != "summary":
         _show_worst(context, item, results)
 
@@ -144,7 +141,7 @@ def report_item(context: SessionContext, item: pytest.Item, results: Sequence[It
 def _parameters(context: SessionContext, result: ItemResult) -> dict[str, Any]:
     verdict, outcome = result.verdict or {}, result.outcome or {}
     bound = verdict.get("bound") or {}
-    found = {
+    parameters = {
         "case": result.case.id if result.case else verdict.get("case"),
         "component": result.component,
         "verdict": result.word,
@@ -158,7 +155,7 @@ def _parameters(context: SessionContext, result: ItemResult) -> dict[str, Any]:
     }
     return {
         name: one_line(value, 200) if isinstance(value, str) else value
-        for name, value in found.items()
+        for name, value in parameters.items()
         if value is not None
     }
 
@@ -169,26 +166,29 @@ def _description(context: SessionContext, item: pytest.Item, results: Sequence[I
     own = given.args[0] if given else getattr(getattr(item, "function", None), "__doc__", None)
     parts = [inspect.cleandoc(own)] if own else []
     for result in results:
-        asked, found = result.requirement, result.verdict or result.outcome or {}
-        parts.append(f"**{markdown(asked.id)}** {markdown(asked.text, 2000)}")
+        requirement, verdict = result.requirement, result.verdict or result.outcome or {}
+        parts.append(f"**{markdown(requirement.id)}** {markdown(requirement.text, 2000)}")
         for heading, text in (
-            ("Source", asked.source),
-            ("Why this bound", asked.reason),
-            ("Verdict", f"{result.word or 'none'}. {found.get('reason', found.get('detail', ''))}"),
+            ("Source", requirement.source),
+            ("Why this bound", requirement.reason),
+            (
+                "Verdict",
+                f"{result.word or 'none'}. {verdict.get('reason', verdict.get('detail', ''))}",
+            ),
             ("Event", "; ".join(ending_events(context, result))),
-            ("By assertion", _looked_at(found)),
+            ("By assertion", _looked_at(verdict)),
         ):
             if text:
                 parts.append(f"{heading}: {markdown(text, 2000)}")
     return "\n\n".join(parts)
 
 
-def _looked_at(found: Mapping[str, Any]) -> str:
+def _looked_at(verdict: Mapping[str, Any]) -> str:
     """What a test that decided by its own assertions looked at, and what was false for it."""
-    assertion = found.get("assertion")
+    assertion = verdict.get("assertion")
     if not assertion or not (assertion["alone"] or assertion["observed"]):
         return ""
-    false = "".join(f"; false, though the test passed: {item}" for item in assertion["false"])
+    false = "".join(f"; false, though the test passed: {check}" for check in assertion["false"])
     return f"the test looked at {', '.join(assertion['observed']) or 'nothing'}{false}"
 
 
@@ -215,9 +215,9 @@ def _show_worst(context: SessionContext, item: pytest.Item, results: Sequence[It
     redact = context.redact
     title = one_line(redact(f"{kind} {episode.id}, seed {episode.spec.seed}"), 200)
     replay = one_line(redact(replay_command(context, episode.id)))
-    told = {"replay": replay, "digest": episode.digest}
+    parameters = {"replay": replay, "digest": episode.digest}
     trace = Trace.of(episode).without_secrets(redact)
-    with _step(title, told, None if problem is None else one_line(redact(problem))):
+    with _step(title, parameters, None if problem is None else one_line(redact(problem))):
         _loop(episode, trace, judged, _check(result))
         _attachments(episode, trace, judged, _check(result))
 
@@ -271,11 +271,11 @@ def _loop(episode: Episode, trace: Trace, judged: EpisodeVerdict | None, check: 
         return
     steps = loop_steps(trace, tick, _signals(episode, check))
     for step in steps:
-        found = {}
+        verdict = {}
         if step is steps[-1] and judged is not None:
             line = one_line(f"{judged.verdict}: {judged.detail}")
-            found = {one_line(judged.requirement, 100): line}
-        with _step(step.name, {**step.told, **found}):
+            verdict = {one_line(judged.requirement, 100): line}
+        with _step(step.name, {**step.told, **verdict}):
             pass
 
 
@@ -287,9 +287,9 @@ def _signals(episode: Episode, check: str) -> list[str]:
     names = (
         [] if formula is None else [signal.removeprefix("percept.") for signal in formula.signals]
     )
-    fromkeys = [fromkey for fromkey in dict.fromkeys(names) if fromkey in episode.signals]
+    read = [signal for signal in dict.fromkeys(names) if signal in episode.signals]
     return (
-        fromkeys
+        read
         or [signal for signal in sorted(episode.signals) if not signal.startswith("percept.")][:4]
     )
 
@@ -331,13 +331,13 @@ def _plot(episode: Episode, judged: EpisodeVerdict | None, check: str) -> str:
     )  # fmt: skip
 
 
-def _json(found: Mapping[str, Any]) -> str:
-    examples = found.get("counterexamples", ())
-    shown = dict(found)
+def _json(verdict: Mapping[str, Any]) -> str:
+    examples = verdict.get("counterexamples", ())
+    bounded = dict(verdict)
     if len(examples) > _COUNTEREXAMPLES:
-        shown["counterexamples"] = examples[:_COUNTEREXAMPLES]
-        shown["counterexamples_left_out"] = len(examples) - _COUNTEREXAMPLES
-    return json.dumps(_bounded(shown), indent=1, allow_nan=False) + "\n"
+        bounded["counterexamples"] = examples[:_COUNTEREXAMPLES]
+        bounded["counterexamples_left_out"] = len(examples) - _COUNTEREXAMPLES
+    return json.dumps(_bounded(bounded), indent=1, allow_nan=False) + "\n"
 
 
 def _bounded(value: Any) -> Any:
@@ -365,12 +365,12 @@ def _attach(body: str | bytes, name: str, kind: str, extension: str | None = Non
 
 
 @contextmanager
-def _step(title: str, told: Mapping[str, str], problem: str | None = None) -> Iterator[None]:
+def _step(title: str, parameters: Mapping[str, str], problem: str | None = None) -> Iterator[None]:
     """A step with its parameters; with a problem it failed."""
     from allure_commons import plugin_manager
 
     step, failure = str(uuid4()), None if problem is None else AssertionError(problem)
-    plugin_manager.hook.start_step(uuid=step, title=title, params=dict(told))
+    plugin_manager.hook.start_step(uuid=step, title=title, params=dict(parameters))
     try:
         yield
     finally:

@@ -52,9 +52,9 @@ def _fault_line(name: str) -> str:
     """A type of the catalogue, what it acts on, and what it does in one sentence."""
     from pytest_dura.faults.catalogue import fault_class
 
-    kind = fault_class(name)
-    first = (kind.__doc__ or "").partition("\n")[0]
-    return f"  {name} ({kind.acts_on}): {first}"
+    fault_type = fault_class(name)
+    summary = (fault_type.__doc__ or "").partition("\n")[0]
+    return f"  {name} ({fault_type.acts_on}): {summary}"
 
 
 def _show_list(session: DuraSession) -> int:
@@ -167,8 +167,8 @@ def _recorded_episodes(
     _check_whole(options.evidence, option)
     with _damage_as_error(options, name, option):
         return record, [
-            _recorded_episode(config, record, item, option)
-            for item in _entries_named(record, name, option)
+            _recorded_episode(config, record, entry, option)
+            for entry in _entries_named(record, name, option)
         ]
 
 
@@ -182,9 +182,9 @@ def _check_whole(evidence: Path, option: str) -> None:
 
     problems = list(manifest_problems(evidence))
     if problems:
-        more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
+        rest = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
         raise ConfigurationError(
-            f"this bundle is not as it was written: {problems[0]}{more}",
+            f"this bundle is not as it was written: {problems[0]}{rest}",
             file=str(evidence / "evidence.json"),
             key=option,
             found=len(problems),
@@ -279,9 +279,9 @@ def _local_role(config: pytest.Config, role: RoleSpec, option: str) -> RoleSpec:
     file, _, name = role.path.rpartition(":")
     if not file.endswith("conftest.py"):
         return role
-    target = defined_in_conftest(config, file, name)
-    if callable(target):
-        return LocalRole(role.path, target, role.params)
+    factory = defined_in_conftest(config, file, name)
+    if callable(factory):
+        return LocalRole(role.path, factory, role.params)
     raise ConfigurationError(
         f"{name} is defined in {file}, which is not loaded here",
         key=option,
@@ -307,89 +307,99 @@ def replay(session: DuraSession) -> int:
 
     config, options = session.config, session.options
     name = str(options.replay)
-    _, found = _recorded_episodes(config, options, name, _REPLAY_OPTION)
+    _, episodes = _recorded_episodes(config, options, name, _REPLAY_OPTION)
     equal = True
-    for item in found:
-        session.models.prepare(item.spec)
+    for recorded in episodes:
+        session.models.prepare(recorded.spec)
         with _damage_as_error(options, name, _REPLAY_OPTION):
-            episode = item.run(recorded=True)
+            episode = recorded.run(recorded=True)
         # As a session would have kept it.
         trace = Trace.of(episode).without_secrets(session.redact)
-        same, lines = _compared(item, episode, trace, options.evidence)
-        equal &= same
-        lines += [] if same else session.models.replay_warning()
-        print_lines([*lines, f"  player: {_write_player(item, episode, trace, options.evidence)}"])
+        is_same, lines = _compared(recorded, episode, trace, options.evidence)
+        equal &= is_same
+        lines += [] if is_same else session.models.replay_warning()
+        print_lines(
+            [*lines, f"  player: {_write_player(recorded, episode, trace, options.evidence)}"]
+        )
     return 0 if equal else 1
 
 
 def _compared(
-    item: RecordedEpisode, episode: Episode, replayed: Trace, evidence: Path
+    recorded: RecordedEpisode, episode: Episode, replayed: Trace, evidence: Path
 ) -> tuple[bool, list[str]]:
     """Whether the episode is the recorded one, and what there is to say of it."""
-    same = item.digest == episode.digest
+    is_same = recorded.digest == episode.digest
     end = f"{episode.time[-1]:.1f} s" if episode.ticks else "no tick"
     outcome = f"{episode.termination} after {end}"
     lines = [f"{episode.id} ({episode.spec.component}, seed {episode.spec.seed}): {outcome}"]
     if episode.failure is not None:
         lines.append(f"  {episode.failure}")
-    lines += [f"  recorded digest {item.digest}", f"  replayed digest {episode.digest}"]
+    lines += [f"  recorded digest {recorded.digest}", f"  replayed digest {episode.digest}"]
     lines.append(
         "  the same"
-        if same
+        if is_same
         else "  DIFFERENT: the code, a package or the platform has changed, "
         "or something is not deterministic"
     )
-    if item.trace is None:
-        return same, lines if same else [*lines, *_without_trace(item, episode)]
+    if recorded.trace is None:
+        return is_same, lines if is_same else [*lines, *_without_trace(recorded, episode)]
     try:
-        recorded = _read_trace(item.trace, evidence)
+        kept_trace = _read_trace(recorded.trace, evidence)
     except FileNotFoundError:
-        lines.append(f"  its trace {item.trace['file']} is not there any more")
-        return same, lines if same else [*lines, *_by_faults(item, episode)]
+        lines.append(f"  its trace {recorded.trace['file']} is not there any more")
+        return is_same, lines if is_same else [*lines, *_by_faults(recorded, episode)]
     except ConfigurationError as error:
-        told = [f"    {line}" for line in str(error).splitlines()]
-        return False, [*lines, "  its trace cannot be compared:", *told]
-    return _by_trace(recorded, replayed, item, episode, lines)
+        reasons = [f"    {line}" for line in str(error).splitlines()]
+        return False, [*lines, "  its trace cannot be compared:", *reasons]
+    return _by_trace(kept_trace, replayed, recorded, episode, lines)
 
 
 def _by_trace(
-    recorded: Trace, replayed: Trace, item: RecordedEpisode, episode: Episode, lines: list[str]
+    recorded: Trace,
+    replayed: Trace,
+    recorded_episode: RecordedEpisode,
+    episode: Episode,
+    lines: list[str],
 ) -> tuple[bool, list[str]]:
     """Whether the episode is the recorded one, and where it differs from its trace."""
     from pytest_dura.evidence.text import one_line
     from pytest_dura.evidence.traces import first_difference
 
-    first = first_difference(recorded, replayed)
-    place = one_line(str(first), 1000)
-    if item.digest != episode.digest:
-        by_faults = _by_faults(item, episode) if first is None else [f"  first difference: {place}"]
+    difference = first_difference(recorded, replayed)
+    place = one_line(str(difference), 1000)
+    if recorded_episode.digest != episode.digest:
+        by_faults = (
+            _by_faults(recorded_episode, episode)
+            if difference is None
+            else [f"  first difference: {place}"]
+        )
         return False, [*lines, *by_faults]
     covered = first_difference(recorded, replayed, covered=True)
     if covered is not None:
         place = one_line(str(covered), 1000)
         return False, [*lines, f"  yet the trace that was kept is of another episode: {place}"]
-    if first is not None:
+    if difference is not None:
         lines = [*lines, f"  what the digest leaves out is not the same: {place}"]
     return True, lines
 
 
-def _without_trace(item: RecordedEpisode, episode: Episode) -> list[str]:
-    kept = "no trace of it was kept (--dura-evidence-level=all keeps each)"
-    return [f"  {kept}", *_by_faults(item, episode)]
+def _without_trace(recorded: RecordedEpisode, episode: Episode) -> list[str]:
+    note = "no trace of it was kept (--dura-evidence-level=all keeps each)"
+    return [f"  {note}", *_by_faults(recorded, episode)]
 
 
-def _by_faults(item: RecordedEpisode, episode: Episode) -> list[str]:
+def _by_faults(recorded: RecordedEpisode, episode: Episode) -> list[str]:
     """What the record itself tells of the episode, apart from its trace."""
     from pytest_dura.evidence.model import plain_data
 
-    for before, fault in zip(item.faults, episode.faults, strict=False):
+    for before, fault in zip(recorded.faults, episode.faults, strict=False):
         for key, value in plain_data(asdict(fault)).items():
             if key in before and before[key] != value:
                 return [f"  fault {fault.id}: {key}: recorded {before[key]}, replayed {value}"]
     return ["  it is not known where they differ"]
 
 
-def _read_trace(told: Any, evidence: Path) -> Trace:
+def _read_trace(entry: Any, evidence: Path) -> Trace:
     """The trace that was kept.
 
     Raises:
@@ -400,7 +410,7 @@ def _read_trace(told: Any, evidence: Path) -> Trace:
     from pytest_dura.evidence.mcap import read_trace
     from pytest_dura.evidence.traces import is_trace_path
 
-    path = told.get("file")
+    path = entry.get("file")
     if not is_trace_path(path):
         raise ConfigurationError(
             "the record names a trace that is none of the bundle's",
@@ -414,18 +424,18 @@ def _read_trace(told: Any, evidence: Path) -> Trace:
         raise FileNotFoundError(file)
     trace = read_trace(file)
     digest = file_entry(file)["sha256"]
-    if digest != told.get("sha256"):
+    if digest != entry.get("sha256"):
         raise ConfigurationError(
             "the trace is not the one that was recorded: its SHA-256 is another",
             file=str(file),
             found=digest,
-            expected=told.get("sha256"),
+            expected=entry.get("sha256"),
             remedy="restore the file",
         )
     return trace
 
 
-def _write_player(item: RecordedEpisode, episode: Episode, trace: Trace, evidence: Path) -> str:
+def _write_player(recorded: RecordedEpisode, episode: Episode, trace: Trace, evidence: Path) -> str:
     """Write the page that plays the episode; its URL.
 
     Raises:
@@ -436,26 +446,26 @@ def _write_player(item: RecordedEpisode, episode: Episode, trace: Trace, evidenc
     from pytest_dura.reports.html.player import player_page
 
     file = sibling_directory(evidence, "replay") / f"{episode_name(trace.about)}.html"
-    write_file(file, [player_page(trace, _verdicts(item, episode))])
+    write_file(file, [player_page(trace, _verdicts(recorded, episode))])
     return file.as_uri()
 
 
-def _verdicts(item: RecordedEpisode, episode: Episode) -> list[dict[str, Any]]:
+def _verdicts(recorded: RecordedEpisode, episode: Episode) -> list[dict[str, Any]]:
     """What the requirements of the episode's case say of it now."""
     from pytest_dura.requirements.verdicts.episodes import judge_episode
 
-    found: list[dict[str, Any]] = []
-    for requirement in item.requirements:
+    verdicts: list[dict[str, Any]] = []
+    for requirement in recorded.requirements:
         if not requirement.check or requirement.paired is not None:
             continue
         try:
             verdict = judge_episode(requirement, episode)
         except ConfigurationError as error:  # such as a signal that a failed episode lacks
-            told = {"requirement": requirement.id, "verdict": "missing", "detail": error.problem}
-            found.append({**told, "check": requirement.check})
+            missing = {"requirement": requirement.id, "verdict": "missing", "detail": error.problem}
+            verdicts.append({**missing, "check": requirement.check})
         else:
-            found.append({**verdict.to_json(), "check": requirement.check})
-    return found
+            verdicts.append({**verdict.to_json(), "check": requirement.check})
+    return verdicts
 
 
 _REDUCE_OPTION = "--dura-reduce"
@@ -473,10 +483,10 @@ def reduce(session: DuraSession) -> int:
 
     options = session.options
     name = str(options.reduce)
-    record, found = _recorded_episodes(session.config, options, name, _REDUCE_OPTION)
+    record, candidates = _recorded_episodes(session.config, options, name, _REDUCE_OPTION)
     # Verdicts name episodes without their seeds, and rest on planned runs.
-    found.sort(key=lambda item: not item.planned)
-    recorded = next((item for item in found if item.violated), found[0])
+    candidates.sort(key=lambda candidate: not candidate.planned)
+    recorded = next((candidate for candidate in candidates if candidate.violated), candidates[0])
     _check_reducible(recorded, name)
     session.models.prepare(recorded.spec)
     judged = [
@@ -560,12 +570,12 @@ def _write_reduced(
 
     episode = reduction.episode
     assert episode is not None
-    own = recorded.spec.case, recorded.spec.component
-    (before,) = [case for case in record["cases"] if (case["id"], case["component"]) == own]
-    case: dict[str, Any] = {**before, "id": episode.spec.case, "planned": 1}
+    key = recorded.spec.case, recorded.spec.component
+    (original,) = [case for case in record["cases"] if (case["id"], case["component"]) == key]
+    case: dict[str, Any] = {**original, "id": episode.spec.case, "planned": 1}
     case["faults"] = [dict(fault) for fault in episode.spec.faults]
     case.pop("metrics", None)
-    told = {
+    changes = {
         "cases": [case],
         "episodes": [episode_record(episode, planned=True)],
         "verdicts": [],
@@ -573,5 +583,5 @@ def _write_reduced(
         "baseline": None,
         "reduced_from": recorded.spec.id,
     }
-    file = write_record(folder, SessionRecord.of({**record, **told}, folder))
+    file = write_record(folder, SessionRecord.of({**record, **changes}, folder))
     write_file(folder / MANIFEST_FILE, [manifest_text({file.name: file_entry(file)})])

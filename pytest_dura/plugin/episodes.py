@@ -87,8 +87,8 @@ class SessionExecutor:
         Raises:
             ConfigurationError: If it cannot be used.
         """
-        idle = self.context.is_worker or self.context.config.option.collectonly
-        if self.context.options.executor is not None and not idle:
+        simulates_nothing = self.context.is_worker or self.context.config.option.collectonly
+        if self.context.options.executor is not None and not simulates_nothing:
             self.execution()
 
     @property
@@ -102,10 +102,10 @@ class SessionExecutor:
 
     def close(self) -> None:
         """Give up what is under way, and end the processes that simulate."""
-        found, self._execution = self._execution, None
-        if found is not None and not isinstance(found, ConfigurationError):
-            self._noted += found.here
-            found.close()
+        execution, self._execution = self._execution, None
+        if execution is not None and not isinstance(execution, ConfigurationError):
+            self._noted += execution.here
+            execution.close()
 
     def to_json(self) -> dict[str, Any]:
         """What the record says of it."""
@@ -214,9 +214,9 @@ class SharedEpisodes:
 
     def take_problems(self) -> list[str]:
         """Why episodes could not be shared, as far as it was not told yet."""
-        known = [] if self._store is None else self._store.problems
-        found, self._problems_reported = known[self._problems_reported :], len(known)
-        return found
+        problems = [] if self._store is None else self._store.problems
+        new, self._problems_reported = problems[self._problems_reported :], len(problems)
+        return new
 
     def take_searched(self) -> list[dict[str, Any]]:
         """The origins of what searches used since the last call."""
@@ -258,22 +258,22 @@ class SharedEpisodes:
             ConfigurationError: If there is nothing to resume, or something cannot be removed.
         """
         options = self.context.options
-        left = self.cache.count()
-        kept = f"{left} episode{'' if left == 1 else 's'}"
+        count = self.cache.count()
+        kept = f"{count} episode{'' if count == 1 else 's'}"
         # Removed once a session is whole, so that a session which was not has left it.
-        begun = self.cache.directory.is_dir()
+        unfinished = self.cache.directory.is_dir()
         if options.reuse is not None:
             place = typed_path(options.reuse, self.context.config.invocation_params.dir)
             self.lines = [f"reusing: {kept} of earlier sessions in {place}"]
             return
         # Reading a great record takes its time, and after most sessions there is nothing left.
-        earlier = self._unfinished(begun=begun) if options.resume or left else None
+        earlier = self._unfinished(left_episodes=unfinished) if options.resume or count else None
         if options.resume:
             self.lines = [f"resuming: {kept} of {earlier}"]
             return
         if earlier is not None:
-            what = f"dropped: {kept} of {earlier}"
-            self.lines = [f"{what}; --dura-resume would have taken them over"]
+            dropped = f"dropped: {kept} of {earlier}"
+            self.lines = [f"{dropped}; --dura-resume would have taken them over"]
         self._clear()
 
     @property
@@ -319,11 +319,11 @@ class SharedEpisodes:
                 remedy="remove it, or choose another directory",
             ) from None
 
-    def _unfinished(self, *, begun: bool) -> str | None:
+    def _unfinished(self, *, left_episodes: bool) -> str | None:
         """The session that the evidence is of, in words, unless it was whole.
 
         Args:
-            begun: Whether it left the directory of its episodes.
+            left_episodes: Whether it left the directory of its episodes.
 
         Raises:
             ConfigurationError: If it is to be resumed, and there is none that can be.
@@ -332,7 +332,7 @@ class SharedEpisodes:
 
         options = self.context.options
         file = options.evidence / RECORD_FILE
-        if begun and not file.exists():
+        if left_episodes and not file.exists():
             return "a session that was interrupted before it wrote a record"
         try:
             record = read_session_record(options.evidence)
@@ -342,7 +342,7 @@ class SharedEpisodes:
             return None
         if record["status"] != "complete":
             return f"the interrupted session of {record['created']}"
-        if begun:
+        if left_episodes:
             return f"the session of {record['created']}, which was not whole"
         if options.resume:
             raise ConfigurationError(
@@ -425,8 +425,8 @@ class Repeats:
             repeated = self._repeated(due)
             self._done.add((case, component))
             if repeated is not None:
-                told = {"case": case, "component": component, "episode": due.task.spec.id}
-                yield {**told, "digest": due.digest, **repeated}
+                about = {"case": case, "component": component, "episode": due.task.spec.id}
+                yield {**about, "digest": due.digest, **repeated}
         self._due.clear()
 
     def _repeated(self, due: _DueRepetition) -> Mapping[str, Any] | None:

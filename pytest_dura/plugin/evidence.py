@@ -151,21 +151,21 @@ def _expected_items(
     """
     if not context.plan:
         return []
-    wanted, requirements = set(chosen), context.library().requirements
+    chosen_ids, requirements = set(chosen), context.library().requirements
     names = {name for planned in context.plan for name in planned.requirements}
-    told = {name: requirements[name].to_json() for name in sorted(names)}
+    recorded = {name: requirements[name].to_json() for name in sorted(names)}
     component_of = _Components(context, roles)
-    expecteds: list[Expected] = []
+    expected: list[Expected] = []
     for planned in context.plan:
         case = planned.case
-        items = [(f"{case.id}::{name}", told[name]) for name in planned.requirements]
-        items = [item for item in items if item[0] in wanted]
+        items = [(f"{case.id}::{name}", recorded[name]) for name in planned.requirements]
+        items = [item for item in items if item[0] in chosen_ids]
         if items:
             runs = context.options.runs or case.scenario.planned
             off = case.roles_off(roles.chosen())
             record = case_record(case, component_of(case), runs, context.options.runs, off)
-            expecteds += [(item, requirement, record) for item, requirement in items]
-    return expecteds
+            expected += [(item, requirement, record) for item, requirement in items]
+    return expected
 
 
 class _Components:
@@ -312,34 +312,34 @@ class SessionEvidence:
         """Take in what an item told."""
         if self.context.is_worker:
             return
-        begun, self._any_report = perf_counter(), True
+        started, self._any_report = perf_counter(), True
         # Terminal and others keep the reports of all items.
-        told = vars(report).pop(REPORT_ATTRIBUTE, None)
-        if told is not None or report.nodeid not in self._claiming:
+        item_report = vars(report).pop(REPORT_ATTRIBUTE, None)
+        if item_report is not None or report.nodeid not in self._claiming:
             self._due.discard(report.nodeid)
         if report.failed:
             self._failed.add(report.nodeid)
-        if told is not None:
-            self._add(json.loads(told))
+        if item_report is not None:
+            self._add(json.loads(item_report))
         if self.record is not None:
             self._waive(report)
-        self._spent += perf_counter() - begun
+        self._spent += perf_counter() - started
 
     def take(self, part: str) -> None:
         """Take in episodes of the item that is running in this process; see ItemReport."""
         from pytest_dura.evidence.episodes import unpack_report
 
-        begun = perf_counter()
+        started = perf_counter()
         self._add(unpack_report(part))
-        self._spent += perf_counter() - begun
+        self._spent += perf_counter() - started
 
-    def _add(self, told: dict[str, Any]) -> None:
+    def _add(self, item_report: dict[str, Any]) -> None:
         self.start(late=True)
         if self.record is None:
             return
         try:
-            self.record.add(told)
-            self._sources().add_report(told)
+            self.record.add(item_report)
+            self._sources().add_report(item_report)
         except ConfigurationError as error:
             # Without its episodes there is nothing that the session could still show.
             pytest.exit(error_text(error))
@@ -395,7 +395,7 @@ class SessionEvidence:
     def _judged(self, session: pytest.Session) -> tuple[Gate, SessionRecord]:
         """What the session comes to, and its record."""
         assert self.record is not None
-        begun = perf_counter()
+        started = perf_counter()
         stopped = self.interrupted or bool(session.shouldstop or session.shouldfail)
         interrupted = stopped or session.exitstatus not in _REGULAR_EXIT_CODES
         status: Status = "interrupted" if interrupted else "complete"
@@ -407,8 +407,8 @@ class SessionEvidence:
         }
         self.record.header = self._properties.described(header)
         record = self.given.compared(self.record.record(status))
-        told = [*self.record.problems, *self.record.objections]
-        self.objections = [*told, *self.given.worse(record)]
+        recorded = [*self.record.problems, *self.record.objections]
+        self.objections = [*recorded, *self.given.worse(record)]
         if self.context.options.require_repeatable:
             from pytest_dura.evidence.gate import repeat_objections
 
@@ -427,13 +427,13 @@ class SessionEvidence:
         if session.exitstatus == pytest.ExitCode.OK and not interrupted:
             # Of runs that `-k` left out, or a violation that a test caught.
             self.objections += [
-                f"the gate fails: {verdict_objection}, though every test passed"
-                for verdict_objection in verdict_objections(
+                f"the gate fails: {objection}, though every test passed"
+                for objection in verdict_objections(
                     record["verdicts"], record["searches"], warn_undecided=warn_undecided
                 )
             ]
         concluded = self._concluded(status, gate, record)
-        self._spent += perf_counter() - begun
+        self._spent += perf_counter() - started
         return gate, concluded
 
     def _concluded(

@@ -131,8 +131,8 @@ def episode(
 
     target = _target(request)
     try:
-        found = orchestrator.episode(target.case, target.run, planned=target.planned)
-        return ObservedEpisode.of(found)
+        simulated = orchestrator.episode(target.case, target.run, planned=target.planned)
+        return ObservedEpisode.of(simulated)
     except ConfigurationError as error:
         raise pytest.fail.Exception(str(error), pytrace=False) from None
 

@@ -124,31 +124,31 @@ class SessionHooks:
 
     def _label(self, items: list[pytest.Item]) -> None:
         """Label what Allure reports or selects, before it selects."""
-        own = list(filter(uses_runner, items))
-        if not own:
+        own_items = list(filter(uses_runner, items))
+        if not own_items:
             return
         from pytest_dura.plugin.allure import mark_item, wanted
 
         if wanted(self.session.config):
-            for item in own:
+            for item in own_items:
                 mark_item(self.session, item)
 
     def pytest_collection_finish(self, session: pytest.Session) -> None:
         """Note what will run, in a record that takes the place of an earlier session's."""
-        ours = list(filter(uses_runner, session.items))
+        own_items = list(filter(uses_runner, session.items))
         if self.session.shard is None:  # which leaves out what other shards run
-            self.session.selection.ask(ours)
-        own = [item.nodeid for item in ours]
-        if own:
+            self.session.selection.ask(own_items)
+        node_ids = [item.nodeid for item in own_items]
+        if node_ids:
             self._begin_guard()
         # The record of an earlier session must not be taken for that of this one, whatever it runs.
-        earlier = bool(own) and (self.session.evidence_directory / "evidence.json").exists()
-        if earlier or not all(map(lacks_case, ours)):
+        earlier = bool(node_ids) and (self.session.evidence_directory / "evidence.json").exists()
+        if earlier or not all(map(lacks_case, own_items)):
             self.session.begin_evidence()
             expect_progress(self.session)
         if self.session.evidence.record is not None:
-            marked = [our.nodeid for our in ours if our.get_closest_marker("dura")]
-            self.session.evidence.read_from(own, marked)
+            marked = [item.nodeid for item in own_items if item.get_closest_marker("dura")]
+            self.session.evidence.read_from(node_ids, marked)
         self.session.check_argument()
         self.session.evidence.expect([item.nodeid for item in session.items])
 
@@ -187,12 +187,12 @@ class SessionHooks:
         self, item: pytest.Item, nextitem: pytest.Item | None
     ) -> Generator[None, Any, Any]:
         """Let a worker that has no item left help the others."""
-        found = yield
+        result = yield
         if nextitem is None and self.session.is_worker and self.session.plan:
             from pytest_dura.plugin.xdist import steal_work
 
             steal_work(self.session, item)
-        return found
+        return result
 
     @pytest.hookimpl(wrapper=True, trylast=True)
     def pytest_fixture_setup(self, request: pytest.FixtureRequest) -> Generator[None, Any, Any]:
@@ -234,13 +234,13 @@ class SessionHooks:
             escape_error(call.excinfo.value)
         report = yield
         self.session.properties.add_section(report)
-        attach = self.session.recorder.attach(item, call, report)
+        item_report = self.session.recorder.attach(item, call, report)
         # A test that could not be set up is not called.
         if uses_runner(item) and (call.when == "call" or (call.when == "setup" and call.excinfo)):
             from pytest_dura.plugin.junit import add_properties
             from pytest_dura.plugin.outcomes import item_results
 
-            results = item_results(self.session, item, attach)
+            results = item_results(self.session, item, item_report)
             add_properties(self.session, item, report, results)
             if item.config.getoption("allure_report_dir", None):
                 from pytest_dura.plugin.allure import report_item

@@ -55,9 +55,9 @@ class SessionInputs:
             for requirement in planned.requirements:
                 self._requirement(requirement)
 
-    def item(self, item: str) -> None:
+    def item(self, node_id: str) -> None:
         """The test module of a node id, with the ``conftest.py`` files that it sees."""
-        path = item.partition("::")[0]
+        path = node_id.partition("::")[0]
         if not path.endswith(".py") or not self._new("item", path):
             # A scenario item sees the root's alone.
             self._conftests(self.context.config.rootpath)
@@ -114,17 +114,17 @@ class SessionInputs:
                 for requirement in scenario.requirements:
                     self._requirement(requirement)
 
-    def _requirement(self, name: str, told: Data | None = None) -> None:
+    def _requirement(self, name: str, definition: Data | None = None) -> None:
         if not self._new("requirement", name):
             return
         library = self.context.library()
         file = library.defined_in.get(name)
         if file is not None:
             self.inputs.add("requirements", Path(file))
-            told = library.requirements[name].to_json()
-        if told is not None:
-            self._module("check", told["check"])
-            self._module("check", (told["paired"] or {}).get("measure", ""))
+            definition = library.requirements[name].to_json()
+        if definition is not None:
+            self._module("check", definition["check"])
+            self._module("check", (definition["paired"] or {}).get("measure", ""))
 
     def _module(self, kind: InputKind, path: str) -> None:
         """The user's own file behind ``package.module:name`` or ``tests/conftest.py:name``."""
@@ -153,8 +153,10 @@ class SessionInputs:
         if file is None or is_installed(file):
             return
         code = user_code(file, module)
-        for item in code.files if code is not None and len(code.files) <= MAX_LISTED_FILES else ():
-            self.inputs.add(kind, item)
+        for path_of_code in (
+            code.files if code is not None and len(code.files) <= MAX_LISTED_FILES else ()
+        ):
+            self.inputs.add(kind, path_of_code)
 
     def _conftests(self, folder: Path) -> None:
         if not self._new("folder", str(folder)):

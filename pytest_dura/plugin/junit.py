@@ -36,10 +36,8 @@ def add_properties(
     results: Sequence[ItemResult],
 ) -> None:
     """Put what an item came to among its properties; they cross processes with its reports."""
-    before = item.stash.get(_OURS, [])  # of an earlier attempt
-    others = [
-        user_property for user_property in item.user_properties if user_property not in before
-    ]
+    earlier = item.stash.get(_OURS, [])  # of an earlier attempt
+    others = [entry for entry in item.user_properties if entry not in earlier]
     ours = _properties(context, item, results)
     item.stash[_OURS] = ours
     item.user_properties[:] = [*others, *ours]
@@ -49,20 +47,20 @@ def add_properties(
 def _properties(
     context: SessionContext, item: pytest.Item, results: Sequence[ItemResult]
 ) -> Properties:
-    told: list[tuple[str, Any]] = [
+    properties: list[tuple[str, Any]] = [
         ("item", item.nodeid),
         ("base_seed", context.options.seed),
         *_episode(context, item),
     ]
     for result in results:
-        told += _group(context, result)
-    return [(name, _value(name, value)) for name, value in told if value not in (None, "")]
+        properties += _group(context, result)
+    return [(name, _value(name, value)) for name, value in properties if value not in (None, "")]
 
 
 def _value(name: str, value: Any) -> str:
     """Plain text without anything that XML or another process could not take."""
-    shown = str(value)
-    return junit_name(shown) if name in _NAMES else one_line(shown)
+    text = str(value)
+    return junit_name(text) if name in _NAMES else one_line(text)
 
 
 def _episode(context: SessionContext, item: pytest.Item) -> Iterator[tuple[str, Any]]:
@@ -134,9 +132,9 @@ def ending_events(context: SessionContext, result: ItemResult) -> list[str]:
     if result.word != "violated":
         return []
     episode: Episode | None = result.episode
-    shown = (result.verdict or {}).get("counterexamples")
-    if episode is None and shown and result.case is not None:
-        run = int(shown[0]["episode"].rpartition("#")[2])
+    counterexamples = (result.verdict or {}).get("counterexamples")
+    if episode is None and counterexamples and result.case is not None:
+        run = int(counterexamples[0]["episode"].rpartition("#")[2])
         episode = context.runner.again(result.case, run)
     if episode is None:
         return []

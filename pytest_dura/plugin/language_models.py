@@ -51,14 +51,14 @@ class LanguageModels:
         self._unsent: set[tuple[Any, ...]] = set()
         self._replayed: list[ModelDescription] = []
 
-    def send_to_worker(self, told: dict[str, Any]) -> None:
+    def send_to_worker(self, workerinput: dict[str, Any]) -> None:
         """Add what a worker has to know to its input."""
         if self.context.cassette is not None:
-            told["dura_cassette"] = str(self.context.cassette.absolute())
-            told["dura_llm_session"] = self._name
+            workerinput["dura_cassette"] = str(self.context.cassette.absolute())
+            workerinput["dura_llm_session"] = self._name
         elif self._in_use is not None:
             # Each worker's own probe might come to something else, and so to another component.
-            told["dura_llm_described"] = [
+            workerinput["dura_llm_described"] = [
                 description.to_json() for description in self._in_use.descriptions
             ]
 
@@ -77,17 +77,17 @@ class LanguageModels:
         if options.llm != "live":
             from pytest_dura.llm.session import ModelSession
 
-            made = ModelSession(
+            session = ModelSession(
                 options.llm, self.context.cassette, session=self._name, scrub=self.context.redact
             )
-            self._replayed = made.replayed
-            self._put_to_use(made)
+            self._replayed = session.replayed
+            self._put_to_use(session)
         elif self.context.worker_input.get("dura_llm_described"):
             from pytest_dura.llm.session import ModelSession
 
-            made = ModelSession(session=self._name)
-            made.know(self.context.worker_input["dura_llm_described"])
-            self._put_to_use(made)
+            session = ModelSession(session=self._name)
+            session.know(self.context.worker_input["dura_llm_described"])
+            self._put_to_use(session)
 
     def __enter__(self) -> None:
         """See :meth:`begin`."""
@@ -102,9 +102,9 @@ class LanguageModels:
         if not self._begun:
             return
         self._begun = False
-        own = self._put_to_use(self._before)
-        if own is not None:
-            own.close()
+        session = self._put_to_use(self._before)
+        if session is not None:
+            session.close()
 
     def _put_to_use(self, session: ModelSession | None) -> ModelSession | None:
         """See :func:`pytest_dura.llm.session.use`."""
@@ -150,11 +150,11 @@ class LanguageModels:
             return []
         from pytest_dura.provenance import recorded_path
 
-        spoke = [f"{each.spoken_of}, recorded {each.created[:10]}" for each in self._replayed]
-        if len(spoke) > _MOST_MODELS:
-            spoke[_MOST_MODELS:] = [f"and {len(spoke) - _MOST_MODELS} more models"]
+        models = [f"{model.spoken_of}, recorded {model.created[:10]}" for model in self._replayed]
+        if len(models) > _MOST_MODELS:
+            models[_MOST_MODELS:] = [f"and {len(models) - _MOST_MODELS} more models"]
         file = recorded_path(self.context.cassette, self.context.config.rootpath)
-        return [f"dura: answers replayed from {file}: {'; '.join(spoke)}"]
+        return [f"dura: answers replayed from {file}: {'; '.join(models)}"]
 
     def header(self) -> list[str]:
         """A line for each model that is known by now."""
@@ -162,7 +162,7 @@ class LanguageModels:
         lines = []
         for description in [] if session is None else session.descriptions:
             capabilities = description.capabilities
-            kept = " (enforced)" if capabilities.get("enforced") else " (not enforced)"
+            enforcement = " (enforced)" if capabilities.get("enforced") else " (not enforced)"
             level = str(capabilities.get("structured", "unknown"))
             abilities = ", ".join(
                 f"{name} {'yes' if capabilities.get(name) else 'no'}" for name in ("vision", "seed")
@@ -170,7 +170,7 @@ class LanguageModels:
             lines.append(
                 f"dura: language model {description.model} at {description.base_url} "
                 f"({self.context.options.llm}), structured output {level}"
-                f"{'' if level == 'none' else kept}, {abilities}"
+                f"{'' if level == 'none' else enforcement}, {abilities}"
                 f"{f'; {description.about}' if description.about else ''}"
             )
         return lines
@@ -194,7 +194,7 @@ class LanguageModels:
         """A line, if a server was asked in this process, that its answers may be others now."""
         session = self._in_use
         counts = {} if session is None else session.counts
-        if not any(count for (*_, deed), count in counts.items() if deed == "asked"):
+        if not any(count for (*_, outcome), count in counts.items() if outcome == "asked"):
             return []
         advice = "--dura-llm=replay repeats what --dura-llm=record kept"
         return [f"  a language model was asked anew and may have answered otherwise; {advice}"]
@@ -221,16 +221,16 @@ class LanguageModels:
         session = self._in_use
         if session is None:
             return []
-        now = Counter(session.counts)
-        for (model, fingerprint, deed), count in (now - self._counted).items():
+        counts = Counter(session.counts)
+        for (model, fingerprint, outcome), count in (counts - self._counted).items():
             key = self._latest.get((model, fingerprint), (None, model, fingerprint, None))
             self._note(key)
-            self._used[key][deed] += count
+            self._used[key][outcome] += count
             self._unsent.add(key)
-        self._counted = now
-        found = [self._entry(session, key) for key in sorted(self._unsent, key=str)]
+        self._counted = counts
+        entries = [self._entry(session, key) for key in sorted(self._unsent, key=str)]
         self._unsent.clear()
-        return found
+        return entries
 
     @contextmanager
     def uncounted(self) -> Iterator[None]:

@@ -82,11 +82,11 @@ def _check_same(known: Requirement, given: Mapping[str, Any]) -> None:
             raise _conflicting_meaning(known.id, "a requirement file", own, value)
 
 
-def _conflicting_meaning(name: str, where: str, before: str, found: Any) -> ConfigurationError:
+def _conflicting_meaning(name: str, where: str, before: str, given: Any) -> ConfigurationError:
     return ConfigurationError(
         f"the marker gives the requirement {name!r} another meaning than {where}",
         key="pytest.mark.requirement",
-        found=found,
+        found=given,
         expected=before,
         remedy=f'name it alone, requirement("{name}"), or give the test an id of its own',
     )
@@ -152,8 +152,8 @@ def _check_falsify(context: SessionContext, definition: pytest.Item) -> None:
             expected="one marker",
             remedy=f'name all requirements in one: {_FALSIFY}(["SAF-1", "SAF-2"])',
         )
-    wanted = _marker_arguments(markers[0], _falsify_marker)["requirement"]
-    for text in wanted if isinstance(wanted, (list, tuple)) else [wanted]:
+    requirements = _marker_arguments(markers[0], _falsify_marker)["requirement"]
+    for text in requirements if isinstance(requirements, (list, tuple)) else [requirements]:
         if isinstance(text, str) and text not in context.library().requirements:
             _check_formula(text)
 
@@ -174,9 +174,12 @@ def run_marked_search(item: pytest.Function) -> None:
         return
     given = _marker_arguments(marker, _falsify_marker)
     campaign: Any = item.funcargs["campaign"]
-    wanted = given.pop("requirement")
+    requirement = given.pop("requirement")
     try:
-        campaign.falsify(wanted, **{key: item for key, item in given.items() if item is not None})
+        campaign.falsify(
+            requirement,
+            **{key: value for key, value in given.items() if value is not None},
+        )
     except DuraError as error:
         # No line of the test has run, so that there is none to show.
         pytest.fail(str(error), pytrace=False)
@@ -283,19 +286,21 @@ def _errors_at(definition: pytest.Item) -> Iterator[None]:
         from pytest_dura.core.error_messages import error_at
 
         file, line, _ = definition.location
-        at = error
+        located = error
         if error.file is None:
-            at = error_at(error, file=file, line=None if line is None else line + 1)
-        raise pytest.Collector.CollectError(error_text(at)) from None
+            located = error_at(error, file=file, line=None if line is None else line + 1)
+        raise pytest.Collector.CollectError(error_text(located)) from None
 
 
 def _check_use(definition: pytest.Item, looked_at: Sequence[str]) -> None:
     """A marker that would run nothing must not read as a pass."""
     own = [marker for marker in definition.own_markers if marker.name == "dura"]
-    quiet = [item.kwargs["verdict"] for item in own if item.kwargs.get("verdict", True) is not True]
-    if quiet and quiet[0] is not False:
-        raise _unusable("verdict", quiet[0], "False, for a test that decides nothing")
-    if quiet and looked_at and definition.get_closest_marker("requirement") is not None:
+    verdicts = [
+        marker.kwargs["verdict"] for marker in own if marker.kwargs.get("verdict", True) is not True
+    ]
+    if verdicts and verdicts[0] is not False:
+        raise _unusable("verdict", verdicts[0], "False, for a test that decides nothing")
+    if verdicts and looked_at and definition.get_closest_marker("requirement") is not None:
         raise ConfigurationError(
             "the test names a requirement, and says that it decides nothing",
             key="pytest.mark.dura(verdict=)",
@@ -387,9 +392,12 @@ def _are_campaigns(faults: Any) -> bool:
     if not isinstance(faults, Sequence) or not faults:
         return False
     return all(
-        isinstance(item, (str, Mapping))
-        or (isinstance(item, Sequence) and all(isinstance(fault, (str, Mapping)) for fault in item))
-        for item in faults
+        isinstance(campaign, (str, Mapping))
+        or (
+            isinstance(campaign, Sequence)
+            and all(isinstance(fault, (str, Mapping)) for fault in campaign)
+        )
+        for campaign in faults
     )
 
 
@@ -406,11 +414,11 @@ def _runs(value: Any, case: Case) -> tuple[int, bool]:
     return number, budget
 
 
-def _unusable(key: str, found: Any, expected: str) -> ConfigurationError:
+def _unusable(key: str, value: Any, expected: str) -> ConfigurationError:
     return ConfigurationError(
         f"the marker dura cannot be used: wrong `{key}`",
         key=f"pytest.mark.dura({key}=)",
-        found=found,
+        found=value,
         expected=expected,
         remedy=f"correct `{key}`",
     )

@@ -50,10 +50,10 @@ def apply_code_places(config: pytest.Config) -> None:
 
     get, here = config.getoption, config.invocation_params.dir
     files = [here / path for path in get("dura_path")]
-    files += [here / item for item in get("dura_faults") if item.endswith((".yaml", ".yml"))]
+    files += [here / path for path in get("dura_faults") if path.endswith((".yaml", ".yml"))]
     foreign = [path if path.is_dir() else path.parent for path in files]
     foreign = [
-        item for item in foreign if not item.resolve().is_relative_to(config.rootpath.resolve())
+        path for path in foreign if not path.resolve().is_relative_to(config.rootpath.resolve())
     ]
     if get("dura_replay") is not None or get("dura_reduce") is not None:
         given = get("dura_evidence")
@@ -83,27 +83,27 @@ def escape_error(error: BaseException) -> None:
     """
     from pytest_dura.evidence.text import visible
 
-    for item in _error_chain(error):
-        if isinstance(item, (pytest.fail.Exception, pytest.skip.Exception)):
-            item.msg = visible(str(item.msg), _LONGEST_MESSAGE)
-            item.args = (item.msg,)
-        elif any(isinstance(text, str) and not text.isprintable() for text in item.args):
-            item.args = tuple(
+    for link in _error_chain(error):
+        if isinstance(link, (pytest.fail.Exception, pytest.skip.Exception)):
+            link.msg = visible(str(link.msg), _LONGEST_MESSAGE)
+            link.args = (link.msg,)
+        elif any(isinstance(text, str) and not text.isprintable() for text in link.args):
+            link.args = tuple(
                 visible(text, _LONGEST_USER_TEXT) if isinstance(text, str) else text
-                for text in item.args
+                for text in link.args
             )
 
 
 def _error_chain(error: BaseException) -> Iterator[BaseException]:
     """The error, what it was raised from, what was being handled, and so on."""
     seen: set[int] = set()
-    left: list[BaseException | None] = [error]
-    while left:
-        item = left.pop()
-        if item is not None and id(item) not in seen:
-            seen.add(id(item))
-            yield item
-            left += [item.__cause__, item.__context__]
+    pending: list[BaseException | None] = [error]
+    while pending:
+        link = pending.pop()
+        if link is not None and id(link) not in seen:
+            seen.add(id(link))
+            yield link
+            pending += [link.__cause__, link.__context__]
 
 
 def escape_reason(marker: pytest.Mark) -> None:

@@ -76,9 +76,11 @@ class Observations:
 
 
 class _NotedColumns(SealedColumns):
-    def __init__(self, columns: Mapping[str, NDArray[Any]], name: str, looks: Observations) -> None:
+    def __init__(
+        self, columns: Mapping[str, NDArray[Any]], name: str, observations: Observations
+    ) -> None:
         super().__init__(columns)
-        self._name, self._looks = name, looks
+        self._name, self._looks = name, observations
 
     def __getitem__(self, key: str) -> NDArray[Any]:
         self._looks.note(f"{self._name}.{key}")
@@ -97,22 +99,22 @@ class ObservedEpisode(JudgedEpisode):
     @classmethod
     def of(cls, episode: Episode) -> Self:
         """The same episode, of which nothing was looked at yet."""
-        made = super().of(episode)
-        own, looks = vars(made), Observations()
+        observed = super().of(episode)
+        own, observations = vars(observed), Observations()
         for name in ("signals", "decisions"):
-            own[name] = _NotedColumns(own[name], name, looks)
+            own[name] = _NotedColumns(own[name], name, observations)
         own["digest"] = episode.digest  # computed once for all that look at the episode
-        own["_looks"] = looks
-        return made
+        own["_looks"] = observations
+        return observed
 
     def __getattribute__(self, name: str) -> Any:
         """Note what is asked for; what answering it reads is not noted."""
-        looks = object.__getattribute__(self, "__dict__").get("_looks")
-        if looks is None or looks.closed or name.startswith("_") or name in _ASKING:
+        observations = object.__getattribute__(self, "__dict__").get("_looks")
+        if observations is None or observations.closed or name.startswith("_") or name in _ASKING:
             return super().__getattribute__(name)
         if name not in _IDENTITY:
-            looks.note(name)
-        with looks.pause():
+            observations.note(name)
+        with observations.pause():
             return super().__getattribute__(name)
 
     def __repr__(self) -> str:
@@ -123,9 +125,11 @@ class ObservedEpisode(JudgedEpisode):
     def robustness(self, formula: str) -> float:
         """See :meth:`JudgedEpisode.robustness`."""
         with self._looks.pause():
-            found, _ = evaluate_episode(read_formula(formula), self)
-        self._looks.checked(formula, holds=found is not None and found.status != "violated")
-        return -math.inf if found is None else found.robustness
+            evaluation, _ = evaluate_episode(read_formula(formula), self)
+        self._looks.checked(
+            formula, holds=evaluation is not None and evaluation.status != "violated"
+        )
+        return -math.inf if evaluation is None else evaluation.robustness
 
     def satisfies(self, check: Check) -> bool:
         """See :meth:`JudgedEpisode.satisfies`."""
@@ -137,5 +141,5 @@ class ObservedEpisode(JudgedEpisode):
 
 def observations_of(episode: JudgedEpisode) -> Observations:
     """What a test has looked at of the episode that it was given."""
-    looks: Observations | None = vars(episode).get("_looks")
-    return Observations() if looks is None else looks
+    observations: Observations | None = vars(episode).get("_looks")
+    return Observations() if observations is None else observations

@@ -354,22 +354,22 @@ def _fault_campaigns(given: tuple[str, ...], here: Path) -> tuple[Any, ...] | No
     """The campaigns of all ``--dura-faults``, in their order; ``None`` without any."""
     if not given:
         return None
-    found: list[Any] = []
+    campaigns: list[Any] = []
     for text in given:
         if text.endswith((".yaml", ".yml")):
             from pytest_dura.library.fault_campaigns import read_campaigns
 
-            found += read_campaigns(here / text)
+            campaigns += read_campaigns(here / text)
         else:
-            found += [part.strip() for part in text.split(",")]
-    if not all(found):
+            campaigns += [part.strip() for part in text.split(",")]
+    if not all(campaigns):
         raise ConfigurationError(
             "a fault campaign of --dura-faults has no name",
             key="--dura-faults",
             found=", ".join(given),
             expected="for example --dura-faults=none,ghost-obstacle",
         )
-    return tuple(found)
+    return tuple(campaigns)
 
 
 def _whole_number(option: str, text: Any, *, at_least: int) -> int | None:
@@ -574,9 +574,9 @@ class Shard:
         first, _, last = text.partition("/")
         digits = f"{first}{last}"
         if first and last and digits.isascii() and digits.isdecimal() and len(text) <= _LONGEST:
-            found = cls(int(first), int(last))
-            if 1 <= found.index <= found.count <= _MOST_SHARDS:
-                return found
+            shard = cls(int(first), int(last))
+            if 1 <= shard.index <= shard.count <= _MOST_SHARDS:
+                return shard
         raise ConfigurationError(
             f"{_SHARD_OPTION} takes the number of a shard and how many there are",
             key=_SHARD_OPTION,
@@ -604,8 +604,8 @@ def _shard_of(config: pytest.Config) -> Shard | None:
     Raises:
         ConfigurationError: For one that cannot be used, and options that exclude it.
     """
-    found = Shard.read(config.getoption("dura_shard"))
-    if found is None:
+    shard = Shard.read(config.getoption("dura_shard"))
+    if shard is None:
         return None
     conflicts = [(name, why) for name, why in _EXCLUDED_OPTIONS.items() if config.getoption(name)]
     if config.getoption("dura_llm") == "record":
@@ -615,8 +615,8 @@ def _shard_of(config: pytest.Config) -> Shard | None:
         raise ConfigurationError(
             f"{_SHARD_OPTION} and {other} exclude each other: {why}",
             key=_SHARD_OPTION,
-            found=f"{found.index}/{found.count}",
+            found=f"{shard.index}/{shard.count}",
             expected=f"one of {_SHARD_OPTION} and {other}",
             remedy=f"leave one of them out; {_SHARD_OPTION} is for the jobs of a CI",
         )
-    return found
+    return shard

@@ -135,29 +135,26 @@ def item_results(
     """
     from pytest_dura.plugin.markers import marked_requirements
 
-    claimed = {
-        marked_requirement.id: marked_requirement
-        for marked_requirement in marked_requirements(context, item)
-    }
-    decided_results = _decided_results(context, item, report, claimed)
-    heard = {verdict.requirement.id for verdict in decided_results}
+    claimed = {requirement.id: requirement for requirement in marked_requirements(context, item)}
+    results = _decided_results(context, item, report, claimed)
+    answered = {verdict.requirement.id for verdict in results}
     if report is not None:
         # Of what a test searches it asks for no verdict.
-        heard |= {
+        answered |= {
             outcome["requirement"] for search in report.searches for outcome in search["outcomes"]
         }
     target = target_of(item)
     for name, requirement in claimed.items():
-        if name not in heard:
-            decided_results.append(_undecided_result(context, item, requirement, target))
+        if name not in answered:
+            results.append(_undecided_result(context, item, requirement, target))
     violated = {
         item.question: item
         for item in item.stash.get(_EARLIER_RESULTS, [])
         if item.word == "violated"
     }
-    decided_results = [violated.get(item.question, item) for item in decided_results]
-    item.stash[_EARLIER_RESULTS] = decided_results
-    return decided_results
+    results = [violated.get(item.question, item) for item in results]
+    item.stash[_EARLIER_RESULTS] = results
+    return results
 
 
 def target_of(item: pytest.Item) -> Any:
@@ -238,8 +235,8 @@ def _undecided_result(
         planned=context.options.runs or getattr(target, "planned", case.scenario.planned),
         component=getattr(campaign, "component", None),
     ).to_json()
-    told = {"reason": "the test ended without a verdict on it", "check": "", "paired": None}
-    return ItemResult(requirement, case, verdict=verdict | told)
+    undecided = {"reason": "the test ended without a verdict on it", "check": "", "paired": None}
+    return ItemResult(requirement, case, verdict=verdict | undecided)
 
 
 def _case_of_result(context: SessionContext, item: pytest.Item, name: str) -> Case | None:
@@ -273,22 +270,22 @@ def outcome_of_test(
     from pytest_dura.plugin.observed_episode import observations_of
     from pytest_dura.requirements.verdicts.episodes import EARLY_ENDS, is_unseen_crash
 
-    word, detail = status_of_test(episode, error)
-    failed = failed if word == "violated" else ""
+    status, detail = status_of_test(episode, error)
+    failed = failed if status == "violated" else ""
     detail = failed or detail
     margin = time = None
     judged = _judged_by_own_check(requirement, episode)
     if judged is not None and judged.verdict == "violated":
-        word, margin, time = "violated", judged.margin, judged.time
+        status, margin, time = "violated", judged.margin, judged.time
         detail = detail or judged.detail
-    elif judged is not None and word == "satisfied" and judged.verdict != "satisfied":
-        word, detail = judged.verdict, judged.detail
-    vacuous = word == "satisfied" and judged is not None and judged.vacuous
+    elif judged is not None and status == "satisfied" and judged.verdict != "satisfied":
+        status, detail = judged.verdict, judged.detail
+    vacuous = status == "satisfied" and judged is not None and judged.vacuous
     return {
         "requirement": requirement.id,
         "episode": episode.id,
         "component": episode.spec.component,
-        "verdict": word,
+        "verdict": status,
         "margin": margin,
         "time": time,
         "detail": detail,
@@ -296,9 +293,9 @@ def outcome_of_test(
         "valid_proposals": episode.metrics.valid_proposals,
         "vacuous": vacuous,
         "idle": list(episode.idle_faults),
-        "without_effect": word == "violated" and episode.validity == "invalid",
+        "without_effect": status == "violated" and episode.validity == "invalid",
         "ended": episode.termination if episode.termination in EARLY_ENDS else "",
-        "unseen_crash": word != "violated" and is_unseen_crash(episode, requirements),
+        "unseen_crash": status != "violated" and is_unseen_crash(episode, requirements),
         "assertion": {
             "alone": judged is None,
             "by_check": judged is not None and judged.verdict == "violated",
@@ -309,20 +306,20 @@ def outcome_of_test(
     }
 
 
-def failed_assertion(item: pytest.Item, found: pytest.ExceptionInfo[BaseException]) -> str:
+def failed_assertion(item: pytest.Item, excinfo: pytest.ExceptionInfo[BaseException]) -> str:
     """What of a test failed: its message with what was compared, and the line in its file."""
     from pytest_dura.evidence.text import one_line
 
-    error = found.value
+    error = excinfo.value
     lines = [line for line in str(error).split("\n") if line.strip()]
     # Behind a message of the test's own stands what pytest makes of the comparison.
     compared = [line for line in lines[1:] if line.startswith("assert ")]
     text = "; ".join([*lines[:1], *compared[:1]]) or type(error).__name__
-    own = [entry for entry in found.traceback if entry.path == item.path]
-    if not own:
+    own_entries = [entry for entry in excinfo.traceback if entry.path == item.path]
+    if not own_entries:
         return one_line(text, 500)
     place = item.nodeid.partition("::")[0]
-    return f"{one_line(text, 500)} ({place}:{own[-1].lineno + 1})"
+    return f"{one_line(text, 500)} ({place}:{own_entries[-1].lineno + 1})"
 
 
 def _judged_by_own_check(requirement: Requirement, episode: JudgedEpisode) -> EpisodeVerdict | None:
@@ -341,19 +338,19 @@ def status_of_test(
     episode: JudgedEpisode, error: BaseException | None
 ) -> tuple[EpisodeStatus, str]:
     """What the outcome of a test says of the episode that it looked at, and why."""
-    first = str(error).partition("\n")[0] if error is not None else ""
+    message = str(error).partition("\n")[0] if error is not None else ""
     if episode.failure is not None:
         return "missing", episode.failure
     if error is None:
         return "satisfied", ""
-    spoilt = isinstance(error, pytest.fail.Exception) and first.startswith("invalid: ")
-    if spoilt or isinstance(error, pytest.skip.Exception):
-        return "invalid", first
+    says_invalid = isinstance(error, pytest.fail.Exception) and message.startswith("invalid: ")
+    if says_invalid or isinstance(error, pytest.skip.Exception):
+        return "invalid", message
     if isinstance(error.__context__, ConfigurationError):
-        return "missing", f"infrastructure: the test cannot be judged: {first}"
+        return "missing", f"infrastructure: the test cannot be judged: {message}"
     if isinstance(error, (AssertionError, pytest.fail.Exception)):
-        return "violated", first
-    return "missing", f"infrastructure: the test raised {type(error).__name__}: {first}"
+        return "violated", message
+    return "missing", f"infrastructure: the test raised {type(error).__name__}: {message}"
 
 
 _OUR_FIXTURES = "pytest_dura.plugin.fixtures"
@@ -410,10 +407,10 @@ def without_verdict(
         item: The test, which has run.
         decided: Requirement and case of the verdicts that it asked for.
     """
-    asked_for = _episode_fixtures_of(item)
-    if not asked_for or decided or decides_nothing(item):
+    fixtures = _episode_fixtures_of(item)
+    if not fixtures or decided or decides_nothing(item):
         return False
-    return "episode" not in asked_for or not marked_requirements(context, item)
+    return "episode" not in fixtures or not marked_requirements(context, item)
 
 
 def _episode_fixtures_of(item: pytest.Item) -> list[str]:
@@ -474,9 +471,9 @@ def _check_looked(context: SessionContext, item: pytest.Function, episode: Judge
     from pytest_dura.plugin.observed_episode import observations_of
 
     alone = [
-        marked_requirement.id
-        for marked_requirement in marked_requirements(context, item)
-        if _judged_by_own_check(marked_requirement, episode) is None
+        requirement.id
+        for requirement in marked_requirements(context, item)
+        if _judged_by_own_check(requirement, episode) is None
     ]
     if alone and not observations_of(episode).names:
         _fail_undecided(
@@ -491,10 +488,14 @@ def _check_searched(context: SessionContext, used: Iterable[UsedEpisodes]) -> No
     """A property test passes by at least one case that a strategy chose and that is valid."""
     from pytest_dura.library.cases import SearchedCase
 
-    doubts = [episode.doubt for episode in used if isinstance(episode.case, SearchedCase)]
-    if doubts and all(doubts):
-        why = str(doubts[0]).partition("(")[2]
-        _fail_undecided(context, f"undecided: none of {len(doubts)} cases is valid ({why}")
+    reasons = [
+        used_episodes.doubt
+        for used_episodes in used
+        if isinstance(used_episodes.case, SearchedCase)
+    ]
+    if reasons and all(reasons):
+        reason = str(reasons[0]).partition("(")[2]
+        _fail_undecided(context, f"undecided: none of {len(reasons)} cases is valid ({reason}")
 
 
 def _violation_text(requirement: Requirement, judged: EpisodeVerdict) -> str:
@@ -510,17 +511,17 @@ def _check_decided(
     decided: Collection[tuple[str, str]],
 ) -> None:
     """A test on a campaign that claims to decide a requirement must ask for its verdict."""
-    used_here = used.get(campaign.case.id)
-    if used_here is not None and used_here.doubt is not None:
-        _fail_undecided(context, used_here.doubt)
+    used_episodes = used.get(campaign.case.id)
+    if used_episodes is not None and used_episodes.doubt is not None:
+        _fail_undecided(context, used_episodes.doubt)
     if "episode" in item.funcargs:
         return  # it decides them
-    claimed = [marked_requirement.id for marked_requirement in marked_requirements(context, item)]
-    left = [name for name in claimed if (name, campaign.case.id) not in decided]
-    if left:
+    claimed = [requirement.id for requirement in marked_requirements(context, item)]
+    undecided = [name for name in claimed if (name, campaign.case.id) not in decided]
+    if undecided:
         _fail_undecided(
             context,
-            f"undecided: the test never asked for a verdict on {', '.join(left)}; "
+            f"undecided: the test never asked for a verdict on {', '.join(undecided)}; "
             "call campaign.require(check)",
         )
 

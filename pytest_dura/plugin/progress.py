@@ -67,11 +67,11 @@ class Snapshots:
         if running is not self._campaign:
             self.forget()
             self._campaign = running
-        progress, begun = running.progress(), self._clock()
-        if begun >= self._due:
+        progress, started = running.progress(), self._clock()
+        if started >= self._due:
             self._bounded = running.bounded(progress)
             ended = self._clock()
-            self._due = ended + min((ended - begun) / BOUND_SHARE, LONGEST_BOUND_AGE)
+            self._due = ended + min((ended - started) / BOUND_SHARE, LONGEST_BOUND_AGE)
             return self._bounded
         known = self._bounded
         # From fewer runs with as many violations the bound is too great, and so it still holds.
@@ -151,13 +151,13 @@ class WorkerFile:
 
 def read_files(folder: Path, token: str) -> dict[str, CampaignProgress]:
     """How far the campaign of each worker of a session is; what cannot be read is passed over."""
-    found = {}
+    progress_of = {}
     for file, of_session, worker, end in _progress_files(folder):
         if of_session == token and end == "json":
             progress = _read_progress(file)
             if progress is not None:
-                found[worker] = progress
-    return found
+                progress_of[worker] = progress
+    return progress_of
 
 
 def remove_files(folder: Path, worker: str | None = None) -> None:
@@ -209,16 +209,16 @@ def _checked_progress(data: Any) -> CampaignProgress | None:
     if not (isinstance(data, dict) and set(data) == _FIELDS):
         return None
     counts = [data[name] for name in ("taken_over", "done", "budget")]
-    counted = counts if data["violations"] is None else [*counts, data["violations"]]
+    numbers = counts if data["violations"] is None else [*counts, data["violations"]]
     shares = [data[name] for name in ("upper", "confidence") if data[name] is not None]
-    sound = (
+    is_valid = (
         all(_is_text(data[name]) for name in ("case", "subject"))
-        and all(type(number) is int and 0 <= number <= _GREATEST for number in counted)
+        and all(type(number) is int and 0 <= number <= _GREATEST for number in numbers)
         and counts == sorted(counts)
         and type(data["may_end_early"]) is bool
         and all(isinstance(share, float) and 0.0 <= share <= 1.0 for share in shares)
     )
-    return CampaignProgress(**data) if sound else None
+    return CampaignProgress(**data) if is_valid else None
 
 
 def _is_text(value: Any) -> bool:

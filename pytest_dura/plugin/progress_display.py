@@ -102,32 +102,32 @@ class Row:
 
 def log_line(row: Row) -> str:
     """Everything, as in a log."""
-    progress, found = row.progress, [_runs(row.progress)]
+    progress, parts = row.progress, [_runs(row.progress)]
     if progress.violations is not None:
-        found.append(_violations(progress.violations))
+        parts.append(_violations(progress.violations))
     if progress.upper is not None and progress.confidence is not None:
-        found.append(f"rate <= {_percent(progress.upper)} ({100 * progress.confidence:g} %)")
+        parts.append(f"rate <= {_percent(progress.upper)} ({100 * progress.confidence:g} %)")
     if row.rate is not None:
-        found.append(_speed(row.rate, " runs"))
+        parts.append(_speed(row.rate, " runs"))
     if row.left is not None:
         most = "at most " if progress.may_end_early else ""
-        found.append(f"{most}{duration(row.left)} left")
-    return f"{_campaign_name(progress)}: {', '.join(found)}"
+        parts.append(f"{most}{duration(row.left)} left")
+    return f"{_campaign_name(progress)}: {', '.join(parts)}"
 
 
 def short_line(row: Row) -> str:
     """The same figures in fewer characters."""
     progress = row.progress
-    found = [f"{progress.done}/{progress.budget}"]
+    parts = [f"{progress.done}/{progress.budget}"]
     if progress.violations is not None:
-        found.append(_violations(progress.violations))
+        parts.append(_violations(progress.violations))
     if progress.upper is not None:
-        found.append(f"<= {_percent(progress.upper)}")
+        parts.append(f"<= {_percent(progress.upper)}")
     if row.rate is not None:
-        found.append(_speed(row.rate, ""))
+        parts.append(_speed(row.rate, ""))
     if row.left is not None:
-        found.append(f"{'<= ' if progress.may_end_early else ''}{duration(row.left)} left")
-    return f"{_campaign_name(progress)} {', '.join(found)}"
+        parts.append(f"{'<= ' if progress.may_end_early else ''}{duration(row.left)} left")
+    return f"{_campaign_name(progress)} {', '.join(parts)}"
 
 
 def terminal_line(row: Row, width: int) -> str:
@@ -174,7 +174,7 @@ def _cut(text: str, width: int) -> str:
 def _campaign_name(progress: CampaignProgress) -> str:
     # A name with an escape sequence in it would write to the terminal what it likes.
     name = f"{progress.case} {progress.subject}".rstrip()
-    return "".join(item if item.isprintable() else "?" for item in name)
+    return "".join(character if character.isprintable() else "?" for character in name)
 
 
 def _runs(progress: CampaignProgress) -> str:
@@ -205,17 +205,19 @@ class Board:
     def __init__(self) -> None:
         self._paces: dict[str, Pace] = {}
 
-    def rows(self, found: Mapping[str, CampaignProgress], now: float) -> list[Row]:
+    def rows(self, campaigns: Mapping[str, CampaignProgress], now: float) -> list[Row]:
         """One row per place, in the order of their names.
 
         Args:
-            found: The campaign that runs at each place.
+            campaigns: The campaign that runs at each place.
             now: Seconds of a clock that runs evenly.
         """
-        self._paces = {place: self._pace(place, progress, now) for place, progress in found.items()}
+        self._paces = {
+            place: self._pace(place, progress, now) for place, progress in campaigns.items()
+        }
         rows = []
-        for place in sorted(found, key=lambda place: (len(place), place)):  # gw2 before gw10
-            progress, pace = found[place], self._paces[place]
+        for place in sorted(campaigns, key=lambda place: (len(place), place)):  # gw2 before gw10
+            progress, pace = campaigns[place], self._paces[place]
             remaining = progress.budget - progress.done
             rows.append(Row(place, progress, pace.rate(now), pace.left(remaining, now)))
         return rows
@@ -369,10 +371,10 @@ class ProgressLog:
         reporter: Any,
         interval: float,
         begun: float,
-        alone: Callable[[], AbstractContextManager[Any]],
+        uncaptured: Callable[[], AbstractContextManager[Any]],
     ) -> None:
         self._reporter, self._interval, self._begun = reporter, interval, begun
-        self._alone = alone
+        self._alone = uncaptured
         self._due = begun + interval
 
     def show(self, rows: Sequence[Row], now: float) -> None:
@@ -440,10 +442,10 @@ class ProgressView:
     def __init__(
         self,
         surface: Surface,
-        found: Callable[[], Mapping[str, CampaignProgress]],
+        campaigns: Callable[[], Mapping[str, CampaignProgress]],
         clock: Callable[[], float] = perf_counter,
     ) -> None:
-        self._surface, self._found, self._clock = surface, found, clock
+        self._surface, self._found, self._clock = surface, campaigns, clock
         self._board = Board()
 
     def look(self) -> None:
@@ -481,10 +483,10 @@ class Ticker:
 def capture_disabled(config: pytest.Config) -> AbstractContextManager[Any]:
     """Context in which standard output is that of the session."""
     capture = config.pluginmanager.getplugin("capturemanager")
-    found: AbstractContextManager[Any] = (
+    context: AbstractContextManager[Any] = (
         nullcontext() if capture is None else capture.global_and_fixture_disabled()
     )
-    return found
+    return context
 
 
 def open_terminal(config: pytest.Config) -> TextIO:

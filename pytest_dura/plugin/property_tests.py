@@ -53,24 +53,24 @@ def _scenario_folder(context: SessionContext) -> Path:
 def counterexample_store(context: SessionContext) -> CounterexampleStore:
     """What keeps a counterexample, and says where, as seen from the project's root."""
 
-    def keep(
-        case: SearchedCase, asked: Objective, told: Sequence[str]
+    def store(
+        case: SearchedCase, objective: Objective, lines: Sequence[str]
     ) -> tuple[StoredCounterexample, str]:
         from pytest_dura.search.counterexamples import write_counterexample
 
         known = context.library().requirements
-        requirement = asked.requirement
-        kept = write_counterexample(
+        requirement = objective.requirement
+        stored = write_counterexample(
             _scenario_folder(context),
             case,
             requirement,
-            asked.check,
+            objective.check,
             defined=known.get(requirement.id) == requirement,
-            told=[str(context.redact(line)) for line in told],
+            told=[str(context.redact(line)) for line in lines],
         )
-        return kept, os.path.relpath(kept.file, context.config.rootpath)
+        return stored, os.path.relpath(stored.file, context.config.rootpath)
 
-    return keep
+    return store
 
 
 PROFILE = "dura"
@@ -180,20 +180,22 @@ class PropertyTests:
     def _of(self, error: BaseException) -> list[SearchedCase]:
         """The cases of the runs whose errors are reported, each once."""
         reported = set(map(id, _leaves(error)))
-        failed = [case for item, cases in self._failed if id(item) in reported for case in cases]
+        failed = [
+            case for failure, cases in self._failed if id(failure) in reported for case in cases
+        ]
         return list({case.id: case for case in failed}.values())
 
     def _kept(self, item: pytest.Item, case: SearchedCase) -> Iterator[str]:
         """Lines on a case that is kept, or why it is not."""
         try:
-            asked = self._violated(item, case)
-            if asked is None:
+            objective = self._violated(item, case)
+            if objective is None:
                 yield (
                     f"{case.id} violates no requirement of the test or its scenario: no file is "
                     "kept. Name what it violates with the marker `requirement`."
                 )
             else:
-                yield from self._keep(item, case, asked)
+                yield from self._keep(item, case, objective)
         except ConfigurationError as error:
             yield f"{case.id} is not kept: {error}"
 
@@ -204,18 +206,21 @@ class PropertyTests:
 
         runner = self.context.runner
         named = {
-            marked_requirement.id: marked_requirement
-            for marked_requirement in marked_requirements(self.context, item)
+            requirement.id: requirement for requirement in marked_requirements(self.context, item)
         }
         named |= {item.id: item for item in runner.requirements_of(case) if item.id not in named}
         episode = runner.searched(case)
-        for entry in named.values():
-            asked = Objective(entry)
-            if entry.check and not entry.paired and asked.judge(episode).word == "violated":
-                return asked
+        for requirement in named.values():
+            objective = Objective(requirement)
+            if (
+                requirement.check
+                and not requirement.paired
+                and objective.judge(episode).word == "violated"
+            ):
+                return objective
         return None
 
-    def _keep(self, item: pytest.Item, case: SearchedCase, asked: Objective) -> Iterator[str]:
+    def _keep(self, item: pytest.Item, case: SearchedCase, objective: Objective) -> Iterator[str]:
         from pytest_dura.plugin.context import rerun_command
         from pytest_dura.search.counterexamples import (
             confirm_violation,
@@ -224,10 +229,10 @@ class PropertyTests:
         from pytest_dura.search.space import SearchSpace
         from pytest_dura.search.trials import Trials
 
-        runner, name = self.context.runner, asked.requirement.id
+        runner, name = self.context.runner, objective.requirement.id
         original = runner.case(case.scenario.name)
-        trials = Trials(runner, SearchSpace(original, (), original.scenario.world), [asked])
-        confirmed = confirm_violation(trials, asked, case, 0)
+        trials = Trials(runner, SearchSpace(original, (), original.scenario.world), [objective])
+        confirmed = confirm_violation(trials, objective, case, 0)
         repeats = confirmed.found.repeats
         if not repeats.confirmed:
             yield (
@@ -236,15 +241,15 @@ class PropertyTests:
             )
             return
         written: list[StoredCounterexample] = []
-        keep = counterexample_store(self.context)
+        store = counterexample_store(self.context)
 
-        def noted(*arguments: Any) -> tuple[StoredCounterexample, str]:
-            found = keep(*arguments)
-            written.append(found[0])
-            return found
+        def storing(*arguments: Any) -> tuple[StoredCounterexample, str]:
+            stored = store(*arguments)
+            written.append(stored[0])
+            return stored
 
         counterexample = store_counterexample(
-            trials, asked, confirmed, noted, f"simplest failing case of {item.nodeid}"
+            trials, objective, confirmed, storing, f"simplest failing case of {item.nodeid}"
         )
         command = rerun_command(self.context, f"{counterexample.name}::{written[0].requirement.id}")
         yield f"{case.id} violates {name}, confirmed by replay with an equal digest"
@@ -258,7 +263,7 @@ def _leaves(error: BaseException) -> Iterator[BaseException]:
     """The error, or those that a group of them holds."""
     inner = getattr(error, "exceptions", None)
     if isinstance(inner, (tuple, list)):
-        for item in inner:
-            yield from _leaves(item)
+        for member in inner:
+            yield from _leaves(member)
     else:
         yield error

@@ -125,9 +125,9 @@ class TraceKeeper:
 
     def take(self) -> tuple[list[dict[str, Any]], list[str]]:
         """What there is to tell since the last call: traces, and problems."""
-        told = self.traces, self.problems
+        taken = self.traces, self.problems
         self.traces, self.problems = [], []
-        return told
+        return taken
 
     def _keep(self, episode: Episode, reason: Reason) -> None:
         about = self.context.redact(
@@ -226,11 +226,11 @@ class ItemRecorder:
         generator = episode.spec.roles["generator"]
         self._case_used(case, generator, planned)
         self._models.used(episode.spec)
-        own = self.context.runner.key(episode)
-        key = own, planned > 0
-        if key not in self._recorded:
-            self._recorded.add(key)
-            origin = self.context.runner.store.earlier.origin(own)
+        key = self.context.runner.key(episode)
+        use = key, planned > 0
+        if use not in self._recorded:
+            self._recorded.add(use)
+            origin = self.context.runner.store.earlier.origin(key)
             record = episode_record(episode, planned=planned > 0, origin=origin)
             self._report.episodes.append(record)
             self._relieve()
@@ -254,9 +254,9 @@ class ItemRecorder:
             if episode:
                 self.traces.violated(episode)
         self._used.pop((verdict.pairs or {}).get("case", verdict.case), None)
-        asked = requirement.to_json()
-        question = {"check": asked["check"], "paired": asked["paired"]}
-        self._report.verdicts.append({**verdict.to_json(), **question})
+        question = requirement.to_json()
+        check = {"check": question["check"], "paired": question["paired"]}
+        self._report.verdicts.append({**verdict.to_json(), **check})
         self._decided.add((verdict.requirement, verdict.case))
         self._requirement_used(requirement)
         self._planned(verdict.case, verdict.component, verdict.planned)
@@ -295,8 +295,8 @@ class ItemRecorder:
         self, case: Case, episode: JudgedEpisode, chains: list[CausalChain]
     ) -> None:
         """It was found what came of each fault of an episode."""
-        told = {"case": case.id, "component": episode.spec.component, "episode": episode.id}
-        self._report.chains += [{**told, **chain.to_json()} for chain in chains]
+        about = {"case": case.id, "component": episode.spec.component, "episode": episode.id}
+        self._report.chains += [{**about, **chain.to_json()} for chain in chains]
         self._relieve()
 
     def case_repeated(self, repeat: Mapping[str, Any]) -> None:
@@ -317,7 +317,9 @@ class ItemRecorder:
         verdict, search = getattr(error, "verdict", None), getattr(error, "falsification", None)
         undecided = verdict is not None and verdict.verdict == "undecided"
         if search is not None:
-            undecided = not search.found and any(o.word == "undecided" for o in search.outcomes)
+            undecided = not search.found and any(
+                outcome.word == "undecided" for outcome in search.outcomes
+            )
         if undecided and self.context.options.warn_undecided:
             return pytest.skip.Exception(str(error))
         return pytest.fail.Exception(str(error))
@@ -358,14 +360,12 @@ class ItemRecorder:
             self._report.models += models
         if self._pending is None:
             return None
-        without_secrets, self._pending = self._pending, None
-        without_secrets.item = item.nodeid
-        without_secrets = without_secrets.without_secrets(self.context.redact)
-        if without_secrets:
-            setattr(
-                report, REPORT_ATTRIBUTE, json.dumps(without_secrets.to_json(), allow_nan=False)
-            )
-        return without_secrets
+        item_report, self._pending = self._pending, None
+        item_report.item = item.nodeid
+        item_report = item_report.without_secrets(self.context.redact)
+        if item_report:
+            setattr(report, REPORT_ATTRIBUTE, json.dumps(item_report.to_json(), allow_nan=False))
+        return item_report
 
     def _called(
         self, item: pytest.Item, call: pytest.CallInfo[None], report: pytest.TestReport
@@ -392,8 +392,8 @@ class ItemRecorder:
         """Keep the episode at which a test failed that asked for no verdict: its last one."""
         if self._last is None or self._decided or call.excinfo is None:
             return
-        word, why = status_of_test(self._last, call.excinfo.value)
-        if word == "violated" and not why.startswith("undecided: "):
+        status, detail = status_of_test(self._last, call.excinfo.value)
+        if status == "violated" and not detail.startswith("undecided: "):
             self.traces.violated(self._last)
 
     @property
@@ -407,7 +407,7 @@ class ItemRecorder:
     def _case_used(self, case: Case, generator: RoleSpec, planned: int) -> None:
         report, component = self._report, self._component_used(generator)
         if not any(
-            (item["id"], item["component"]) == (case.id, component) for item in report.cases
+            (entry["id"], entry["component"]) == (case.id, component) for entry in report.cases
         ):
             off = case.roles_off(self.context.runner.roles)
             runs = self.context.options.runs
@@ -430,21 +430,21 @@ class ItemRecorder:
             file, root = None, self.context.config.rootpath
             if isinstance(generator, LocalRole):
                 file = root / generator.path.rpartition(":")[0]
-            described = describe_component(generator.path, factory, generator.params, file, root)
-            sources = described.pop("sources")
-            if described["digest"] is not None:
+            description = describe_component(generator.path, factory, generator.params, file, root)
+            sources = description.pop("sources")
+            if description["digest"] is not None:
                 # They are many: the first report of each process has them.
-                self._report.sources[described["digest"]] = sources
-            named = {"name": component, **described, "opaque": generator.opaque}
+                self._report.sources[description["digest"]] = sources
+            named = {"name": component, **description, "opaque": generator.opaque}
             self._components[key] = named
         if self._components[key] not in self._report.components:
             self._report.components.append(self._components[key])
         return component
 
     def _planned(self, case: str, component: str, planned: int) -> None:
-        for item in self._report.cases:
-            if (item["id"], item["component"]) == (case, component):
-                item["planned"] = max(item["planned"], planned)
+        for entry in self._report.cases:
+            if (entry["id"], entry["component"]) == (case, component):
+                entry["planned"] = max(entry["planned"], planned)
 
     def _requirement_used(self, requirement: Requirement) -> None:
         if requirement.to_json() not in self._report.requirements:
@@ -492,12 +492,12 @@ class ItemRecorder:
         for requirement in marked_requirements(self.context, item):
             self._requirement_used(requirement)
             of_case = self.context.runner.requirements_of(target.case)
-            outcome_test = outcome_of_test(requirement, of_case, episode, error, failed)
-            if outcome_test["verdict"] == "violated":
+            outcome = outcome_of_test(requirement, of_case, episode, error, failed)
+            if outcome["verdict"] == "violated":
                 self.traces.violated(episode)
             self._report.outcomes.append(
                 {
-                    **outcome_test,
+                    **outcome,
                     "case": target.case.id,
                     "planned": target.planned,
                     "at_most": requirement.at_most,

@@ -55,7 +55,7 @@ def none_in_root_conftest(config: pytest.Config) -> list[tuple[str, str]]:
     if not roles:
         return []
     tree = ast.parse(root.read_bytes())
-    functions = {item.name: item for item in tree.body if isinstance(item, ast.FunctionDef)}
+    functions = {node.name: node for node in tree.body if isinstance(node, ast.FunctionDef)}
     return [(root.name, role) for role in roles if _returns_none(functions.get(role))]
 
 
@@ -86,8 +86,10 @@ def _conftest_defining(config: pytest.Config, value: object) -> str | None:
 
 def defined_in_conftest(config: pytest.Config, file: str, name: str) -> Any:
     """What :func:`_conftest_defining` was asked about; ``None`` if that file is not loaded."""
-    wanted = config.rootpath / file
-    return next((vars(m).get(name) for path, m in _conftests(config) if path == wanted), None)
+    conftest = config.rootpath / file
+    return next(
+        (vars(module).get(name) for path, module in _conftests(config) if path == conftest), None
+    )
 
 
 def _overrides(config: pytest.Config) -> list[tuple[Path, str]]:
@@ -100,12 +102,12 @@ def _overrides(config: pytest.Config) -> list[tuple[Path, str]]:
 
 
 def _conftests(config: pytest.Config) -> list[tuple[Path, ModuleType]]:
-    found = []
+    modules = []
     for plugin in config.pluginmanager.get_plugins():
         file = getattr(plugin, "__file__", None)
         if isinstance(plugin, ModuleType) and file and Path(file).name == "conftest.py":
-            found.append((Path(file), plugin))
-    return sorted(found, key=lambda item: item[0])
+            modules.append((Path(file), plugin))
+    return sorted(modules, key=lambda entry: entry[0])
 
 
 def _is_fixture(module: ModuleType, name: str) -> bool:

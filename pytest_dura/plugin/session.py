@@ -47,15 +47,15 @@ def _scenario_arguments(context: SessionContext) -> dict[str, Chosen]:
     config = context.config
     if config.args_source is not config.ArgsSource.ARGS:
         return {}
-    found = {}
+    chosen = {}
     for argument in config.args:
         path, _, requirement = argument.partition("::")
         if path.endswith(".py") or os.path.lexists(config.invocation_params.dir / path):
             continue
         name = _case_name(context, path)
         if name is not None:
-            found[argument] = (name, _requirement_name(context, name, requirement))
-    return found
+            chosen[argument] = (name, _requirement_name(context, name, requirement))
+    return chosen
 
 
 def _case_name(context: SessionContext, path: str) -> str | None:
@@ -109,10 +109,10 @@ def make_plan(context: SessionContext, chosen: Mapping[str, Chosen]) -> list[Pla
     if chosen:
         # A case of our own arguments may have other faults than its scenario.
         named = {name: context.runner.case(name) for name, _ in chosen.values()}
-        found = select_cases(list(named.values()), options.select)
+        selected = select_cases(list(named.values()), options.select)
     else:
-        found = expand_cases(library.scenarios, options.faults, options.select, library.faults)
-    cases = {case.id: case for case in found}
+        selected = expand_cases(library.scenarios, options.faults, options.select, library.faults)
+    cases = {case.id: case for case in selected}
     for name in sorted(cases):
         case = cases[name]
         if not (case.requirements or chosen or options.list_only):
@@ -128,7 +128,7 @@ def make_plan(context: SessionContext, chosen: Mapping[str, Chosen]) -> list[Pla
             requirements = tuple(
                 requirement
                 for requirement in case.requirements
-                if any(_chooses(item, name, requirement) for item in chosen.values())
+                if any(_chooses(choice, name, requirement) for choice in chosen.values())
             )
         if requirements:
             context.take_case(case)

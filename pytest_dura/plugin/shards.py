@@ -54,13 +54,13 @@ class Selection:
 
     def ask(self, items: Sequence[pytest.Item]) -> None:
         """Note what is left of them."""
-        asked = dict(self._verdicts(items))
-        left_out = [name for name in self._planned if name not in asked]
+        selected = dict(self._verdicts(items))
+        left_out = [name for name in self._planned if name not in selected]
         runs = self.context.options.runs
-        fewer = {item for item in asked.values() if runs is not None and runs < item}
+        fewer = {declared for declared in selected.values() if runs is not None and runs < declared}
         self._left = {
-            "planned": len(self._planned | asked),
-            "asked": len(asked),
+            "planned": len(self._planned | selected),
+            "asked": len(selected),
             "left_out": sorted(left_out)[:_MOST_LISTED],
             "runs": runs if fewer else None,
             "declared_runs": [min(fewer), max(fewer)] if fewer else [],
@@ -102,10 +102,7 @@ class Selection:
         if decides_nothing(item):
             return []
         try:
-            names = [
-                marked_requirement.id
-                for marked_requirement in marked_requirements(self.context, item)
-            ]
+            names = [requirement.id for requirement in marked_requirements(self.context, item)]
         except ConfigurationError:  # the test's own error says so
             names = []
         return [f"{name} on {case} by {test}" for name in dict.fromkeys(names)] or [
@@ -181,10 +178,10 @@ class ShardHooks:
         units = _units_of(self.context, items)
         holds = split_units(units, self.shard.count)[self.shard.index - 1]
         kept = {id(item) for unit in holds for item in units[unit]}
-        left = [item for item in items if id(item) not in kept]
+        deselected = [item for item in items if id(item) not in kept]
         self._kept = items[:] = [item for item in items if id(item) in kept]
-        if left:
-            config.hook.pytest_deselected(items=left)
+        if deselected:
+            config.hook.pytest_deselected(items=deselected)
         self._split = {
             "plan": plan_digest(units),
             "units": len(units),
@@ -197,8 +194,8 @@ class ShardHooks:
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtestloop(self, session: pytest.Session) -> None:
         """Look whether everything will run that the shard says it holds: no other one runs it."""
-        there = set(map(id, session.items))
-        lost = [item.nodeid for item in self._kept if id(item) not in there]
+        present = set(map(id, session.items))
+        lost = [item.nodeid for item in self._kept if id(item) not in present]
         if lost:
             self.lost = (
                 f"a plugin took out {len(lost)} of {len(self._kept)} items after the session was "
@@ -213,7 +210,7 @@ class ShardHooks:
         if self._split is None:
             return []
         held = self._split["holds"]
-        episodes, items = (sum(item[key] for item in held) for key in ("episodes", "items"))
+        episodes, items = (sum(unit[key] for unit in held) for key in ("episodes", "items"))
         text = f"{len(held)} of {self._split['units']} units, {items} items, {episodes} episodes"
         return [f"dura: {self.shard} holds {text}"]
 
@@ -234,9 +231,11 @@ class ShardHooks:
 
 def _compared_options(config: pytest.Config) -> dict[str, str]:
     """What was asked of the session on which its results depend, as JSON."""
-    told = vars(config.option)
-    names = [item for item in told if item.startswith("dura_") and item not in _MAY_DIFFER]
-    given = {name: told[name] for name in (*names, *_COMPARED_OPTIONS_OF_OTHERS) if name in told}
+    options = vars(config.option)
+    names = [name for name in options if name.startswith("dura_") and name not in _MAY_DIFFER]
+    given = {
+        name: options[name] for name in (*names, *_COMPARED_OPTIONS_OF_OTHERS) if name in options
+    }
     settings = given.get("override_ini") or []
     given["override_ini"] = sorted(
         setting for setting in settings if not setting.startswith(_DISPLAY_SETTINGS)
@@ -286,13 +285,15 @@ def _units_of(
         names[root] = min(names.get(root, name), name)
     episodes = groups.episodes()
     units: dict[ShardUnit, list[pytest.Item]] = {}
-    for root, own in members.items():
-        ids = [item.nodeid for item in own]
-        units[ShardUnit.of("case", names[root], ids, episodes[root])] = own
-    for name, own in tests.items():
+    for root, members_of_unit in members.items():
+        ids = [item.nodeid for item in members_of_unit]
+        units[ShardUnit.of("case", names[root], ids, episodes[root])] = members_of_unit
+    for name, members_of_unit in tests.items():
         # One that chooses its episodes itself has at least one, for all that is known.
-        runs = any("dura_metrics" in getattr(item, "fixturenames", ()) for item in own)
-        units[ShardUnit.of("test", name, [name] * len(own), int(runs))] = own
+        runs = any("dura_metrics" in getattr(item, "fixturenames", ()) for item in members_of_unit)
+        units[ShardUnit.of("test", name, [name] * len(members_of_unit), int(runs))] = (
+            members_of_unit
+        )
     return units
 
 
@@ -309,8 +310,8 @@ def _planned_case_of(context: SessionContext, item: pytest.Item) -> tuple[Case, 
     for fixture in ("episode", "campaign"):
         target = parameters.get(fixture)
         if isinstance(target, Target):
-            asked = () if target.requirement is None else (target.requirement.id,)
-            return target.case, target.planned, _pairs(context, target.case, asked)
+            requirements = () if target.requirement is None else (target.requirement.id,)
+            return target.case, target.planned, _pairs(context, target.case, requirements)
     return None
 
 
@@ -320,7 +321,9 @@ def _pairs(context: SessionContext, case: Case, names: Iterable[str]) -> bool:
 
     known = context.library().requirements
     paired = [known[name].paired for name in names if name in known]
-    return bool(case.faults) and any(item is not None and item.without == FAULTS for item in paired)
+    return bool(case.faults) and any(
+        pairing is not None and pairing.without == FAULTS for pairing in paired
+    )
 
 
 class _Groups:
@@ -340,8 +343,8 @@ class _Groups:
             case = self._above[case]
         return case
 
-    def join(self, item: str, other: str) -> None:
-        first, second = sorted((self.root(item), self.root(other)))
+    def join(self, case: str, other: str) -> None:
+        first, second = sorted((self.root(case), self.root(other)))
         self._above[second] = first
 
     def episodes(self) -> Counter[str]:

@@ -67,20 +67,20 @@ def _searched_lines(record: SessionRecord) -> Iterator[str]:
 
 
 def _reuse_sentences(
-    reuse: Mapping[str, Any], count: int, item: str, whose: str = ""
+    reuse: Mapping[str, Any], count: int, noun: str, suffix: str = ""
 ) -> Iterator[str]:
     from pytest_dura.evidence.sessions import outdated_reason
 
     taken, sessions = reuse["taken_over"], len(reuse["sessions"])
-    from_where = f" from {counted(sessions, 'earlier session')}" if taken else ""
-    yield f"{counted(taken, item)}{whose} taken over{from_where}, {count - taken} simulated"
-    outdated = sorted(reuse["outdated"], key=lambda each: -each["episodes"])
-    for each in outdated[:_MOST_REASONS]:
-        again = f"{counted(each['episodes'], item)}{whose} simulated again"
-        yield f"{again}: {outdated_reason(each['changed'])}"
+    origin = f" from {counted(sessions, 'earlier session')}" if taken else ""
+    yield f"{counted(taken, noun)}{suffix} taken over{origin}, {count - taken} simulated"
+    outdated = sorted(reuse["outdated"], key=lambda entry: -entry["episodes"])
+    for entry in outdated[:_MOST_REASONS]:
+        repeated = f"{counted(entry['episodes'], noun)}{suffix} simulated again"
+        yield f"{repeated}: {outdated_reason(entry['changed'])}"
     if len(outdated) > _MOST_REASONS:
-        rest = sum(each["episodes"] for each in outdated[_MOST_REASONS:])
-        yield f"{counted(rest, item)}{whose} simulated again for other reasons: see the record"
+        rest = sum(entry["episodes"] for entry in outdated[_MOST_REASONS:])
+        yield f"{counted(rest, noun)}{suffix} simulated again for other reasons: see the record"
 
 
 def _resume_lines(session: DuraSession) -> Iterator[str]:
@@ -135,12 +135,16 @@ def _show_baseline(terminal: Any, record: SessionRecord) -> None:
     comparisons = baseline["comparisons"]
     terminal.line("")
     terminal.line(f"baseline {baseline['path']}: {_baseline_summary(baseline)}")
-    shown = [item for item in comparisons if item["test"] is None or _violated(item)]
+    shown = [
+        comparison
+        for comparison in comparisons
+        if comparison["test"] is None or _violated(comparison)
+    ]
     rows = [
-        item
-        for baseline_colour in (*_BASELINE_COLOURS, _NO_EVIDENCE)
-        for item in shown
-        if item["word"] == baseline_colour
+        comparison
+        for status in (*_BASELINE_COLOURS, _NO_EVIDENCE)
+        for comparison in shown
+        if comparison["word"] == status
     ]
     if rows:
         table = [_BASELINE_COLUMNS, *map(_baseline_row, rows)]
@@ -165,59 +169,65 @@ def _show_baseline(terminal: Any, record: SessionRecord) -> None:
 _BASELINE_COLUMNS = ("", "now", "then", "p", "Holm", "test")
 
 
-def _baseline_row(verdict: Data) -> Sequence[str]:
-    direction = "worse" if verdict["p_worse"] <= verdict["p_better"] else "better"
-    word = verdict["word"]
-    if word == _NO_EVIDENCE:
-        word = "-" if verdict["uncorrected"] == _NO_EVIDENCE else f"({verdict['uncorrected']})"
+def _baseline_row(comparison: Data) -> Sequence[str]:
+    direction = "worse" if comparison["p_worse"] <= comparison["p_better"] else "better"
+    status = comparison["word"]
+    if status == _NO_EVIDENCE:
+        status = (
+            "-" if comparison["uncorrected"] == _NO_EVIDENCE else f"({comparison['uncorrected']})"
+        )
     return (
-        word,
-        f"{verdict['violations']}/{verdict['episodes']}",
-        f"{verdict['baseline_violations']}/{verdict['baseline_episodes']}",
-        f"{verdict[f'p_{direction}']:.2g}",
-        f"{verdict[f'p_{direction}_holm']:.2g}",
-        verdict["test"],
+        status,
+        f"{comparison['violations']}/{comparison['episodes']}",
+        f"{comparison['baseline_violations']}/{comparison['baseline_episodes']}",
+        f"{comparison[f'p_{direction}']:.2g}",
+        f"{comparison[f'p_{direction}_holm']:.2g}",
+        comparison["test"],
     )
 
 
-def _name(verdict: Data) -> str:
-    return f"{name(verdict['requirement'])} on {name(verdict['case'])}"
+def _name(comparison: Data) -> str:
+    return f"{name(comparison['requirement'])} on {name(comparison['case'])}"
 
 
 def _baseline_summary(baseline: Data) -> str:
-    words = [comparison["word"] for comparison in baseline["comparisons"]]
+    statuses = [comparison["word"] for comparison in baseline["comparisons"]]
     compared = sum(comparison["test"] is not None for comparison in baseline["comparisons"])
     parts = [counted(compared, "comparison")]
-    parts += [f"{words.count(word)} {word}" for word in ("worse", "better")]
+    parts += [f"{statuses.count(word)} {word}" for word in ("worse", "better")]
     if baseline["tests"] != compared:
         parts.append(f"corrected for {baseline['tests']}")
     return ", ".join(parts)
 
 
-def _violated(verdict: Data) -> bool:
-    return bool(verdict["violations"] or verdict["baseline_violations"])
+def _violated(comparison: Data) -> bool:
+    return bool(comparison["violations"] or comparison["baseline_violations"])
 
 
-def _unremarkable(found: Sequence[Data]) -> dict[str, list[Data]]:
+def _unremarkable(comparisons: Sequence[Data]) -> dict[str, list[Data]]:
     """What never was violated, stands in one record only, or cannot be compared, by reason."""
-    alike: dict[str, list[Data]] = {}
-    for item in found:
-        if item["test"] is None:
-            reason = f"{item['word']}: {item['reason']}" if item["reason"] else item["word"]
-        elif not _violated(item):
-            runs = f"0/{item['episodes']} now, 0/{item['baseline_episodes']} then"
-            reason = f"{item['word']}, violated in {runs}"
+    by_reason: dict[str, list[Data]] = {}
+    for comparison in comparisons:
+        if comparison["test"] is None:
+            reason = (
+                f"{comparison['word']}: {comparison['reason']}"
+                if comparison["reason"]
+                else comparison["word"]
+            )
+        elif not _violated(comparison):
+            runs = f"0/{comparison['episodes']} now, 0/{comparison['baseline_episodes']} then"
+            reason = f"{comparison['word']}, violated in {runs}"
         else:
             continue
-        alike.setdefault(reason, []).append(item)
-    return alike
+        by_reason.setdefault(reason, []).append(comparison)
+    return by_reason
 
 
-def _requirements_by_case(found: Sequence[Data]) -> str:
+def _requirements_by_case(comparisons: Sequence[Data]) -> str:
     """The requirements, by case."""
     cases: dict[str, list[str]] = {}
-    for verdict in found:
-        cases.setdefault(verdict["case"], []).append(verdict["requirement"])
+    for comparison in comparisons:
+        cases.setdefault(comparison["case"], []).append(comparison["requirement"])
     return "; ".join(
         f"{', '.join(map(name, names))} on {name(case)}" for case, names in cases.items()
     )
@@ -258,11 +268,13 @@ def header(session: DuraSession) -> list[str]:
 
 def _switched_off(session: DuraSession) -> list[tuple[str, str]]:
     """Roles that run nowhere, as far as that is known before anything runs, and who says so."""
-    found = {role: f"the fixture in {file}" for file, role in none_in_root_conftest(session.config)}
+    places = {
+        role: f"the fixture in {file}" for file, role in none_in_root_conftest(session.config)
+    }
     for planned in session.plan:
         for role in planned.case.roles_off({}):
-            found.setdefault(role, f"the scenario {planned.case.scenario.name}")
-    return sorted(found.items())
+            places.setdefault(role, f"the scenario {planned.case.scenario.name}")
+    return sorted(places.items())
 
 
 def unused_requirements(session: DuraSession) -> list[str]:
@@ -287,8 +299,8 @@ def _component(session: DuraSession) -> str:
 def summary(session: DuraSession, terminal: Any) -> None:
     """Cases, verdicts and failures, from the record alone."""
     record = session.evidence.final
-    told = ("cases", "searches", "baseline", "shard")
-    if record is None or not (any(record[key] for key in told) or any(_searched_lines(record))):
+    keys = ("cases", "searches", "baseline", "shard")
+    if record is None or not (any(record[key] for key in keys) or any(_searched_lines(record))):
         return
     terminal.section("dura", "=")
     terminal = SafeTerminal(terminal)
@@ -330,12 +342,12 @@ def _gate_line(record: SessionRecord) -> str:
     from pytest_dura.reports.wording import selection_text, shard_text
 
     totals = record["totals"]
-    parts = [f"{totals[word]} {word}" for word in _COUNTED if totals[word]]
+    parts = [f"{totals[status]} {status}" for status in _COUNTED if totals[status]]
     whose = f"gate of {shard_text(record)}" if shard_text(record) else "gate"
     counts = search_counts(record)
     text = f"; searches: {counts}" if counts else ""
-    gate = [totals["gate"], *filter(None, [selection_text(record)]), *(parts or ["no verdict"])]
-    return f"{whose}: {', '.join(gate)}{text}"
+    words = [totals["gate"], *filter(None, [selection_text(record)]), *(parts or ["no verdict"])]
+    return f"{whose}: {', '.join(words)}{text}"
 
 
 def _page(file: Path) -> Path:

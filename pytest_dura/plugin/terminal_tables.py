@@ -59,23 +59,25 @@ def reliance_table(cases: Sequence[Data], overall: Sequence[Data] = ()) -> list[
     names, metrics = _case_names(cases, overall)
     known = {name for metric in metrics for name in metric["reactions"]}
     classes = [*REACTIONS, *sorted(known.difference(REACTIONS))] if known else []
-    felt = any(metric["comfort_failed"] for metric in metrics)
+    has_discomfort = any(metric["comfort_failed"] for metric in metrics)
     if not (
-        felt or known or any(metric["rescued"] and metric["rescued"]["run"] for metric in metrics)
+        has_discomfort
+        or known
+        or any(metric["rescued"] and metric["rescued"]["run"] for metric in metrics)
     ):
         return []
     rows = [
         [
             _percent(metric["rescued"]),
             "-" if metric["switching"] is None else f"{100 * metric['switching']['share']:.1f}",
-            *([_percent(metric["comfort_failed"])] if felt else ()),
+            *([_percent(metric["comfort_failed"])] if has_discomfort else ()),
             *(str(metric["reactions"].get(kind, 0)) for kind in classes),
         ]
         for metric in metrics
     ]
-    columns = ["rescued %", "time %", *(["comfort %"] if felt else ())]
+    columns = ["rescued %", "time %", *(["comfort %"] if has_discomfort else ())]
     columns += [_SHORT.get(kind, kind) for kind in classes]
-    legend = [_RESCUED, *([_COMFORT] if felt else ()), *([_REACTED] if known else ())]
+    legend = [_RESCUED, *([_COMFORT] if has_discomfort else ()), *([_REACTED] if known else ())]
     return [*aligned("reliance", columns, names, rows), *legend]
 
 
@@ -84,10 +86,10 @@ def _case_names(cases: Sequence[Data], overall: Sequence[Data]) -> tuple[list[st
     several = len({case["component"] for case in cases}) > 1
     names = [f"{case['id']} ({case['component']})" if several else case["id"] for case in cases]
     metrics = [case["metrics"] for case in cases]
-    for item in overall:
-        if item["cases"] > 1:
-            names.append(f"overall ({item['component']})" if several else "overall")
-            metrics.append(item["metrics"])
+    for entry in overall:
+        if entry["cases"] > 1:
+            names.append(f"overall ({entry['component']})" if several else "overall")
+            metrics.append(entry["metrics"])
     return names, metrics
 
 
@@ -231,11 +233,11 @@ def pair_table(verdicts: Sequence[Data], cases: Sequence[Data]) -> list[str]:
         key = verdict["case"], verdict["component"]
         rows.append(_pair_row(verdict, metrics[key]["switching"]))
         sums.setdefault((verdict["requirement"], verdict["component"]), []).append(pairs)
-    for (requirement, component), found in sums.items():
-        if len(found) > 1:
-            whose = f" ({component})" if len({who for _, who in sums}) > 1 else ""
+    for (requirement, component), pairs_of_cases in sums.items():
+        if len(pairs_of_cases) > 1:
+            whose = f" ({component})" if len({component for _, component in sums}) > 1 else ""
             names.append(f"{requirement} overall{whose}")
-            rows.append(_all_pairs_row(found))
+            rows.append(_all_pairs_row(pairs_of_cases))
     return [*aligned("recovery", _PAIR_COLUMNS, names, rows), *_PAIR_LEGEND] if rows else []
 
 
@@ -258,10 +260,10 @@ def _pair_row(verdict: Data, switching: Data | None) -> list[str]:
     return [*row, str(switching["takeovers"]), median + never]
 
 
-def _all_pairs_row(found: Sequence[Data]) -> list[str]:
+def _all_pairs_row(pairs_of_cases: Sequence[Data]) -> list[str]:
     """The sums over cases; a test of all pairs together would take them to be of one kind."""
     total: Counter[str] = Counter()
-    for pairs in found:
+    for pairs in pairs_of_cases:
         total.update({key: value for key, value in pairs.items() if isinstance(value, int)})
     return [
         _complete(total["pairs"] - total["incomplete"], total["incomplete"]),
@@ -285,24 +287,22 @@ def _success(prevented: int, futile: int) -> str:
     return f"{100 * prevented / tried:.0f} ({tried})" if tried else "-"
 
 
-def effectiveness_lines(found: Sequence[Data], role: str | None = None) -> list[str]:
+def effectiveness_lines(entries: Sequence[Data], role: str | None = None) -> list[str]:
     """What the runs show of recovery or of monitors, a sentence each.
 
     Args:
-        found: The record's ``effectiveness``.
+        entries: The record's ``effectiveness``.
         role: Of this role alone; ``None`` for all but recovery.
     """
-    several = len({item["component"] for item in found}) > 1
+    several = len({entry["component"] for entry in entries}) > 1
     lines = []
-    for entry in found:
+    for entry in entries:
         if (entry["role"] == role) if role else (entry["role"] != RECOVERY_ROLE):
             whose = f" with {name(entry['component'])}" if several else ""
-            if_reserved = indent_if_reserved(
+            sentence = indent_if_reserved(
                 name(f"{entry['role']}{whose}: {entry['detail']}", LONGEST)
             )
-            lines += textwrap.wrap(
-                if_reserved, WIDTH, subsequent_indent="  ", break_long_words=False
-            )
+            lines += textwrap.wrap(sentence, WIDTH, subsequent_indent="  ", break_long_words=False)
     return lines
 
 
@@ -330,15 +330,18 @@ def monitor_table(monitors: Sequence[Data]) -> list[str]:
     return [*aligned("monitor", _MONITOR_COLUMNS, names, rows), *_MONITOR_LEGEND] if rows else []
 
 
-def _monitor_row(item: Data) -> list[str]:
-    time = item["lead_time"] or item["delay"]
-    per_hour = item["false_alarms_per_hour"]
+def _monitor_row(monitor: Data) -> list[str]:
+    time = monitor["lead_time"] or monitor["delay"]
+    per_hour = monitor["false_alarms_per_hour"]
     return [
-        str(item["true_positives"]),
-        str(item["false_negatives"]),
-        str(item["false_positives"]),
-        str(item["true_negatives"]),
-        *("-" if item[key] is None else f"{item[key]:.2f}" for key in ("precision", "recall")),
+        str(monitor["true_positives"]),
+        str(monitor["false_negatives"]),
+        str(monitor["false_positives"]),
+        str(monitor["true_negatives"]),
+        *(
+            "-" if monitor[key] is None else f"{monitor[key]:.2f}"
+            for key in ("precision", "recall")
+        ),
         "-" if time is None else f"{time['median']:.1f}",
         "-" if per_hour is None else f"{per_hour:.0f}",
     ]
@@ -352,20 +355,18 @@ VERDICT_RANK = {"violated": 0, "undecided": 1, "supported": 2}
 WHERE_ALL_ARE = "-v shows all of them, as do the report and evidence.json"
 
 
-def keep_worst(
-    found: Sequence[T], ranks: Sequence[int], *, most: int | None = MOST_ROWS
-) -> list[T]:
+def keep_worst(rows: Sequence[T], ranks: Sequence[int], *, most: int | None = MOST_ROWS) -> list[T]:
     """As many as are shown, the worst of them, in their own order.
 
     Args:
-        found: All there is.
+        rows: All there is.
         ranks: How bad each is, 0 the worst; among equals the first ones stay.
         most: How many; ``None`` for all.
     """
-    if most is None or len(found) <= most:
-        return list(found)
-    kept = sorted(range(len(found)), key=ranks.__getitem__)[:most]
-    return [found[place] for place in sorted(kept)]
+    if most is None or len(rows) <= most:
+        return list(rows)
+    kept = sorted(range(len(rows)), key=ranks.__getitem__)[:most]
+    return [rows[place] for place in sorted(kept)]
 
 
 def worst_cases(
@@ -381,12 +382,12 @@ def worst_cases(
     return keep_worst(cases, ranks, most=most)
 
 
-def left_out_lines(words: Iterable[str]) -> list[str]:
+def left_out_lines(statuses: Iterable[str]) -> list[str]:
     """A line on the verdicts that are not shown, by their words; none where all are."""
-    counts = Counter(words)
+    counts = Counter(statuses)
     if not counts:
         return []
-    parts = ", ".join(f"{counts[word]} {word}" for word in VERDICT_RANK if counts[word])
+    parts = ", ".join(f"{counts[status]} {status}" for status in VERDICT_RANK if counts[status])
     return [f"and {counted(counts.total(), 'verdict')} more: {parts}; {WHERE_ALL_ARE}"]
 
 
@@ -408,10 +409,10 @@ def fault_table(cases: Sequence[Data]) -> list[str]:
         for fault in case["metrics"]["faults"]:
             # Most cases are named after their only fault, which need not be said twice. Of several
             # none is left out: what remained would be the name of another case.
-            alone = len(case["metrics"]["faults"]) == 1
-            removesuffix = case["id"].removesuffix(f"+{fault['id']}") if alone else case["id"]
+            is_only = len(case["metrics"]["faults"]) == 1
+            case_name = case["id"].removesuffix(f"+{fault['id']}") if is_only else case["id"]
             component = f" ({case['component']})" if several else ""
-            names.append(f"{fault['id']} on {removesuffix}{component}")
+            names.append(f"{fault['id']} on {case_name}{component}")
             rows.append(_fault_row(fault))
     return [*aligned("fault", _FAULT_COLUMNS, names, rows), *_FAULT_LEGEND] if rows else []
 
@@ -462,10 +463,10 @@ def chain_line(fault: Data) -> str:
         ("recovery", fault["recovery_at"], _by(fault["recovery"])),
         ("recovered", fault["recovered_at"], ""),
     ]
-    told = [f"{word} {time:.2f}{by}" for word, time, by in steps if time is not None]
+    parts = [f"{step} {time:.2f}{by}" for step, time, by in steps if time is not None]
     if fault["outcome"] is not None:
-        told.append(str(fault["outcome"]))
-    return f"{fault['id']}: {', '.join(told) or 'never active'}"
+        parts.append(str(fault["outcome"]))
+    return f"{fault['id']}: {', '.join(parts) or 'never active'}"
 
 
 def _by(*names: Any) -> str:
@@ -525,10 +526,10 @@ def _failure_mode_rows(modes: Sequence[Data], whose: str) -> list[str]:
     ]
 
 
-def _failure_mode_row(item: Data) -> list[str]:
+def _failure_mode_row(mode: Data) -> list[str]:
     return [
-        f"{item['hits']}/{item['of']}",
-        percent_text(item["share"]),
-        percent_text(item["null_share"]),
-        f"{item['episodes']}/{item['of_episodes']}",
+        f"{mode['hits']}/{mode['of']}",
+        percent_text(mode["share"]),
+        percent_text(mode["null_share"]),
+        f"{mode['episodes']}/{mode['of_episodes']}",
     ]

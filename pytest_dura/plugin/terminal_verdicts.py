@@ -69,36 +69,38 @@ def show_verdicts(context: SessionContext, terminal: Any, record: SessionRecord)
     shown = keep_worst(
         verdicts, [VERDICT_RANK[verdict["verdict"]] for verdict in verdicts], most=most
     )
-    kept = {id(item) for item in shown}
-    same: dict[tuple[str, ...], list[Data]] = {}
+    kept = {id(verdict) for verdict in shown}
+    by_heading: dict[tuple[str, ...], list[Data]] = {}
     for verdict in shown:
-        told = verdict["verdict"], _where(verdict), _counts(verdict), *_rests_on(verdict)
-        same.setdefault(told, []).append(verdict)
-    for told, group in same.items():
-        _show_alike(terminal, told, group)
+        heading = verdict["verdict"], _where(verdict), _counts(verdict), *_rests_on(verdict)
+        by_heading.setdefault(heading, []).append(verdict)
+    for heading, group in by_heading.items():
+        _show_alike(terminal, heading, group)
     for line in left_out_lines(
         verdict["verdict"] for verdict in verdicts if id(verdict) not in kept
     ):
         terminal.line(line)
     terminal.line(f"{'':<11}(behind each requirement: its least margin, in the check's unit)")
-    alike: dict[tuple[str, ...], list[Data]] = {}
+    failures: dict[tuple[str, ...], list[Data]] = {}
     for verdict in shown:
         if verdict["verdict"] != "supported":
             # What is undecided for one reason is told once for all requirements of a case.
             cause = verdict["reason"], (verdict["spoilt"] or {}).get("detail", "")
-            apart = (verdict["requirement"],) if verdict["verdict"] == "violated" else cause
-            alike.setdefault((verdict["case"], verdict["component"], *apart), []).append(verdict)
-    episodes = _shown_episodes(record, [group[0] for group in alike.values()])
+            own_key = (verdict["requirement"],) if verdict["verdict"] == "violated" else cause
+            failures.setdefault((verdict["case"], verdict["component"], *own_key), []).append(
+                verdict
+            )
+    episodes = _shown_episodes(record, [group[0] for group in failures.values()])
     checks = {requirement["id"]: requirement["check"] for requirement in record["requirements"]}
-    for group in alike.values():
+    for group in failures.values():
         check = str(group[0]["check"] or checks.get(group[0]["requirement"], ""))
         _show_failure(context, terminal, check, group, episodes)
 
 
-def _show_alike(terminal: Any, told: tuple[str, ...], verdicts: Sequence[Data]) -> None:
+def _show_alike(terminal: Any, heading: tuple[str, ...], verdicts: Sequence[Data]) -> None:
     """Verdicts of a case that differ by their requirement and margin alone."""
-    word, where, counts, *rests_on = told
-    terminal.write(f"{word:<9}", **_VERDICT_COLOURS[word])
+    status, where, counts, *rests_on = heading
+    terminal.write(f"{status:<9}", **_VERDICT_COLOURS[status])
     terminal.line(f"  {where}")
     terminal.line(f"{'':<11}{counts}")
     names = ", ".join(dict.fromkeys(map(_with_margin, verdicts)))
@@ -115,10 +117,8 @@ def _counts(verdict: Data) -> str:
     counts = f"n = {verdict['episodes']}, {violations}"
     if verdict["pairs"]:
         counts = f"pairs without {verdict['pairs']['without']}: {counts}"
-    left = [
-        run_count for run_count in other_run_counts(verdict) if not run_count.endswith("vacuous")
-    ]
-    counts = ", ".join([counts, *left])
+    others = [count for count in other_run_counts(verdict) if not count.endswith("vacuous")]
+    counts = ", ".join([counts, *others])
     bound = verdict["bound"]
     if bound["upper"] is not None:
         counts += f", rate <= {bound['upper']:.2g} at {bound['confidence']:g}"
@@ -133,22 +133,21 @@ def _counts(verdict: Data) -> str:
 
 def _rests_on(verdict: Data) -> list[str]:
     """That assertions decided it, and what they looked at; what failed is shown further below."""
-    told = [
-        one_line(assertion_sentence, LONGEST_TEXT)
-        for assertion_sentence in assertion_sentences(verdict)
+    sentences = [one_line(sentence, LONGEST_TEXT) for sentence in assertion_sentences(verdict)]
+    return [
+        sentence for sentence in sentences if not sentence.startswith(("failed: ", "by its check"))
     ]
-    return [item for item in told if not item.startswith(("failed: ", "by its check"))]
 
 
 def _with_margin(verdict: Data) -> str:
     """The requirement, its least margin, and how many episodes satisfied it vacuously."""
-    told = [] if verdict["margin"] is None else [f"{verdict['margin']:.3g}"]
+    parts = [] if verdict["margin"] is None else [f"{verdict['margin']:.3g}"]
     if verdict["vacuous"]:
-        told.append(f"{verdict['vacuous']} vacuous")
-    shown = name(verdict["requirement"])
-    if not told:
-        return shown
-    return f"{shown}{_NO_BREAK}({f',{_NO_BREAK}'.join(told)})".replace(" ", _NO_BREAK)
+        parts.append(f"{verdict['vacuous']} vacuous")
+    requirement = name(verdict["requirement"])
+    if not parts:
+        return requirement
+    return f"{requirement}{_NO_BREAK}({f',{_NO_BREAK}'.join(parts)})".replace(" ", _NO_BREAK)
 
 
 def _where(verdict: Data) -> str:
@@ -194,10 +193,10 @@ def _show_episode(
     episodes: Mapping[tuple[str, str], Data],
 ) -> None:
     """The worst episode, or one that spoilt the campaign, and how to see it again."""
-    shown = _shown_episode_id(verdict)
-    if shown is None:
+    shown_id = _shown_episode_id(verdict)
+    if shown_id is None:
         return
-    episode = episodes.get((shown, verdict["component"]), {"faults": [], "events": []})
+    episode = episodes.get((shown_id, verdict["component"]), {"faults": [], "events": []})
     if verdict["counterexamples"]:
         from pytest_dura.campaign.reasons import describe_counterexample
 
@@ -209,18 +208,18 @@ def _show_episode(
             if event["kind"] == "critical":
                 terminal.line(f"  event:  {event_text(event)}")
     else:
-        told = str(verdict["spoilt"]["detail"])
-        word = verdict["spoilt"]["verdict"]
-        if word != "missing" and not told.startswith(f"{word}: "):
-            told = f"{word}: {told}"
-        terminal.line(f"  {told}")
+        detail = str(verdict["spoilt"]["detail"])
+        status = verdict["spoilt"]["verdict"]
+        if status != "missing" and not detail.startswith(f"{status}: "):
+            detail = f"{status}: {detail}"
+        terminal.line(f"  {detail}")
     for fault in episode["faults"]:
         chain = one_line(chain_line(fault), LONGEST_TEXT)
         first, *rest = textwrap.wrap(chain, WIDTH - 12, break_on_hyphens=False)
         terminal.line(f"  fault:  {first}")
         for line in rest:
             terminal.line(f"            {line}")
-    terminal.line(f"  replay: {replay_command(context, shown)}")
+    terminal.line(f"  replay: {replay_command(context, shown_id)}")
 
 
 def _shown_episode_id(verdict: Data) -> str | None:
@@ -236,13 +235,13 @@ def _shown_episodes(record: SessionRecord, verdicts: Iterable[Data]) -> dict[tup
     They are found in one go, since a record may have a great many.
     """
     named = [(_shown_episode_id(verdict), verdict["component"]) for verdict in verdicts]
-    wanted = {(shown, component) for shown, component in named if shown is not None}
-    found: dict[tuple[str, str], Data] = {}
-    for episode in record.episodes() if wanted else ():
+    keys = {(shown_id, component) for shown_id, component in named if shown_id is not None}
+    episodes: dict[tuple[str, str], Data] = {}
+    for episode in record.episodes() if keys else ():
         key = episode["id"], episode["component"]
-        if key in wanted and (key not in found or episode["planned"] > found[key]["planned"]):
-            found[key] = episode
-    return found
+        if key in keys and (key not in episodes or episode["planned"] > episodes[key]["planned"]):
+            episodes[key] = episode
+    return episodes
 
 
 _SEARCH_WIDTH = 80
@@ -273,9 +272,9 @@ def show_searches(context: SessionContext, terminal: Any, record: SessionRecord)
         for search in searches
     ]
     shown = worst_of(searches, ranks, most=most)
-    for item in shown:
+    for search in shown:
         terminal.line("")
-        _show_search(context, terminal, item)
+        _show_search(context, terminal, search)
     if len(shown) < len(searches):
         more = counted(len(searches) - len(shown), "search")
         terminal.line(f"and {more.replace('searchs', 'searches')} more; {WHERE_ALL_ARE}")
@@ -286,13 +285,13 @@ def show_searches(context: SessionContext, terminal: Any, record: SessionRecord)
 
 def search_counts(record: SessionRecord) -> str:
     """Outcomes by their words, for the line on the gate; empty without a search."""
-    words = Counter(
+    counts = Counter(
         outcome["word"] for search in record["searches"] for outcome in search["outcomes"]
     )
     return ", ".join(
-        f"{words[objectionable_outcome]} {objectionable_outcome}"
-        for objectionable_outcome in (*OBJECTIONABLE_OUTCOMES, "nothing found")
-        if words[objectionable_outcome]
+        f"{counts[status]} {status}"
+        for status in (*OBJECTIONABLE_OUTCOMES, "nothing found")
+        if counts[status]
     )
 
 
@@ -306,10 +305,10 @@ def _show_search(context: SessionContext, terminal: Any, search: Data) -> None:
 
 
 def _show_outcome(context: SessionContext, terminal: Any, search: Data, outcome: Data) -> None:
-    word, requirement = outcome["word"], outcome["requirement"]
+    status, requirement = outcome["word"], outcome["requirement"]
     head = outcome_headline(search, outcome)
     for line in textwrap.wrap(head, _SEARCH_WIDTH, subsequent_indent="  ", break_on_hyphens=False):
-        terminal.line(line, **_SEARCH_COLOURS.get(word, {}))
+        terminal.line(line, **_SEARCH_COLOURS.get(status, {}))
     if outcome_status(search, outcome) == "baseline":
         terminal.line(f"  {OBJECTIONABLE_OUTCOMES['baseline']}", red=True)
     for line in _outcome_lines(outcome):
@@ -321,9 +320,9 @@ def _show_outcome(context: SessionContext, terminal: Any, search: Data, outcome:
     kept = counterexample is not None and counterexample["file"] is not None
     if kept:
         terminal.line(f"  kept:     {one_line(counterexample['file'])}")
-    if word != "nothing found":
-        again = counterexample["name"] if kept else search["item"]
-        terminal.line(f"  rerun:    {rerun_command(context, again)}")
+    if status != "nothing found":
+        to_rerun = counterexample["name"] if kept else search["item"]
+        terminal.line(f"  rerun:    {rerun_command(context, to_rerun)}")
 
 
 def _outcome_lines(outcome: Data) -> Iterator[str]:
@@ -336,9 +335,13 @@ def _outcome_lines(outcome: Data) -> Iterator[str]:
     yield from _entry("worst", counterexample_text(counterexample, outcome["check"]))
     if counterexample["shrinking"] is not None:
         yield from _entry("simpler", shrinking_text(counterexample))
-    told = [f"{path}: {change}" for path, change in parameter_changes(counterexample, MOST_CHANGES)]
-    for number, item in enumerate(told or ["in nothing: the case violates it as it stands"]):
-        yield from _entry("" if number else "differs", item)
+    differences = [
+        f"{path}: {change}" for path, change in parameter_changes(counterexample, MOST_CHANGES)
+    ]
+    for number, difference in enumerate(
+        differences or ["in nothing: the case violates it as it stands"]
+    ):
+        yield from _entry("" if number else "differs", difference)
     if len(counterexample["changes"]) > MOST_CHANGES:
         yield f"{'':<12}and {len(counterexample['changes']) - MOST_CHANGES} more, in evidence.json"
 
@@ -361,9 +364,9 @@ def _searcher_table(search: Data, requirement: str) -> Iterator[str]:
     """Searchers, and below them each trivial baseline by itself."""
     own = list(searcher_rows(search, requirement, "searchers"))
     alone = list(searcher_rows(search, requirement, "baselines"))
-    told = [*own, ("trivial, each by itself:", [""] * len(SEARCHER_COLUMNS)), *alone]
+    rows = [*own, ("trivial, each by itself:", [""] * len(SEARCHER_COLUMNS)), *alone]
     if not alone:
-        told[len(own)] = ("trivial: none was run", [""] * len(SEARCHER_COLUMNS))
-    names, cells = [item for item, _ in told], [row for _, row in told]
+        rows[len(own)] = ("trivial: none was run", [""] * len(SEARCHER_COLUMNS))
+    names, cells = [searcher for searcher, _ in rows], [figures for _, figures in rows]
     yield from (line.rstrip() for line in aligned("searcher", SEARCHER_COLUMNS, names, cells))
     yield from textwrap.wrap(SEARCHER_LEGEND, _SEARCH_WIDTH - 2)

@@ -52,17 +52,17 @@ def steal_work(context: SessionContext, last: pytest.Item) -> None:
 
 def _may_steal(context: SessionContext, run: pytest.Session) -> bool:
     """Whether nothing else is to be done, and all items are to be run to their end."""
-    patient = not context.config.getoption("maxfail", 0)
+    runs_all = not context.config.getoption("maxfail", 0)
     stopped = bool(run.shouldstop or run.shouldfail)
-    return patient and not stopped and context.runner.store.execution.inside
+    return runs_all and not stopped and context.runner.store.execution.inside
 
 
 def _silenced(runner: Runner) -> Runner:
     """The same runner, which tells nobody anything."""
-    silent: dict[str, Any] = {
+    no_listeners: dict[str, Any] = {
         field.name: field.default for field in fields(runner) if field.name.startswith("on_")
     }
-    return replace(runner, **silent, keep=None)
+    return replace(runner, **no_listeners, keep=None)
 
 
 def _last_items(
@@ -179,14 +179,14 @@ def shares(collection: Sequence[str], workers: int) -> dict[str, str]:
     together: dict[str, list[str]] = {}
     for name in collection:
         together.setdefault(_group(name), []).append(name)
-    found = {}
+    scopes = {}
     for group, names in together.items():
         count = workers
         if ".py::" in group:
             count = max(workers, min(SHARES * workers, len(names) // LEAST), -(-len(names) // MOST))
         for place, name in enumerate(names):
-            found[name] = f"{group} {place * count // len(names)}"
-    return found
+            scopes[name] = f"{group} {place * count // len(names)}"
+    return scopes
 
 
 def _group(nodeid: str) -> str:
