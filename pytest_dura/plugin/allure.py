@@ -45,7 +45,7 @@ _SELECTIONS = ("epics", "features", "stories", "ids", "severities", "labels")
 _OWN_CHOICE = ("epic", "feature", "story", "severity")
 
 
-def wanted(config: pytest.Config) -> bool:
+def is_used(config: pytest.Config) -> bool:
     """Whether Allure reports this session, or selects tests by their labels."""
     options = ("allure_report_dir", *(f"allure_{name}" for name in _SELECTIONS))
     return any(config.getoption(option, None) for option in options)
@@ -64,7 +64,7 @@ def mark_item(context: SessionContext, item: pytest.Item) -> None:
         if not (kind in _OWN_CHOICE and kind in own):
             item.add_marker(pytest.mark.allure_label(value, label_type=kind))
     for requirement in requirements:
-        url = _url(context.config, requirement.id)
+        url = _requirement_url(context.config, requirement.id)
         item.add_marker(
             pytest.mark.allure_link(url, link_type=_LINK_TYPE, name=name(requirement.id))
         )
@@ -90,7 +90,7 @@ def _story_of(case: Case) -> str:
     return ", ".join([faults, *(f"without {role}" for role in case.without)])
 
 
-def _url(config: pytest.Config, requirement: str) -> str:
+def _requirement_url(config: pytest.Config, requirement: str) -> str:
     """The address by the user's pattern; an id is never an address or a scheme by itself."""
     quoted = quote(requirement, safe="", errors="replace")
     patterns: dict[str, Any] = dict(config.getoption("allure_link_pattern", None) or [])
@@ -133,7 +133,7 @@ def report_item(context: SessionContext, item: pytest.Item, results: Sequence[It
     for result in results:
         verdict = result.verdict or result.outcome
         if verdict is not None:
-            _attach(_json(verdict), f"verdict {result.requirement.id}", "JSON")
+            _attach(_verdict_json(verdict), f"verdict {result.requirement.id}", "JSON")
     if context.options.evidence_level != "summary":
         _show_worst(context, item, results)
 
@@ -144,7 +144,7 @@ def _parameters(context: SessionContext, result: ItemResult) -> dict[str, Any]:
     parameters = {
         "case": result.case.id if result.case else verdict.get("case"),
         "component": result.component,
-        "verdict": result.word,
+        "verdict": result.status,
         "planned": verdict.get("planned", outcome.get("planned")),
         "valid": verdict.get("episodes"),
         "violations": verdict.get("violations"),
@@ -173,7 +173,7 @@ def _description(context: SessionContext, item: pytest.Item, results: Sequence[I
             ("Why this bound", requirement.reason),
             (
                 "Verdict",
-                f"{result.word or 'none'}. {verdict.get('reason', verdict.get('detail', ''))}",
+                f"{result.status or 'none'}. {verdict.get('reason', verdict.get('detail', ''))}",
             ),
             ("Event", "; ".join(ending_events(context, result))),
             ("By assertion", _looked_at(verdict)),
@@ -196,12 +196,12 @@ def _show_worst(context: SessionContext, item: pytest.Item, results: Sequence[It
     """One episode: the worst violation, one that says nothing, or else the first as a sample."""
     from pytest_dura.evidence.traces import Trace
 
-    result = next((result for result in results if result.word == "violated"), None)
+    result = next((result for result in results if result.status == "violated"), None)
     result = result or next(iter(results), None)
-    episode = episode_of(item) or (None if result is None else _episode(context, result))
+    episode = episode_of(item) or (None if result is None else _worst_episode(context, result))
     if episode is None:
         return
-    judged = None if result is None else _judged(result, episode)
+    judged = None if result is None else _judged_on(result, episode)
     kind, problem = "Sample", None
     if result is not None and judged is not None and _is_counterexample(result, episode):
         when = "" if judged.time is None else f" at t = {judged.time:.2f} s"
@@ -218,18 +218,18 @@ def _show_worst(context: SessionContext, item: pytest.Item, results: Sequence[It
     parameters = {"replay": replay, "digest": episode.digest}
     trace = Trace.of(episode).without_secrets(redact)
     with _step(title, parameters, None if problem is None else one_line(redact(problem))):
-        _loop(episode, trace, judged, _check(result))
-        _attachments(episode, trace, judged, _check(result))
+        _show_loop(episode, trace, judged, _check_of(result))
+        _attach_all(episode, trace, judged, _check_of(result))
 
 
 def _is_counterexample(result: ItemResult, episode: Episode) -> bool:
     if result.outcome is not None:
-        return result.word == "violated"
+        return result.status == "violated"
     examples = (result.verdict or {}).get("counterexamples", ())
     return any(example["episode"] == episode.id for example in examples)
 
 
-def _check(result: ItemResult | None) -> str:
+def _check_of(result: ItemResult | None) -> str:
     if result is None:
         return ""
     own = (result.outcome or {}).get("assertion")
@@ -238,7 +238,7 @@ def _check(result: ItemResult | None) -> str:
     return str((result.verdict or {}).get("check") or result.requirement.check)
 
 
-def _episode(context: SessionContext, result: ItemResult) -> Episode | None:
+def _worst_episode(context: SessionContext, result: ItemResult) -> Episode | None:
     verdict = result.verdict
     if verdict is None or result.case is None or not verdict["run"]:
         return None
@@ -248,7 +248,7 @@ def _episode(context: SessionContext, result: ItemResult) -> Episode | None:
     return context.runner.again(result.case, run)
 
 
-def _judged(result: ItemResult, episode: Episode) -> EpisodeVerdict | None:
+def _judged_on(result: ItemResult, episode: Episode) -> EpisodeVerdict | None:
     """What the requirement says of this episode: its outcome, or by the check."""
     from pytest_dura.core.errors import ConfigurationError
     from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict, judge_episode
@@ -257,12 +257,12 @@ def _judged(result: ItemResult, episode: Episode) -> EpisodeVerdict | None:
         names = EpisodeVerdict.__dataclass_fields__
         return EpisodeVerdict.from_json({name: result.outcome[name] for name in names})
     try:
-        return judge_episode(result.requirement, episode, _check(result))
+        return judge_episode(result.requirement, episode, _check_of(result))
     except ConfigurationError:  # a measure of pairs, or a function inside a test
         return None
 
 
-def _loop(episode: Episode, trace: Trace, judged: EpisodeVerdict | None, check: str) -> None:
+def _show_loop(episode: Episode, trace: Trace, judged: EpisodeVerdict | None, check: str) -> None:
     """The loop's six steps at the tick of the violation."""
     from pytest_dura.reports.episode_view import decision_at, loop_steps
 
@@ -294,7 +294,7 @@ def _signals(episode: Episode, check: str) -> list[str]:
     )
 
 
-def _attachments(episode: Episode, trace: Trace, judged: EpisodeVerdict | None, check: str) -> None:
+def _attach_all(episode: Episode, trace: Trace, judged: EpisodeVerdict | None, check: str) -> None:
     from pytest_dura.evidence.mcap import trace_bytes
     from pytest_dura.reports.episode_view import signals_csv
     from pytest_dura.reports.html.player import player_page
@@ -331,7 +331,7 @@ def _plot(episode: Episode, judged: EpisodeVerdict | None, check: str) -> str:
     )  # fmt: skip
 
 
-def _json(verdict: Mapping[str, Any]) -> str:
+def _verdict_json(verdict: Mapping[str, Any]) -> str:
     examples = verdict.get("counterexamples", ())
     bounded = dict(verdict)
     if len(examples) > _COUNTEREXAMPLES:

@@ -38,7 +38,7 @@ def run_command(session: DuraSession) -> int:
         pytest.UsageError: For options and files that cannot be used.
     """
     options = session.options
-    session.reach_project()
+    session.extend_import_path()
     with usage_errors():
         if options.replay is None and options.reduce is None:
             session.roles.check()

@@ -91,7 +91,7 @@ class SessionContext(ABC):
         given = self.worker_input.get("dura_cassette")
         return self.options.cassette if given is None else Path(given)
 
-    def reach_project(self) -> None:
+    def extend_import_path(self) -> None:
         """Let ``planner:MyPlanner`` be imported from where pytest was started, and from the root.
 
         ``python -m pytest`` finds it there, ``pytest`` does not. At the end of the path it hides
@@ -110,7 +110,7 @@ class SessionContext(ABC):
         if self._library is None:
             from pytest_dura.library.loading import load_library
 
-            self.reach_project()
+            self.extend_import_path()
             try:
                 self._library = load_library(self.options.paths)
             except ConfigurationError as error:
@@ -146,7 +146,7 @@ class SessionContext(ABC):
 
         return ParameterResolver()
 
-    def take_case(self, case: Case) -> None:
+    def register_case(self, case: Case) -> None:
         """Take in a case that is to be run; the record tells cases apart by their ids.
 
         Raises:

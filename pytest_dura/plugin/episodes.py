@@ -51,7 +51,7 @@ class SessionExecutor:
     def __init__(self, context: SessionContext) -> None:
         self.context = context
         self._execution: Execution | ConfigurationError | None = None
-        self._noted: Counter[tuple[str, str]] = Counter()
+        self._simulated_here: Counter[tuple[str, str]] = Counter()
 
     def execution(self) -> Execution:
         """What simulates, made at the first call.
@@ -104,7 +104,7 @@ class SessionExecutor:
         """Give up what is under way, and end the processes that simulate."""
         execution, self._execution = self._execution, None
         if execution is not None and not isinstance(execution, ConfigurationError):
-            self._noted += execution.here
+            self._simulated_here += execution.here
             execution.close()
 
     def to_json(self) -> dict[str, Any]:
@@ -134,8 +134,8 @@ class SessionExecutor:
         """Of this process, and of the workers that are done."""
         execution = self._execution
         if execution is None or isinstance(execution, ConfigurationError):
-            return self._noted
-        return self._noted + execution.here
+            return self._simulated_here
+        return self._simulated_here + execution.here
 
     def send_to_controller(self, workeroutput: MutableMapping[str, Any]) -> None:
         """Tell the controller what this worker has simulated itself."""
@@ -146,7 +146,7 @@ class SessionExecutor:
     def receive_from_worker(self, workeroutput: MutableMapping[str, Any]) -> None:
         """Take in what a worker tells at its end."""
         for component, why, number in workeroutput.get(_SIMULATED_HERE_KEY, ()):
-            self._noted[component, why] += number
+            self._simulated_here[component, why] += number
 
 
 EPISODES_FOLDER = ".episodes"  # as `KEPT` of pytest_dura.evidence.bundle
@@ -233,15 +233,15 @@ class SharedEpisodes:
             return True
         name = hashlib.sha256(f"{case}\n{component}".encode()).hexdigest()
         with suppress(OSError):
-            self._marks.mkdir(mode=0o700, exist_ok=True)
+            self._repetition_marks.mkdir(mode=0o700, exist_ok=True)
             try:
-                (self._marks / name).touch(exist_ok=False)
+                (self._repetition_marks / name).touch(exist_ok=False)
             except FileExistsError:
                 return False
         return True
 
     @property
-    def _marks(self) -> Path:
+    def _repetition_marks(self) -> Path:
         """Where workers note what they repeat, as long as the session runs."""
         return Path(tempfile.gettempdir()) / f"pytest-dura-{self.id}"
 
@@ -295,7 +295,7 @@ class SharedEpisodes:
             record: Of the session.
             written: Whether all of its evidence could be written.
         """
-        shutil.rmtree(self._marks, ignore_errors=True)
+        shutil.rmtree(self._repetition_marks, ignore_errors=True)
         lost = self._lost or self._lost_here or record["totals"]["missing"]
         self.is_whole = written and record["status"] == "complete" and not lost
         if self.context.options.reuse is not None:
@@ -364,7 +364,7 @@ class _DueRepetition:
 
     task: EpisodeTask
     digest: str
-    why_not: str | None
+    skip_reason: str | None
     """Why it cannot be, if so."""
 
 
@@ -403,8 +403,8 @@ class Repeats:
         task = self.context.runner.task(case, episode.spec.run)
         answers = model_answers(task)
         live = answers is not None and not answers.startswith("replay ")
-        why_not = "a live language model answers" if live else None
-        self._due[key] = _DueRepetition(task, episode.digest, why_not)
+        skip_reason = "a live language model answers" if live else None
+        self._due[key] = _DueRepetition(task, episode.digest, skip_reason)
 
     def item_ends(
         self, item: pytest.Item, nextitem: pytest.Item | None
@@ -431,23 +431,27 @@ class Repeats:
 
     def _repeated(self, due: _DueRepetition) -> Mapping[str, Any] | None:
         """What came of it; ``None`` if another process finds that out."""
-        if due.why_not is not None:
-            return {"result": "skipped", "repeated_digest": None, "detail": due.why_not}
+        if due.skip_reason is not None:
+            return {"result": "skipped", "repeated_digest": None, "detail": due.skip_reason}
         if not self._shared.first_to_repeat(due.task.spec.case, due.task.spec.component):
             return None
         try:
             with self._models.uncounted():
-                again = self.context.runner.store.repeat(due.task)
+                repetition = self.context.runner.store.repeat(due.task)
         except Exception as error:  # whatever user code raises: the first time it did not
             return {
                 "result": "failed",
                 "repeated_digest": None,
                 "detail": f"infrastructure: {describe_error(error)}",
             }
-        result = "equal" if again.digest == due.digest else "different"
-        if again.failure is not None:
+        result = "equal" if repetition.digest == due.digest else "different"
+        if repetition.failure is not None:
             result = "failed"
-        return {"result": result, "repeated_digest": again.digest, "detail": again.failure or ""}
+        return {
+            "result": result,
+            "repeated_digest": repetition.digest,
+            "detail": repetition.failure or "",
+        }
 
 
 def _case_id_of(item: pytest.Item) -> str:

@@ -72,7 +72,7 @@ class GivenFiles:
     def __init__(self, context: SessionContext) -> None:
         self.context = context
         self.baseline: Baseline | None = None
-        """What the session is compared with."""
+        """The earlier evidence that the session is compared with."""
         self.argument: dict[str, Any] | None = None
         """Over which the assurance case is built; as the record has it."""
 
@@ -119,13 +119,13 @@ class GivenFiles:
 
             self.baseline = Baseline.read(given, self.context.config.invocation_params.dir)
 
-    def compared(self, record: SessionRecord) -> SessionRecord:
+    def with_baseline(self, record: SessionRecord) -> SessionRecord:
         """The record beside the baseline."""
         finished = None if record["status"] == "running" else record
         baseline = None if self.baseline is None else self.baseline.to_json(finished)
         return replace(record, head={**record.head, "baseline": baseline})
 
-    def worse(self, record: SessionRecord) -> list[str]:
+    def regressions(self, record: SessionRecord) -> list[str]:
         """What ``--dura-baseline-worse=fail`` does not let pass."""
         if not self.context.options.fail_worse:
             return []
@@ -225,12 +225,12 @@ class SessionEvidence:
         self.objections: list[str] = []
         """What the terminal says against the session beside its verdicts."""
         self._lock: DirectoryLock | None = None
-        self._begun = perf_counter()
-        self._spent = 0.0
+        self._started = perf_counter()
+        self._seconds_spent = 0.0
         self.interrupted = False
         """Whether a key or ``pytest.exit`` ended it, whatever the exit code."""
         self._any_report = False
-        self._due: set[str] = set()
+        self._unreported: set[str] = set()
         """Items of ours that have not reported yet, where this process runs them."""
         self._claiming: set[str] = set()
         self._failed: set[str] = set()
@@ -295,7 +295,7 @@ class SessionEvidence:
         for item in self.context.redact(expected):  # as the items themselves will tell it
             self.record.expect(*item)
 
-    def read_from(self, items: list[str], claiming: Iterable[str] = ()) -> None:
+    def note_tests(self, items: list[str], claiming: Iterable[str] = ()) -> None:
         """Note the tests that will run, and their files, as near as can be to when they were read.
 
         Args:
@@ -303,10 +303,10 @@ class SessionEvidence:
             claiming: Those of them whose reports carry what they are to decide.
         """
         if self.record is not None:
-            self._due.update(items)
+            self._unreported.update(items)
             self._claiming.update(claiming)
             for item in items:
-                self._sources().item(item)
+                self._sources().add_item(item)
 
     def gather(self, report: pytest.TestReport) -> None:
         """Take in what an item told."""
@@ -316,14 +316,14 @@ class SessionEvidence:
         # Terminal and others keep the reports of all items.
         item_report = vars(report).pop(REPORT_ATTRIBUTE, None)
         if item_report is not None or report.nodeid not in self._claiming:
-            self._due.discard(report.nodeid)
+            self._unreported.discard(report.nodeid)
         if report.failed:
             self._failed.add(report.nodeid)
         if item_report is not None:
             self._add(json.loads(item_report))
         if self.record is not None:
-            self._waive(report)
-        self._spent += perf_counter() - started
+            self._add_waiver(report)
+        self._seconds_spent += perf_counter() - started
 
     def take(self, part: str) -> None:
         """Take in episodes of the item that is running in this process; see ItemReport."""
@@ -331,7 +331,7 @@ class SessionEvidence:
 
         started = perf_counter()
         self._add(unpack_report(part))
-        self._spent += perf_counter() - started
+        self._seconds_spent += perf_counter() - started
 
     def _add(self, item_report: dict[str, Any]) -> None:
         self.start(late=True)
@@ -367,7 +367,7 @@ class SessionEvidence:
         finally:
             self._unlock()
 
-    def insist(self, session: pytest.Session) -> None:
+    def enforce_exit_code(self, session: pytest.Session) -> None:
         """Let no plugin that comes later turn the exit code of a failed session into a success."""
         if self.record is None or session.exitstatus != pytest.ExitCode.OK:
             return
@@ -390,7 +390,7 @@ class SessionEvidence:
             return []
         if session.exitstatus == pytest.ExitCode.OK and not self._any_report:
             return ["no test was run"]
-        return [f"{name} never told what it came to" for name in sorted(self._due)]
+        return [f"{name} never told what it came to" for name in sorted(self._unreported)]
 
     def _judged(self, session: pytest.Session) -> tuple[Gate, SessionRecord]:
         """What the session comes to, and its record."""
@@ -405,10 +405,10 @@ class SessionEvidence:
             "selection": self._selection.to_json(),
             "shard": self._shard_json(),
         }
-        self.record.header = self._properties.described(header)
-        record = self.given.compared(self.record.record(status))
+        self.record.header = self._properties.with_profile(header)
+        record = self.given.with_baseline(self.record.record(status))
         recorded = [*self.record.problems, *self.record.objections]
-        self.objections = [*recorded, *self.given.worse(record)]
+        self.objections = [*recorded, *self.given.regressions(record)]
         if self.context.options.require_repeatable:
             from pytest_dura.evidence.gate import repeat_objections
 
@@ -433,7 +433,7 @@ class SessionEvidence:
                 )
             ]
         concluded = self._concluded(status, gate, record)
-        self._spent += perf_counter() - started
+        self._seconds_spent += perf_counter() - started
         return gate, concluded
 
     def _concluded(
@@ -444,7 +444,7 @@ class SessionEvidence:
         from pytest_dura.evidence.conclude import conclude_record
 
         if record is None:
-            record = self.given.compared(self.record.record(status))
+            record = self.given.with_baseline(self.record.record(status))
         if status != "running":
             record = self._models.completed(record, self._sources())
         return conclude_record(
@@ -452,8 +452,8 @@ class SessionEvidence:
             finished=None if status == "running" else _now(),
             gate=gate.to_json(),
             inputs=self._sources().to_json(),
-            wall_seconds=perf_counter() - self._begun,
-            evidence_seconds=self._spent,
+            wall_seconds=perf_counter() - self._started,
+            evidence_seconds=self._seconds_spent,
             redact=self.context.redact,
         )
 
@@ -475,7 +475,7 @@ class SessionEvidence:
             self._inputs.begin()
         return self._inputs
 
-    def _waive(self, report: pytest.TestReport) -> None:
+    def _add_waiver(self, report: pytest.TestReport) -> None:
         assert self.record is not None
         waiver = _waiver_of(report)
         if waiver is not None:

@@ -119,7 +119,7 @@ class SessionHooks:
         self._label(items)
         self.session.selection.plan(list(filter(uses_runner, items)))
         result = yield
-        self.session.selection.ask(list(filter(uses_runner, items)))
+        self.session.selection.select(list(filter(uses_runner, items)))
         return result
 
     def _label(self, items: list[pytest.Item]) -> None:
@@ -127,9 +127,9 @@ class SessionHooks:
         own_items = list(filter(uses_runner, items))
         if not own_items:
             return
-        from pytest_dura.plugin.allure import mark_item, wanted
+        from pytest_dura.plugin.allure import is_used, mark_item
 
-        if wanted(self.session.config):
+        if is_used(self.session.config):
             for item in own_items:
                 mark_item(self.session, item)
 
@@ -137,7 +137,7 @@ class SessionHooks:
         """Note what will run, in a record that takes the place of an earlier session's."""
         own_items = list(filter(uses_runner, session.items))
         if self.session.shard is None:  # which leaves out what other shards run
-            self.session.selection.ask(own_items)
+            self.session.selection.select(own_items)
         node_ids = [item.nodeid for item in own_items]
         if node_ids:
             self._begin_guard()
@@ -148,7 +148,7 @@ class SessionHooks:
             expect_progress(self.session)
         if self.session.evidence.record is not None:
             marked = [item.nodeid for item in own_items if item.get_closest_marker("dura")]
-            self.session.evidence.read_from(node_ids, marked)
+            self.session.evidence.note_tests(node_ids, marked)
         self.session.check_argument()
         self.session.evidence.expect([item.nodeid for item in session.items])
 
@@ -251,12 +251,12 @@ class SessionHooks:
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """Gather what items told."""
-        self._end_copy()
+        self._end_forked_copy()
         self.session.evidence.gather(report)
 
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
         """Write the evidence."""
-        self._end_copy()
+        self._end_forked_copy()
         # Whatever is still under way must not come in once the episodes are cleared away.
         self.session.executor.close()
         if self.session.is_worker:
@@ -274,11 +274,11 @@ class SessionHooks:
     @pytest.hookimpl(trylast=True)
     def pytest_unconfigure(self) -> None:
         """Have the last word on the exit code of a session that the evidence does not support."""
-        self._end_copy()
+        self._end_forked_copy()
         if self._guard is not None:
             self._guard.close()
         if self._pytest_session is not None:
-            self.session.evidence.insist(self._pytest_session)
+            self.session.evidence.enforce_exit_code(self._pytest_session)
         self.session.executor.close()
         self.session.models.end()
 
@@ -288,7 +288,7 @@ class SessionHooks:
             self._guard = ExitStack()
             self._guard.enter_context(lasting_guard())
 
-    def _end_copy(self) -> None:
+    def _end_forked_copy(self) -> None:
         """End a copy of this process, which some code forked and that came back to pytest."""
         if os.getpid() != self._pid:
             end_process(EXIT_CODE)

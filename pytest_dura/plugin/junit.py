@@ -26,7 +26,7 @@ Properties = list[tuple[str, str]]
 
 _COUNTS = ("planned", "run", "violations", "without_effect", "invalid", "missing", "vacuous")
 _NAMES = {"requirement", "case", "component", "item", "episode", "counterexample"}
-_OURS = pytest.StashKey[Properties]()
+_PROPERTIES_KEY = pytest.StashKey[Properties]()
 
 
 def add_properties(
@@ -36,10 +36,10 @@ def add_properties(
     results: Sequence[ItemResult],
 ) -> None:
     """Put what an item came to among its properties; they cross processes with its reports."""
-    earlier = item.stash.get(_OURS, [])  # of an earlier attempt
+    earlier = item.stash.get(_PROPERTIES_KEY, [])  # of an earlier attempt
     others = [entry for entry in item.user_properties if entry not in earlier]
     ours = _properties(context, item, results)
-    item.stash[_OURS] = ours
+    item.stash[_PROPERTIES_KEY] = ours
     item.user_properties[:] = [*others, *ours]
     report.user_properties = list(item.user_properties)
 
@@ -50,10 +50,10 @@ def _properties(
     properties: list[tuple[str, Any]] = [
         ("item", item.nodeid),
         ("base_seed", context.options.seed),
-        *_episode(context, item),
+        *_episode_properties(context, item),
     ]
     for result in results:
-        properties += _group(context, result)
+        properties += _result_properties(context, result)
     return [(name, _value(name, value)) for name, value in properties if value not in (None, "")]
 
 
@@ -63,7 +63,7 @@ def _value(name: str, value: Any) -> str:
     return junit_name(text) if name in _NAMES else one_line(text)
 
 
-def _episode(context: SessionContext, item: pytest.Item) -> Iterator[tuple[str, Any]]:
+def _episode_properties(context: SessionContext, item: pytest.Item) -> Iterator[tuple[str, Any]]:
     episode = episode_of(item)
     if episode is None:
         return
@@ -75,21 +75,21 @@ def _episode(context: SessionContext, item: pytest.Item) -> Iterator[tuple[str, 
         yield "replay", replay_command(context, episode.id)
 
 
-def _group(context: SessionContext, result: ItemResult) -> Iterator[tuple[str, Any]]:
+def _result_properties(context: SessionContext, result: ItemResult) -> Iterator[tuple[str, Any]]:
     requirement = result.requirement
     yield "requirement", requirement.id
     yield "kind", requirement.kind
     yield "case", result.case.id if result.case else (result.verdict or {}).get("case")
     yield "component", result.component
     if result.outcome is not None:
-        yield from _of_episode(result.outcome)
+        yield from _outcome_properties(result.outcome)
         for event in ending_events(context, result):
             yield "event", event
     if result.verdict is not None:
-        yield from _of_campaign(context, result)
+        yield from _verdict_properties(context, result)
 
 
-def _of_episode(outcome: Any) -> Iterator[tuple[str, Any]]:
+def _outcome_properties(outcome: Any) -> Iterator[tuple[str, Any]]:
     yield "episode_verdict", outcome["verdict"]
     yield "planned", outcome["planned"]
     yield "at_most", outcome["at_most"]
@@ -103,7 +103,7 @@ def _of_episode(outcome: Any) -> Iterator[tuple[str, Any]]:
         yield "false_check", check
 
 
-def _of_campaign(context: SessionContext, result: ItemResult) -> Iterator[tuple[str, Any]]:
+def _verdict_properties(context: SessionContext, result: ItemResult) -> Iterator[tuple[str, Any]]:
     verdict = result.verdict
     assert verdict is not None
     yield "verdict", verdict["verdict"]
@@ -129,7 +129,7 @@ def _of_campaign(context: SessionContext, result: ItemResult) -> Iterator[tuple[
 
 def ending_events(context: SessionContext, result: ItemResult) -> list[str]:
     """What ended the violating episode that stands for a result, in the terminal's words."""
-    if result.word != "violated":
+    if result.status != "violated":
         return []
     episode: Episode | None = result.episode
     counterexamples = (result.verdict or {}).get("counterexamples")

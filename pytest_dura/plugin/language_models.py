@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 Data = dict[str, Any]
 _MOST_MODELS = 3
 """So many models of a cassette are named in the header."""
-DEEDS = ("asked", "reused", "injected", "missed")
-_SESSIONS = "pytest_dura.llm.session"
+_OUTCOMES = ("asked", "reused", "injected", "missed")
+_SESSION_MODULE = "pytest_dura.llm.session"
 
 
 class LanguageModels:
@@ -43,8 +43,8 @@ class LanguageModels:
     def __init__(self, context: SessionContext, roles: SessionRoles) -> None:
         self.context = context
         self._roles = roles
-        self._begun = False
-        self._before: ModelSession | None = None
+        self._has_begun = False
+        self._previous: ModelSession | None = None
         self._used: dict[tuple[Any, ...], Data] = {}
         self._latest: dict[tuple[str, str], tuple[Any, ...]] = {}
         self._counted: Counter[tuple[str, str, str]] = Counter()
@@ -56,10 +56,10 @@ class LanguageModels:
         if self.context.cassette is not None:
             workerinput["dura_cassette"] = str(self.context.cassette.absolute())
             workerinput["dura_llm_session"] = self._name
-        elif self._in_use is not None:
+        elif self._active is not None:
             # Each worker's own probe might come to something else, and so to another component.
             workerinput["dura_llm_described"] = [
-                description.to_json() for description in self._in_use.descriptions
+                description.to_json() for description in self._active.descriptions
             ]
 
     def begin(self) -> None:
@@ -68,10 +68,10 @@ class LanguageModels:
         Raises:
             ConfigurationError: If the cassette cannot be used.
         """
-        if self._begun:
+        if self._has_begun:
             return
-        self._begun = True
-        self._before = self._put_to_use(None)
+        self._has_begun = True
+        self._previous = self._activate(None)
         self._name = self.context.worker_input.get("dura_llm_session") or os.urandom(8).hex()
         options = self.context.options
         if options.llm != "live":
@@ -81,13 +81,13 @@ class LanguageModels:
                 options.llm, self.context.cassette, session=self._name, scrub=self.context.redact
             )
             self._replayed = session.replayed
-            self._put_to_use(session)
+            self._activate(session)
         elif self.context.worker_input.get("dura_llm_described"):
             from pytest_dura.llm.session import ModelSession
 
             session = ModelSession(session=self._name)
             session.know(self.context.worker_input["dura_llm_described"])
-            self._put_to_use(session)
+            self._activate(session)
 
     def __enter__(self) -> None:
         """See :meth:`begin`."""
@@ -99,23 +99,23 @@ class LanguageModels:
 
     def end(self) -> None:
         """Put everything back as it was before the session."""
-        if not self._begun:
+        if not self._has_begun:
             return
-        self._begun = False
-        session = self._put_to_use(self._before)
+        self._has_begun = False
+        session = self._activate(self._previous)
         if session is not None:
             session.close()
 
-    def _put_to_use(self, session: ModelSession | None) -> ModelSession | None:
+    def _activate(self, session: ModelSession | None) -> ModelSession | None:
         """See :func:`pytest_dura.llm.session.use`."""
-        module = sys.modules.get(_SESSIONS)
+        module = sys.modules.get(_SESSION_MODULE)
         before: ModelSession | None = None if module is None else module.use(session)
         return before
 
     @property
-    def _in_use(self) -> ModelSession | None:
+    def _active(self) -> ModelSession | None:
         """The session that is in use by now, if any is."""
-        module = sys.modules.get(_SESSIONS)
+        module = sys.modules.get(_SESSION_MODULE)
         in_use: ModelSession | None = None if module is None else module.in_use()
         return in_use
 
@@ -158,7 +158,7 @@ class LanguageModels:
 
     def header(self) -> list[str]:
         """A line for each model that is known by now."""
-        session = self._in_use
+        session = self._active
         lines = []
         for description in [] if session is None else session.descriptions:
             capabilities = description.capabilities
@@ -192,7 +192,7 @@ class LanguageModels:
 
     def replay_warning(self) -> list[str]:
         """A line, if a server was asked in this process, that its answers may be others now."""
-        session = self._in_use
+        session = self._active
         counts = {} if session is None else session.counts
         if not any(count for (*_, outcome), count in counts.items() if outcome == "asked"):
             return []
@@ -201,7 +201,7 @@ class LanguageModels:
 
     def used(self, spec: EpisodeSpec) -> None:
         """An item looked at an episode: note the models that its settled specs state."""
-        if _SESSIONS not in sys.modules:
+        if _SESSION_MODULE not in sys.modules:
             return
         from pytest_dura.execution.task import stated_model
 
@@ -209,7 +209,7 @@ class LanguageModels:
             stated = stated_model(role)
             if stated is not None:
                 key = (role.label, *stated, role.params.get("prompts"))
-                self._note(key)
+                self._register(key)
                 self._latest[stated] = key
 
     def take(self) -> list[Data]:
@@ -218,13 +218,13 @@ class LanguageModels:
         Returns:
             Entries for :class:`pytest_dura.evidence.episodes.ItemReport`.
         """
-        session = self._in_use
+        session = self._active
         if session is None:
             return []
         counts = Counter(session.counts)
         for (model, fingerprint, outcome), count in (counts - self._counted).items():
             key = self._latest.get((model, fingerprint), (None, model, fingerprint, None))
-            self._note(key)
+            self._register(key)
             self._used[key][outcome] += count
             self._unsent.add(key)
         self._counted = counts
@@ -235,16 +235,16 @@ class LanguageModels:
     @contextmanager
     def uncounted(self) -> Iterator[None]:
         """Context of a repetition, which is part of no count: nor is what it asks a model."""
-        before = Counter({} if self._in_use is None else self._in_use.counts)
+        before = Counter({} if self._active is None else self._active.counts)
         try:
             yield
         finally:
-            after = Counter({} if self._in_use is None else self._in_use.counts)
+            after = Counter({} if self._active is None else self._active.counts)
             self._counted += after - before
 
-    def _note(self, key: tuple[Any, ...]) -> None:
+    def _register(self, key: tuple[Any, ...]) -> None:
         if key not in self._used:
-            self._used[key] = dict.fromkeys(DEEDS, 0)
+            self._used[key] = dict.fromkeys(_OUTCOMES, 0)
             self._unsent.add(key)
 
     def _entry(self, session: ModelSession, key: tuple[Any, ...]) -> Data:
@@ -265,7 +265,7 @@ class LanguageModels:
 
     def completed(self, record: SessionRecord, inputs: SessionInputs) -> SessionRecord:
         """The record of a session that is over, with the cassette as it is now."""
-        session, file = self._in_use, self.context.cassette
+        session, file = self._active, self.context.cassette
         if file is None or session is None or session.cassette is None:
             return record
         from pytest_dura.evidence.files import sha256_of

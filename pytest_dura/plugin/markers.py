@@ -357,7 +357,7 @@ def _targets(
     requirement = requirements[0] if requirements else None
     targets = []
     for case in cases:
-        context.take_case(case)
+        context.register_case(case)
         declared, until_decided = _runs(given["runs"], case)
         planned = context.options.runs or declared
         if each_run and until_decided:

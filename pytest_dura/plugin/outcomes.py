@@ -40,7 +40,7 @@ class UsedEpisodes:
         self.case = case
         self.failure = ""
         """The first infrastructure error among them."""
-        self.cut = ""
+        self.early_end = ""
         """The first that ended once all was decided, in words, if one did."""
         self._seeds: dict[str, int] = {}
         self._invalid: dict[str, str] = {}
@@ -52,19 +52,21 @@ class UsedEpisodes:
         self._invalid.pop(name, None)
         if episode.validity == "invalid":
             self._invalid[name] = str(episode.invalid_reason)
-        if episode.termination == "decided" and not self.cut:
-            self.cut = f"{name} ended at {episode.time[-1]:g} s, once its requirements were decided"
+        if episode.termination == "decided" and not self.early_end:
+            self.early_end = (
+                f"{name} ended at {episode.time[-1]:g} s, once its requirements were decided"
+            )
         if episode.failure is not None:
             self.failure = self.failure or f"{episode.failure} (in {name})"
 
-    def again(self, runner: Runner, name: str) -> JudgedEpisode | None:
+    def episode(self, runner: Runner, name: str) -> JudgedEpisode | None:
         """The episode of this id that the item looked at last, if it looked at one."""
         if name not in self._seeds:
             return None
         return runner.again(self.case, int(name.rpartition("#")[2]), self._seeds[name])
 
     @property
-    def doubt(self) -> str | None:
+    def undecided_reason(self) -> str | None:
         """Why they leave a campaign undecided that no verdict was asked of, if they do."""
         from pytest_dura.requirements.verdicts.judging import MAX_INVALID_SHARE
 
@@ -95,7 +97,7 @@ class ItemResult:
     episode: JudgedEpisode | None = None
 
     @property
-    def word(self) -> str | None:
+    def status(self) -> str | None:
         """The verdict in one word, if there is one."""
         verdict = self.verdict or self.outcome
         return None if verdict is None else str(verdict["verdict"])
@@ -150,7 +152,7 @@ def item_results(
     violated = {
         item.question: item
         for item in item.stash.get(_EARLIER_RESULTS, [])
-        if item.word == "violated"
+        if item.status == "violated"
     }
     results = [violated.get(item.question, item) for item in results]
     item.stash[_EARLIER_RESULTS] = results
@@ -380,9 +382,11 @@ def check_passed(
     if isinstance(looked_at, JudgedEpisode):
         _check_violations(context, item, looked_at)
     for episode in used.values():
-        if episode.cut:
+        if episode.early_end:
             # What else the test looked at might have come out otherwise.
-            text = f"invalid: {episode.cut}: it shows a test nothing of what would have followed"
+            text = (
+                f"invalid: {episode.early_end}: it shows a test nothing of what would have followed"
+            )
             _fail_undecided(context, f"{text}; run such tests with --dura-end=complete")
     if isinstance(looked_at, JudgedEpisode):
         if looked_at.validity == "invalid":
@@ -489,7 +493,7 @@ def _check_searched(context: SessionContext, used: Iterable[UsedEpisodes]) -> No
     from pytest_dura.library.cases import SearchedCase
 
     reasons = [
-        used_episodes.doubt
+        used_episodes.undecided_reason
         for used_episodes in used
         if isinstance(used_episodes.case, SearchedCase)
     ]
@@ -512,8 +516,8 @@ def _check_decided(
 ) -> None:
     """A test on a campaign that claims to decide a requirement must ask for its verdict."""
     used_episodes = used.get(campaign.case.id)
-    if used_episodes is not None and used_episodes.doubt is not None:
-        _fail_undecided(context, used_episodes.doubt)
+    if used_episodes is not None and used_episodes.undecided_reason is not None:
+        _fail_undecided(context, used_episodes.undecided_reason)
     if "episode" in item.funcargs:
         return  # it decides them
     claimed = [requirement.id for requirement in marked_requirements(context, item)]

@@ -113,7 +113,7 @@ class WorkerFile:
         with suppress(OSError):  # without it there is no progress, which nothing depends on
             self._folder.mkdir(parents=True, exist_ok=True)
 
-    def tell(self, running: RunningCampaign) -> None:
+    def write(self, running: RunningCampaign) -> None:
         """Tell of a campaign that has run for a while; of one that has ended, no more."""
         if running.ended:
             self._end()
@@ -123,9 +123,9 @@ class WorkerFile:
             self._due = now + WRITE_INTERVAL
         elif now >= self._due and self._usable:
             self._due = now + WRITE_INTERVAL
-            self._write(self._snapshots.of(running))
+            self._replace_file(self._snapshots.of(running))
 
-    def _write(self, progress: CampaignProgress) -> None:
+    def _replace_file(self, progress: CampaignProgress) -> None:
         data = json.dumps(asdict(progress)).encode()
         flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | getattr(os, "O_NOFOLLOW", 0)
         try:
@@ -230,11 +230,11 @@ class ProgressHooks:
 
     Args:
         context: The session's context.
-        way: How it is shown.
+        mode: How it is shown.
     """
 
-    def __init__(self, context: SessionContext, way: DisplayMode) -> None:
-        self._context, self._config, self._way = context, context.config, way
+    def __init__(self, context: SessionContext, mode: DisplayMode) -> None:
+        self._context, self._config, self._mode = context, context.config, mode
         self._reporter: Any = self._config.pluginmanager.getplugin("terminalreporter")
         self._distributed = self._config.pluginmanager.hasplugin("dsession")
         self._folder = context.evidence_directory / PROGRESS_FOLDER
@@ -244,43 +244,45 @@ class ProgressHooks:
         self._ticker: Ticker | None = None
         self._showing: ProgressView | None = None
         self._snapshots = Snapshots()
-        self._own: dict[str, CampaignProgress] = {}
-        self._looked_at, self._due = True, 0.0
+        self._own_progress: dict[str, CampaignProgress] = {}
+        self._was_shown, self._due = True, 0.0
         if self._distributed:
             remove_files(self._folder)  # of a session that was killed
 
-    def tell(self, running: RunningCampaign) -> None:
+    def update(self, running: RunningCampaign) -> None:
         """Take in how far a campaign of this process is."""
         if running.ended:
-            self._own = {}
+            self._own_progress = {}
             self._snapshots.forget()
             if self._screen is not None:
                 self._screen.wipe()
-        elif self._way == "live":
-            if self._looked_at:
-                self._looked_at = False
-                self._own = {"": self._snapshots.of(running)}
+        elif self._mode == "live":
+            if self._was_shown:
+                self._was_shown = False
+                self._own_progress = {"": self._snapshots.of(running)}
                 self._begin()
         elif perf_counter() >= self._due:
             self._due = perf_counter() + progress_display.LINES_INTERVAL
-            self._own = {"": self._snapshots.of(running)}
+            self._own_progress = {"": self._snapshots.of(running)}
             # A log is written between two runs: another thread could not suspend the capture.
-            self._begin().look()
+            self._begin().refresh()
 
     def _begin(self) -> ProgressView:
         if self._showing is None:
-            surface = self._live() if self._way == "live" else self._log()
-            self._showing = ProgressView(surface, self._found)
-            if self._distributed or self._way == "live":
+            surface = self._live() if self._mode == "live" else self._log()
+            self._showing = ProgressView(surface, self._running_campaigns)
+            if self._distributed or self._mode == "live":
                 live, lines = progress_display.LIVE_INTERVAL, progress_display.LINES_INTERVAL
-                self._ticker = Ticker(self._showing.look, live if self._way == "live" else lines)
+                self._ticker = Ticker(
+                    self._showing.refresh, live if self._mode == "live" else lines
+                )
         return self._showing
 
-    def _found(self) -> Mapping[str, CampaignProgress]:
+    def _running_campaigns(self) -> Mapping[str, CampaignProgress]:
         if self._distributed:
             return read_files(self._folder, self._token)
-        self._looked_at = True
-        return self._own
+        self._was_shown = True
+        return self._own_progress
 
     def _live(self) -> LiveScreen:
         self._guard = TerminalGuard(self._config.get_terminal_writer())
@@ -288,7 +290,7 @@ class ProgressHooks:
         return self._screen
 
     def _log(self) -> ProgressLog:
-        interval, alone = (
+        interval, uncaptured = (
             self._context.options.progress_interval,
             partial(capture_disabled, self._config),
         )
@@ -296,7 +298,7 @@ class ProgressHooks:
             self._guard = TerminalGuard(self._config.get_terminal_writer())
             lock = self._guard.lock
             return ProgressLog(self._reporter, interval, perf_counter(), lambda: lock)
-        return ProgressLog(self._reporter, interval, perf_counter(), alone)
+        return ProgressLog(self._reporter, interval, perf_counter(), uncaptured)
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_configure_node(self, node: WorkerController) -> None:

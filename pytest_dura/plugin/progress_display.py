@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 PACE_WINDOW = 10.0
 """Seconds that are looked back."""
-LEAST_LOOKS = 6
+LEAST_SAMPLES = 6
 """Looks at which there was something new that are kept however long ago they were."""
 
 
@@ -39,29 +39,29 @@ class Pace:
 
     def __init__(self, progress: CampaignProgress, now: float) -> None:
         self._campaign = progress.case, progress.subject
-        self._looks = deque([(now, progress.done)])
+        self._samples = deque([(now, progress.done)])
 
     def is_of(self, progress: CampaignProgress) -> bool:
         """Whether this is the same campaign, further on."""
         same = self._campaign == (progress.case, progress.subject)
-        return same and progress.done >= self._looks[-1][1]
+        return same and progress.done >= self._samples[-1][1]
 
-    def look(self, progress: CampaignProgress, now: float) -> None:
+    def add(self, progress: CampaignProgress, now: float) -> None:
         """Take in how far the campaign is now."""
-        looks = self._looks
+        samples = self._samples
         if 0 < progress.done <= progress.taken_over:
-            looks.clear()
-        if not looks or progress.done > looks[-1][1]:
-            looks.append((now, progress.done))
-        while len(looks) > LEAST_LOOKS and now - looks[1][0] > PACE_WINDOW:
-            looks.popleft()
+            samples.clear()
+        if not samples or progress.done > samples[-1][1]:
+            samples.append((now, progress.done))
+        while len(samples) > LEAST_SAMPLES and now - samples[1][0] > PACE_WINDOW:
+            samples.popleft()
 
     def rate(self, now: float) -> float | None:
         """Runs per second; ``None`` before a run has ended that was begun under these eyes.
 
         The run that is under way may take as long as one took lately before it slows the rate.
         """
-        (begun, first), (latest, last) = self._looks[0], self._looks[-1]
+        (begun, first), (latest, last) = self._samples[0], self._samples[-1]
         if last == first or latest <= begun:
             return None
         usual = (latest - begun) / (last - first)
@@ -72,7 +72,7 @@ class Pace:
         rate = self.rate(now)
         if rate is None:
             return None
-        under_way = min(1.0, rate * (now - self._looks[-1][0]))
+        under_way = min(1.0, rate * (now - self._samples[-1][0]))
         return max(0.0, remaining - under_way) / rate
 
 
@@ -226,7 +226,7 @@ class Board:
         pace = self._paces.get(place)
         if pace is None or not pace.is_of(progress):
             return Pace(progress, now)
-        pace.look(progress, now)
+        pace.add(progress, now)
         return pace
 
 
@@ -363,7 +363,7 @@ class ProgressLog:
         reporter: Pytest's terminal reporter.
         interval: Seconds between lines, at least.
         begun: When the first campaign began.
-        alone: Context in which pytest's reporter reaches the log, and nobody else writes.
+        uncaptured: Context in which pytest's reporter reaches the log, and nobody else writes.
     """
 
     def __init__(
@@ -374,7 +374,7 @@ class ProgressLog:
         uncaptured: Callable[[], AbstractContextManager[Any]],
     ) -> None:
         self._reporter, self._interval, self._begun = reporter, interval, begun
-        self._alone = uncaptured
+        self._uncaptured = uncaptured
         self._due = begun + interval
 
     def show(self, rows: Sequence[Row], now: float) -> None:
@@ -383,7 +383,7 @@ class ProgressLog:
             return
         longest = max(LONGEST_SILENCE, 2 * self._interval)
         self._due = now + max(self._interval, min(_SILENCE_SHARE * (now - self._begun), longest))
-        with self._alone():
+        with self._uncaptured():
             self._write([f"dura: {log_line(row)}" for row in rows])
 
     def _write(self, lines: Sequence[str]) -> None:
@@ -402,9 +402,9 @@ class ProgressLog:
 DisplayMode = Literal["live", "lines"]
 
 LIVE_INTERVAL = 0.2
-"""Seconds between two looks where each is shown."""
+"""Seconds between two refreshes of a terminal."""
 LINES_INTERVAL = 0.5
-"""Seconds between two looks of which few are shown."""
+"""Seconds between two refreshes of a log, few of which write a line."""
 
 
 def display_mode(config: pytest.Config) -> DisplayMode | None:
@@ -435,7 +435,7 @@ class ProgressView:
 
     Args:
         surface: Shows it.
-        found: The campaigns that run, by the place where they do.
+        campaigns: The campaigns that run, by the place where they do.
         clock: Seconds.
     """
 
@@ -445,25 +445,25 @@ class ProgressView:
         campaigns: Callable[[], Mapping[str, CampaignProgress]],
         clock: Callable[[], float] = perf_counter,
     ) -> None:
-        self._surface, self._found, self._clock = surface, campaigns, clock
+        self._surface, self._campaigns, self._clock = surface, campaigns, clock
         self._board = Board()
 
-    def look(self) -> None:
+    def refresh(self) -> None:
         """Look once."""
         now = self._clock()
-        self._surface.show(self._board.rows(self._found(), now), now)
+        self._surface.show(self._board.rows(self._campaigns(), now), now)
 
 
 class Ticker:
     """Looks again and again, in a thread that ends with the session.
 
     Args:
-        look: Called each time; an error of the operating system ends it.
+        refresh: Called each time; an error of the operating system ends it.
         interval: Seconds in between.
     """
 
-    def __init__(self, look: Callable[[], None], interval: float) -> None:
-        self._look, self._interval = look, interval
+    def __init__(self, refresh: Callable[[], None], interval: float) -> None:
+        self._refresh, self._interval = refresh, interval
         self._over = Event()
         self._thread = Thread(target=self._run, name="dura-progress", daemon=True)
         self._thread.start()
@@ -472,7 +472,7 @@ class Ticker:
         # If the terminal is gone, pytest itself tells whoever still listens.
         with suppress(OSError):
             while not self._over.wait(self._interval):
-                self._look()
+                self._refresh()
 
     def close(self) -> None:
         """Look no more."""

@@ -112,7 +112,7 @@ class PropertyTests:
         stack.enter_context(use_library(self.context.library))
         return stack.close
 
-    def looked_at(self, case: SearchedCase) -> None:
+    def case_used(self, case: SearchedCase) -> None:
         """The current test looked at an episode of a case that a strategy chose."""
         self._cases.append(case)
 
@@ -127,8 +127,8 @@ class PropertyTests:
         try:
             yield
         except _FAILURES as error:
-            for case in self._of(error):
-                self._lines += self._kept(item, case)
+            for case in self._failing_cases(error):
+                self._lines += self._store_lines(item, case)
             raise
         finally:
             handle.inner_test = inner
@@ -141,7 +141,7 @@ class PropertyTests:
             report.sections.append(("dura", "\n".join(self._lines)))
             self._lines = []
 
-    def described(self, header: Mapping[str, Any]) -> dict[str, Any]:
+    def with_profile(self, header: Mapping[str, Any]) -> dict[str, Any]:
         """The head of the record with the profile of Hypothesis, where it was imported."""
         from pytest_dura.provenance import describe_hypothesis
 
@@ -177,7 +177,7 @@ class PropertyTests:
 
         return watched
 
-    def _of(self, error: BaseException) -> list[SearchedCase]:
+    def _failing_cases(self, error: BaseException) -> list[SearchedCase]:
         """The cases of the runs whose errors are reported, each once."""
         reported = set(map(id, _leaves(error)))
         failed = [
@@ -185,7 +185,7 @@ class PropertyTests:
         ]
         return list({case.id: case for case in failed}.values())
 
-    def _kept(self, item: pytest.Item, case: SearchedCase) -> Iterator[str]:
+    def _store_lines(self, item: pytest.Item, case: SearchedCase) -> Iterator[str]:
         """Lines on a case that is kept, or why it is not."""
         try:
             objective = self._violated(item, case)
@@ -195,7 +195,7 @@ class PropertyTests:
                     "kept. Name what it violates with the marker `requirement`."
                 )
             else:
-                yield from self._keep(item, case, objective)
+                yield from self._store(item, case, objective)
         except ConfigurationError as error:
             yield f"{case.id} is not kept: {error}"
 
@@ -220,7 +220,7 @@ class PropertyTests:
                 return objective
         return None
 
-    def _keep(self, item: pytest.Item, case: SearchedCase, objective: Objective) -> Iterator[str]:
+    def _store(self, item: pytest.Item, case: SearchedCase, objective: Objective) -> Iterator[str]:
         from pytest_dura.plugin.context import rerun_command
         from pytest_dura.search.counterexamples import (
             confirm_violation,

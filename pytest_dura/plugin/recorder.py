@@ -82,7 +82,7 @@ def _without_none(spread: dict[str, Any]) -> dict[str, Any]:
 
 Reason = Literal["all", "sample", "missing", "violation"]
 
-_RANK: dict[Reason, int] = {"all": 0, "sample": 1, "missing": 2, "violation": 3}
+_REASON_RANK: dict[Reason, int] = {"all": 0, "sample": 1, "missing": 2, "violation": 3}
 """Of several reasons to keep a trace the last one is told."""
 
 
@@ -140,7 +140,7 @@ class TraceKeeper:
         )
         key = tuple(about.values())
         before = self._kept.get(key)
-        if before is not None and _RANK[before[0]] >= _RANK[reason]:
+        if before is not None and _REASON_RANK[before[0]] >= _REASON_RANK[reason]:
             return
         written = self._write(episode, about) if before is None else before[1]
         self._kept[key] = reason, written
@@ -213,8 +213,8 @@ class ItemRecorder:
         self._used: dict[str, UsedEpisodes] = {}
         self._decided: set[tuple[str, str]] = set()
         self._components: dict[tuple[str, bytes, bool], dict[str, Any]] = {}
-        self._last: JudgedEpisode | None = None
-        self._asserted = False
+        self._last_episode: JudgedEpisode | None = None
+        self._body_passed = False
         """Whether the body of the current test came to its end without a failure."""
         self.traces = TraceKeeper(context)
 
@@ -233,8 +233,8 @@ class ItemRecorder:
             origin = self.context.runner.store.earlier.origin(key)
             record = episode_record(episode, planned=planned > 0, origin=origin)
             self._report.episodes.append(record)
-            self._relieve()
-        self._last = episode
+            self._flush_if_full()
+        self._last_episode = episode
         self.traces.used(episode)
         if planned:
             self._repeats.episode_used(case, episode)
@@ -244,13 +244,13 @@ class ItemRecorder:
         self._used.setdefault(case.id, UsedEpisodes(case)).add(episode)
         self._component_used(episode.spec.roles["generator"])
         self._models.used(episode.spec)
-        self._properties.looked_at(case)
+        self._properties.case_used(case)
 
     def verdict_reached(self, verdict: CampaignVerdict, requirement: Requirement) -> None:
         """A campaign was judged, and what its episodes are worth along with it."""
         used = self._used.pop(verdict.case, None)
         for counterexample in verdict.counterexamples:
-            episode = used and used.again(self.context.runner, counterexample.episode)
+            episode = used and used.episode(self.context.runner, counterexample.episode)
             if episode:
                 self.traces.violated(episode)
         self._used.pop((verdict.pairs or {}).get("case", verdict.case), None)
@@ -291,19 +291,17 @@ class ItemRecorder:
         """It was measured how good a case's monitors are."""
         self._report.monitors += [{"case": case.id, **quality.to_json()} for quality in qualities]
 
-    def faults_followed(
-        self, case: Case, episode: JudgedEpisode, chains: list[CausalChain]
-    ) -> None:
+    def faults_traced(self, case: Case, episode: JudgedEpisode, chains: list[CausalChain]) -> None:
         """It was found what came of each fault of an episode."""
         about = {"case": case.id, "component": episode.spec.component, "episode": episode.id}
         self._report.chains += [{**about, **chain.to_json()} for chain in chains]
-        self._relieve()
+        self._flush_if_full()
 
     def case_repeated(self, repeat: Mapping[str, Any]) -> None:
         """One episode of a case was run again."""
         self._report.repeats.append(dict(repeat))
 
-    def _relieve(self) -> None:
+    def _flush_if_full(self) -> None:
         """Let no item hold a great many episodes until it ends."""
         if self._report.full:
             part = self._report.split(self.context.redact)
@@ -334,7 +332,7 @@ class ItemRecorder:
 
     def body_passed(self, item: pytest.Function) -> None:
         """A test passed; fail it if the episodes that it looked at do not carry that."""
-        self._asserted = True
+        self._body_passed = True
         check_passed(self.context, item, self._used, self._decided)
 
     def attach(
@@ -342,11 +340,11 @@ class ItemRecorder:
     ) -> ItemReport | None:
         """Put what the item told on its report, as JSON; returns it, if it told anything."""
         if call.when == "teardown":
-            self._end(item)
+            self._item_ended(item)
         if call.when == "setup":
-            self._claim(item)
+            self._add_claims(item)
         if call.when == "call":
-            self._called(item, call, report)
+            self._test_called(item, call, report)
         traces, problems = self.traces.take()
         if traces or problems:
             self._report.traces += traces
@@ -367,10 +365,10 @@ class ItemRecorder:
             setattr(report, REPORT_ATTRIBUTE, json.dumps(item_report.to_json(), allow_nan=False))
         return item_report
 
-    def _called(
+    def _test_called(
         self, item: pytest.Item, call: pytest.CallInfo[None], report: pytest.TestReport
     ) -> None:
-        self._keep_last(call)
+        self._keep_failed_trace(call)
         if self._target(item) is not None:
             self._test_outcome(item, call, report)
         # A test that skips itself, or is expected to fail, came to no verdict either.
@@ -378,23 +376,23 @@ class ItemRecorder:
         if excused and without_verdict(self.context, item, self._decided):
             self._report.objections.append(f"{item.nodeid} ended without a verdict")
 
-    def _end(self, item: pytest.Item) -> None:
+    def _item_ended(self, item: pytest.Item) -> None:
         self._used.clear()
         self._decided.clear()
-        self._last = None
-        self._asserted = False
+        self._last_episode = None
+        self._body_passed = False
         if self._executor.is_lost:  # what there is by now can be resumed
             item.session.shouldstop = "nobody is left who simulates"
         if self._shared.is_broken:
             item.session.shouldstop = "file descriptors of this process were closed"
 
-    def _keep_last(self, call: pytest.CallInfo[None]) -> None:
+    def _keep_failed_trace(self, call: pytest.CallInfo[None]) -> None:
         """Keep the episode at which a test failed that asked for no verdict: its last one."""
-        if self._last is None or self._decided or call.excinfo is None:
+        if self._last_episode is None or self._decided or call.excinfo is None:
             return
-        status, detail = status_of_test(self._last, call.excinfo.value)
+        status, detail = status_of_test(self._last_episode, call.excinfo.value)
         if status == "violated" and not detail.startswith("undecided: "):
-            self.traces.violated(self._last)
+            self.traces.violated(self._last_episode)
 
     @property
     def _report(self) -> ItemReport:
@@ -450,7 +448,7 @@ class ItemRecorder:
         if requirement.to_json() not in self._report.requirements:
             self._report.requirements.append(requirement.to_json())
 
-    def _claim(self, item: pytest.Item) -> None:
+    def _add_claims(self, item: pytest.Item) -> None:
         """Say what a test is to decide: if it ends before it does, that is undecided."""
         run = self._target(item)
         target = run or self._target(item, "campaign")
@@ -487,7 +485,9 @@ class ItemRecorder:
             command = replay_command(self.context, episode.id)
             report.sections.append(("dura", f"{episode.id}, replay: {command}"))
         failed = (
-            "" if call.excinfo is None or self._asserted else failed_assertion(item, call.excinfo)
+            ""
+            if call.excinfo is None or self._body_passed
+            else failed_assertion(item, call.excinfo)
         )
         for requirement in marked_requirements(self.context, item):
             self._requirement_used(requirement)

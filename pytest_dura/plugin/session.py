@@ -131,7 +131,7 @@ def make_plan(context: SessionContext, chosen: Mapping[str, Chosen]) -> list[Pla
                 if any(_chooses(choice, name, requirement) for choice in chosen.values())
             )
         if requirements:
-            context.take_case(case)
+            context.register_case(case)
             plan.append(Planned(case, requirements))
     return plan
 
@@ -160,7 +160,7 @@ def _progress_listener(context: SessionContext) -> Callable[[RunningCampaign], N
     """What a runner reports its progress to."""
     if context.is_worker:
         file = _progress_file(context)
-        return _show_nothing if file is None else file.tell
+        return _show_nothing if file is None else file.write
     return _register_progress(context)
 
 
@@ -179,17 +179,17 @@ def _register_progress(context: SessionContext) -> Callable[[RunningCampaign], N
     """What shows it in this process, which takes part in the session from now on."""
     from pytest_dura.plugin.progress_display import display_mode
 
-    way = display_mode(context.config)
-    if way is None or (way == "lines" and isinf(context.options.progress_interval)):
+    mode = display_mode(context.config)
+    if mode is None or (mode == "lines" and isinf(context.options.progress_interval)):
         return _show_nothing
     from pytest_dura.plugin.progress import ProgressHooks
 
     hooks = context.config.pluginmanager.getplugin(_PROGRESS_PLUGIN)
     if hooks is None:
-        hooks = ProgressHooks(context, way)
+        hooks = ProgressHooks(context, mode)
         context.config.pluginmanager.register(hooks, _PROGRESS_PLUGIN)
-    tell: Callable[[RunningCampaign], None] = hooks.tell
-    return tell
+    update: Callable[[RunningCampaign], None] = hooks.update
+    return update
 
 
 def _show_nothing(_: RunningCampaign) -> None:
@@ -250,7 +250,7 @@ class DuraSession(SessionContext):
             pytest.UsageError: For options and files that cannot be used.
         """
         if self.active:
-            self.reach_project()
+            self.extend_import_path()
         with usage_errors():
             self.models.begin()
             self.roles.check()
@@ -267,7 +267,7 @@ class DuraSession(SessionContext):
         Raises:
             pytest.UsageError: If it cannot be written.
         """
-        self.reach_project()
+        self.extend_import_path()
         with usage_errors():
             self.evidence.start()
             self.executor.start()
@@ -309,7 +309,7 @@ class DuraSession(SessionContext):
             on_progress=_progress_listener(self),
             on_verdict=self.recorder.verdict_reached,
             on_monitors=self.recorder.monitors_judged,
-            on_chains=self.recorder.faults_followed,
+            on_chains=self.recorder.faults_traced,
             on_search=lambda case, found: self.recorder.search_ended(case, found.to_json()),
             on_searched=self.recorder.searched_used,
             keep=counterexample_store(self),

@@ -44,7 +44,7 @@ class Selection:
         self.context = context
         self._planned: dict[str, int] = {}
         """Runs that are declared for each verdict."""
-        self._left: dict[str, Any] = {
+        self._selected: dict[str, Any] = {
             "planned": 0, "asked": 0, "left_out": [], "runs": None, "declared_runs": [],
         }  # fmt: skip
 
@@ -52,13 +52,13 @@ class Selection:
         """Note the verdicts of all items that were collected."""
         self._planned = dict(self._verdicts(items))
 
-    def ask(self, items: Sequence[pytest.Item]) -> None:
+    def select(self, items: Sequence[pytest.Item]) -> None:
         """Note what is left of them."""
         selected = dict(self._verdicts(items))
         left_out = [name for name in self._planned if name not in selected]
         runs = self.context.options.runs
         fewer = {declared for declared in selected.values() if runs is not None and runs < declared}
-        self._left = {
+        self._selected = {
             "planned": len(self._planned | selected),
             "asked": len(selected),
             "left_out": sorted(left_out)[:_MOST_LISTED],
@@ -68,16 +68,16 @@ class Selection:
 
     def to_json(self) -> dict[str, Any]:
         """The record's key ``selection``."""
-        return self._left
+        return self._selected
 
     def send_to_controller(self, workeroutput: MutableMapping[str, Any]) -> None:
         """Tell the controller what this worker collected."""
-        workeroutput[_SELECTION_KEY] = json.dumps(self._left)
+        workeroutput[_SELECTION_KEY] = json.dumps(self._selected)
 
     def receive_from_worker(self, workeroutput: Mapping[str, Any]) -> None:
         """Take over from a worker what it collected; each collects the same."""
         if _SELECTION_KEY in workeroutput:
-            self._left = json.loads(workeroutput[_SELECTION_KEY])
+            self._selected = json.loads(workeroutput[_SELECTION_KEY])
 
     def _verdicts(self, items: Sequence[pytest.Item]) -> Iterator[tuple[str, int]]:
         """The verdicts that items would come to, each with the runs that are declared for it."""
@@ -155,7 +155,7 @@ class ShardHooks:
         """Plan, units and what this shard holds, once items were collected."""
         self.lost: str | None = None
         """What stands against the shard: items that it holds and that do not run."""
-        self._kept: list[pytest.Item] = []
+        self._own_items: list[pytest.Item] = []
 
     def to_json(self) -> dict[str, Any]:
         """The record's key ``shard``."""
@@ -179,7 +179,7 @@ class ShardHooks:
         holds = split_units(units, self.shard.count)[self.shard.index - 1]
         kept = {id(item) for unit in holds for item in units[unit]}
         deselected = [item for item in items if id(item) not in kept]
-        self._kept = items[:] = [item for item in items if id(item) in kept]
+        self._own_items = items[:] = [item for item in items if id(item) in kept]
         if deselected:
             config.hook.pytest_deselected(items=deselected)
         self._split = {
@@ -195,11 +195,11 @@ class ShardHooks:
     def pytest_runtestloop(self, session: pytest.Session) -> None:
         """Look whether everything will run that the shard says it holds: no other one runs it."""
         present = set(map(id, session.items))
-        lost = [item.nodeid for item in self._kept if id(item) not in present]
+        lost = [item.nodeid for item in self._own_items if id(item) not in present]
         if lost:
             self.lost = (
-                f"a plugin took out {len(lost)} of {len(self._kept)} items after the session was "
-                f"split, the first of them {lost[0]}: no shard runs them; let it choose in "
+                f"a plugin took out {len(lost)} of {len(self._own_items)} items after the session "
+                f"was split, the first of them {lost[0]}: no shard runs them; let it choose in "
                 "pytest_collection_modifyitems"
             )
         if self.context.is_worker:
@@ -285,15 +285,13 @@ def _units_of(
         names[root] = min(names.get(root, name), name)
     episodes = groups.episodes()
     units: dict[ShardUnit, list[pytest.Item]] = {}
-    for root, members_of_unit in members.items():
-        ids = [item.nodeid for item in members_of_unit]
-        units[ShardUnit.of("case", names[root], ids, episodes[root])] = members_of_unit
-    for name, members_of_unit in tests.items():
+    for root, own_items in members.items():
+        ids = [item.nodeid for item in own_items]
+        units[ShardUnit.of("case", names[root], ids, episodes[root])] = own_items
+    for name, own_items in tests.items():
         # One that chooses its episodes itself has at least one, for all that is known.
-        runs = any("dura_metrics" in getattr(item, "fixturenames", ()) for item in members_of_unit)
-        units[ShardUnit.of("test", name, [name] * len(members_of_unit), int(runs))] = (
-            members_of_unit
-        )
+        runs = any("dura_metrics" in getattr(item, "fixturenames", ()) for item in own_items)
+        units[ShardUnit.of("test", name, [name] * len(own_items), int(runs))] = own_items
     return units
 
 
