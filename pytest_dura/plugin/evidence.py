@@ -35,10 +35,10 @@ if TYPE_CHECKING:
     from pytest_dura.plugin.context import SessionContext
     from pytest_dura.plugin.episodes import SessionExecutor, SharedEpisodes
     from pytest_dura.plugin.inputs import SessionInputs
+    from pytest_dura.plugin.items import Selection, ShardHooks
     from pytest_dura.plugin.language_models import LanguageModels
     from pytest_dura.plugin.property_tests import PropertyTests
     from pytest_dura.plugin.roles import SessionRoles
-    from pytest_dura.plugin.shards import Selection, ShardHooks
 
 
 _REGULAR_EXIT_CODES = (

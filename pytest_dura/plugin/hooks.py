@@ -127,7 +127,7 @@ class SessionHooks:
         own_items = list(filter(uses_runner, items))
         if not own_items:
             return
-        from pytest_dura.plugin.allure import is_used, mark_item
+        from pytest_dura.plugin.item_reports import is_used, mark_item
 
         if is_used(self.session.config):
             for item in own_items:
@@ -237,13 +237,13 @@ class SessionHooks:
         item_report = self.session.recorder.attach(item, call, report)
         # A test that could not be set up is not called.
         if uses_runner(item) and (call.when == "call" or (call.when == "setup" and call.excinfo)):
-            from pytest_dura.plugin.junit import add_properties
+            from pytest_dura.plugin.item_reports import add_properties
             from pytest_dura.plugin.outcomes import item_results
 
             results = item_results(self.session, item, item_report)
             add_properties(self.session, item, report, results)
             if item.config.getoption("allure_report_dir", None):
-                from pytest_dura.plugin.allure import report_item
+                from pytest_dura.plugin.item_reports import report_item
 
                 report_item(self.session, item, results)
         return report

@@ -19,12 +19,12 @@ from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.plugin.context import Planned, SessionContext
 from pytest_dura.plugin.episodes import Repeats, SessionExecutor, SharedEpisodes
 from pytest_dura.plugin.evidence import SessionEvidence
+from pytest_dura.plugin.items import Selection, ShardHooks
 from pytest_dura.plugin.language_models import LanguageModels
 from pytest_dura.plugin.messages import usage_errors
 from pytest_dura.plugin.property_tests import PropertyTests
 from pytest_dura.plugin.recorder import ItemRecorder
 from pytest_dura.plugin.roles import SessionRoles
-from pytest_dura.plugin.shards import Selection, ShardHooks
 
 if TYPE_CHECKING:
     from collections.abc import Callable
