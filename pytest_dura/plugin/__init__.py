@@ -120,7 +120,7 @@ def lacks_case(item: pytest.Item) -> bool:
 
 
 class SessionHooks:
-    """Registered once per session, in the controller and in every worker alike."""
+    """Hooks of one session, registered in the controller and in every worker alike."""
 
     def __init__(self, session: DuraSession) -> None:
         self.session = session
@@ -147,7 +147,7 @@ class SessionHooks:
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_collection(self) -> None:
-        """Take our own out of the arguments, which pytest would look up as files."""
+        """Take scenario items out of the arguments, which pytest would look up as files."""
         self.session.take_arguments()
 
     def pytest_generate_tests(self, metafunc: pytest.Metafunc) -> None:
@@ -190,7 +190,7 @@ class SessionHooks:
     def pytest_collection_modifyitems(
         self, session: pytest.Session, items: list[pytest.Item]
     ) -> Generator[None, Any, Any]:
-        """Add the scenario items, and note what others leave of all items."""
+        """Add the scenario items, and note which items others leave."""
         if self.session.plan:
             from pytest_dura.plugin.items import scenario_items
 
@@ -202,7 +202,6 @@ class SessionHooks:
         return result
 
     def _label(self, items: list[pytest.Item]) -> None:
-        """Label what Allure reports or selects, before it selects."""
         own_items = list(filter(uses_runner, items))
         if not own_items:
             return
@@ -213,7 +212,7 @@ class SessionHooks:
                 mark_item(self.session, item)
 
     def pytest_collection_finish(self, session: pytest.Session) -> None:
-        """Note what will run, in a record that takes the place of an earlier session's."""
+        """Note what will run, in a record that replaces an earlier session's."""
         own_items = list(filter(uses_runner, session.items))
         if self.session.shard is None:  # which leaves out what other shards run
             self.session.selection.select(own_items)
@@ -241,7 +240,7 @@ class SessionHooks:
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_setup(self, item: pytest.Item) -> None:
-        """Refuse a marker that pytest does not let us see, which would run nothing and pass."""
+        """Refuse a marker that pytest hides from us, and which would run nothing and pass."""
         from pytest_dura.plugin.markers import names_no_scenario
 
         own = any(
@@ -265,7 +264,7 @@ class SessionHooks:
     def pytest_runtest_protocol(
         self, item: pytest.Item, nextitem: pytest.Item | None
     ) -> Generator[None, Any, Any]:
-        """Let a worker that has no item left help the others."""
+        """Let a worker that has no item left simulate episodes for the others."""
         result = yield
         if nextitem is None and self.session.is_worker and self.session.plan:
             from pytest_dura.plugin.xdist import steal_work
@@ -275,7 +274,7 @@ class SessionHooks:
 
     @pytest.hookimpl(wrapper=True, trylast=True)
     def pytest_fixture_setup(self, request: pytest.FixtureRequest) -> Generator[None, Any, Any]:
-        """Make the error of a fixture visible before others pass it on; of our tests alone."""
+        """Escape the error of a fixture of our tests before it is passed on."""
         try:
             return (yield)
         except BaseException as error:  # also of `pytest.skip`; it is raised again
@@ -287,7 +286,7 @@ class SessionHooks:
 
     @pytest.hookimpl(wrapper=True)
     def pytest_pyfunc_call(self, pyfuncitem: pytest.Function) -> Generator[None, Any, Any]:
-        """Tell our own errors as failures, and refuse a pass on an episode that says nothing."""
+        """Turn errors of this package into failures, and check what a pass rests on."""
         __tracebackhide__ = True
         try:
             run_marked_search(pyfuncitem)
@@ -306,7 +305,7 @@ class SessionHooks:
     def pytest_runtest_makereport(
         self, item: pytest.Item, call: pytest.CallInfo[None]
     ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
-        """Attach what the item told to its report, which crosses processes."""
+        """Attach what the item recorded to its report, which crosses processes."""
         if call.excinfo is not None and uses_runner(item):
             from pytest_dura.plugin.messages import escape_error
 
@@ -329,7 +328,7 @@ class SessionHooks:
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """Gather what items told."""
+        """Gather what items recorded."""
         self._end_forked_copy()
         self.session.evidence.gather(report)
 
@@ -347,12 +346,12 @@ class SessionHooks:
         self.session.evidence.finish(session)
 
     def pytest_keyboard_interrupt(self) -> None:
-        """Note that the session did not end by itself; ``pytest.exit`` may call that a success."""
+        """Note the interruption, also where ``pytest.exit`` reports a success."""
         self.session.evidence.interrupted = True
 
     @pytest.hookimpl(trylast=True)
     def pytest_unconfigure(self) -> None:
-        """Have the last word on the exit code of a session that the evidence does not support."""
+        """Enforce the exit code that the evidence supports, and release what is held."""
         self._end_forked_copy()
         if self._guard is not None:
             self._guard.close()
@@ -362,13 +361,13 @@ class SessionHooks:
         self.session.models.end()
 
     def _begin_guard(self) -> None:
-        """Let nothing end this process with a success; a second call does nothing."""
+        """Keep any code from ending this process with a success; a second call does nothing."""
         if self._guard is None:
             self._guard = ExitStack()
             self._guard.enter_context(lasting_guard())
 
     def _end_forked_copy(self) -> None:
-        """End a copy of this process, which some code forked and that came back to pytest."""
+        """End a copy of this process that some code forked and that returned to pytest."""
         if os.getpid() != self._pid:
             end_process(EXIT_CODE)
 
@@ -381,14 +380,14 @@ class SessionHooks:
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_configure_node(self, node: WorkerController) -> None:
-        """Tell a worker where the evidence goes: it writes the traces of its episodes itself."""
+        """Send a worker what it needs: it writes the traces of its episodes itself."""
         node.workerinput["dura_evidence"] = str(self.session.options.evidence.absolute())
         self.session.shared.send_to_worker(node.workerinput)
         self.session.models.send_to_worker(node.workerinput)
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_testnodedown(self, node: WorkerController, error: object) -> None:
-        """Hear what a worker has simulated itself, or that it ended in the middle."""
+        """Receive what a worker sends at its end, or note that it ended early."""
         workeroutput = getattr(node, "workeroutput", {})
         self.session.executor.receive_from_worker(workeroutput)
         self.session.properties.receive_from_worker(workeroutput)
@@ -399,7 +398,7 @@ class SessionHooks:
     def pytest_xdist_make_scheduler(
         self, config: pytest.Config, log: Producer
     ) -> LoadScopeScheduling | None:
-        """Keep the items of a case in one worker, so that its episodes are simulated once."""
+        """Schedule by cases, so that workers share episodes."""
         if not self.session.active or config.getoption("dist") != "load":
             return None
         from pytest_dura.plugin.xdist import CaseScheduling

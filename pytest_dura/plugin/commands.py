@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 
 def run_command(session: DuraSession) -> int:
-    """Run what the options name that runs no tests, and return the exit code.
+    """Run the command that the options name, and return the exit code.
 
     Raises:
         pytest.UsageError: For options and files that cannot be used.
@@ -49,7 +49,6 @@ def run_command(session: DuraSession) -> int:
 
 
 def _fault_line(name: str) -> str:
-    """A type of the catalogue, what it acts on, and what it does in one sentence."""
     from pytest_dura.faults.catalogue import fault_class
 
     fault_type = fault_class(name)
@@ -58,7 +57,6 @@ def _fault_line(name: str) -> str:
 
 
 def _show_list(session: DuraSession) -> int:
-    """Print everything and return the exit code."""
     from pytest_dura.campaign.reasons import describe_check
     from pytest_dura.domains import DOMAINS
     from pytest_dura.faults.catalogue import FAULT_TYPES
@@ -111,7 +109,7 @@ Data = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class RecordedEpisode:
-    """One episode of a record.
+    """Episode of a record, ready to be run again.
 
     Args:
         spec: What it was run from, with classes of conftest files where pytest has loaded them.
@@ -132,7 +130,7 @@ class RecordedEpisode:
     faults: tuple[Data, ...]
 
     def run(self, spec: EpisodeSpec | None = None, *, recorded: bool = False) -> Episode:
-        """The episode again, or one of another spec that ends as this one would.
+        """Run the episode again, or another spec that ends as this one would.
 
         Args:
             spec: The other one.
@@ -149,7 +147,7 @@ class RecordedEpisode:
 def _recorded_episodes(
     config: pytest.Config, options: Options, name: str, option: str
 ) -> tuple[Data, list[RecordedEpisode]]:
-    """The record, and its episodes of this id: several, with several seeds or components.
+    """Read the record and its episodes of this id; seeds and components make several.
 
     Args:
         config: Of the session, for what conftest files define.
@@ -173,7 +171,7 @@ def _recorded_episodes(
 
 
 def _check_whole(evidence: Path, option: str) -> None:
-    """Refuse a bundle that its manifest does not hold for: it names what is imported and run.
+    """Refuse a bundle that differs from its manifest: it names what is imported and run.
 
     Raises:
         ConfigurationError: With the first difference.
@@ -196,7 +194,7 @@ def _check_whole(evidence: Path, option: str) -> None:
 
 @contextmanager
 def _damage_as_error(options: Options, name: str, option: str) -> Iterator[None]:
-    """What a record makes impossible that is not as it was written, as one error.
+    """Context in which errors of a damaged record become one error.
 
     Raises:
         ConfigurationError: In place of whatever reading the record, or running what it says, met.
@@ -327,7 +325,7 @@ def replay(session: DuraSession) -> int:
 def _compared(
     recorded: RecordedEpisode, episode: Episode, replayed: Trace, evidence: Path
 ) -> tuple[bool, list[str]]:
-    """Whether the episode is the recorded one, and what there is to say of it."""
+    """Return whether the episode is the recorded one, and lines that show it."""
     is_same = recorded.digest == episode.digest
     end = f"{episode.time[-1]:.1f} s" if episode.ticks else "no tick"
     outcome = f"{episode.termination} after {end}"
@@ -361,7 +359,7 @@ def _by_trace(
     episode: Episode,
     lines: list[str],
 ) -> tuple[bool, list[str]]:
-    """Whether the episode is the recorded one, and where it differs from its trace."""
+    """Return whether the episode is the recorded one, and lines that name the difference."""
     from pytest_dura.evidence.text import one_line
     from pytest_dura.evidence.traces import first_difference
 
@@ -389,7 +387,7 @@ def _without_trace(recorded: RecordedEpisode, episode: Episode) -> list[str]:
 
 
 def _by_faults(recorded: RecordedEpisode, episode: Episode) -> list[str]:
-    """What the record itself tells of the episode, apart from its trace."""
+    """Compare what became of the faults, which the record holds without a trace."""
     from pytest_dura.evidence.model import plain_data
 
     for before, fault in zip(recorded.faults, episode.faults, strict=False):
@@ -400,7 +398,7 @@ def _by_faults(recorded: RecordedEpisode, episode: Episode) -> list[str]:
 
 
 def _read_trace(entry: Any, evidence: Path) -> Trace:
-    """The trace that was kept.
+    """Read the trace that was kept.
 
     Raises:
         FileNotFoundError: If it is gone.
@@ -436,7 +434,7 @@ def _read_trace(entry: Any, evidence: Path) -> Trace:
 
 
 def _write_player(recorded: RecordedEpisode, episode: Episode, trace: Trace, evidence: Path) -> str:
-    """Write the page that plays the episode; its URL.
+    """Write the page that plays the episode, and return its URL.
 
     Raises:
         ConfigurationError: If it cannot be written.
@@ -451,7 +449,7 @@ def _write_player(recorded: RecordedEpisode, episode: Episode, trace: Trace, evi
 
 
 def _verdicts(recorded: RecordedEpisode, episode: Episode) -> list[dict[str, Any]]:
-    """What the requirements of the episode's case say of it now."""
+    """Judge the replayed episode by the requirements of its case."""
     from pytest_dura.requirements.verdicts.episodes import judge_episode
 
     verdicts: list[dict[str, Any]] = []
@@ -562,7 +560,7 @@ def _result_lines(reduction: Reduction, budget: int) -> list[str]:
 def _write_reduced(
     record: Data, recorded: RecordedEpisode, reduction: Reduction, folder: Path
 ) -> None:
-    """A record with the reduced episode alone, in the form of the one that it came from."""
+    """Write a record of the reduced episode alone, in the form of the original one."""
     from pytest_dura.evidence.bundle import write_record
     from pytest_dura.evidence.episodes import episode_record
     from pytest_dura.evidence.files import MANIFEST_FILE, file_entry, manifest_text, write_file

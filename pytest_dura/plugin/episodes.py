@@ -42,7 +42,7 @@ _SIMULATED_HERE_KEY = "dura_simulated_here"
 
 
 class SessionExecutor:
-    """Who simulates the episodes of this process.
+    """Simulates the episodes of this process, itself or through an executor.
 
     Args:
         context: The session's context.
@@ -54,7 +54,7 @@ class SessionExecutor:
         self._simulated_here: Counter[tuple[str, str]] = Counter()
 
     def execution(self) -> Execution:
-        """What simulates, made at the first call.
+        """Return what simulates, made at the first call.
 
         Raises:
             ConfigurationError: If it cannot be used; the same one at every call.
@@ -72,7 +72,7 @@ class SessionExecutor:
         return self._execution
 
     def connect(self) -> None:
-        """Find out before anything is collected or written whether a cluster is there.
+        """Check that a cluster is reachable, before anything is collected or written.
 
         Raises:
             ConfigurationError: If it is not.
@@ -82,7 +82,7 @@ class SessionExecutor:
             choice.knock()
 
     def start(self) -> None:
-        """Have what simulates, once all is collected: processes find what is imported by then.
+        """Start the executor once all is collected: processes inherit what is imported by then.
 
         Raises:
             ConfigurationError: If it cannot be used.
@@ -93,7 +93,7 @@ class SessionExecutor:
 
     @property
     def is_lost(self) -> bool:
-        """Whether whoever simulates is gone, so that no further test can tell anything."""
+        """Whether the executor is gone, so that no further test can come to a verdict."""
         execution = self._execution
         return (
             not (execution is None or isinstance(execution, ConfigurationError))
@@ -101,21 +101,21 @@ class SessionExecutor:
         )
 
     def close(self) -> None:
-        """Give up what is under way, and end the processes that simulate."""
+        """Cancel what is under way, and end the processes that simulate."""
         execution, self._execution = self._execution, None
         if execution is not None and not isinstance(execution, ConfigurationError):
             self._simulated_here += execution.here
             execution.close()
 
     def to_json(self) -> dict[str, Any]:
-        """What the record says of it."""
+        """The record's key ``execution``."""
         choice = self.context.options.executor
         if choice is None:
             return {"executor": "in-process", "processes": None}
         return {"executor": choice.kind, "processes": choice.processes}
 
     def header(self) -> list[str]:
-        """A line, if another process simulates."""
+        """Header line, if another process simulates."""
         choice = self.context.options.executor
         if choice is None:
             return []
@@ -124,27 +124,27 @@ class SessionExecutor:
         return [f"dura: episodes are simulated by Dask, scheduler at {choice.address}"]
 
     def notes(self) -> list[str]:
-        """Lines on episodes that were simulated here, though others were to simulate."""
+        """Lines on episodes that were simulated here although an executor was given."""
         return [
             f"{counted(number, 'episode')} of {component} simulated in pytest's own process: {why}"
             for (component, why), number in sorted(self._counts().items())
         ]
 
     def _counts(self) -> Counter[tuple[str, str]]:
-        """Of this process, and of the workers that are done."""
+        """Count the episodes simulated here, and by workers that have ended."""
         execution = self._execution
         if execution is None or isinstance(execution, ConfigurationError):
             return self._simulated_here
         return self._simulated_here + execution.here
 
     def send_to_controller(self, workeroutput: MutableMapping[str, Any]) -> None:
-        """Tell the controller what this worker has simulated itself."""
+        """Add to a worker's output what it has simulated itself."""
         workeroutput[_SIMULATED_HERE_KEY] = [
             [*key, number] for key, number in self._counts().items()
         ]
 
     def receive_from_worker(self, workeroutput: MutableMapping[str, Any]) -> None:
-        """Take in what a worker tells at its end."""
+        """Add the counts of a worker that has ended."""
         for component, why, number in workeroutput.get(_SIMULATED_HERE_KEY, ()):
             self._simulated_here[component, why] += number
 
@@ -157,7 +157,7 @@ _LOST_KEY = "dura_lost"
 
 
 class SharedEpisodes:
-    """The episodes that all processes of a session share, and what is taken over from earlier ones.
+    """Shares episodes between the processes of a session, and with earlier sessions.
 
     Args:
         context: The session's context.
@@ -177,13 +177,13 @@ class SharedEpisodes:
 
     @cached_property
     def id(self) -> str:
-        """Of the session, the same in all of its processes."""
+        """Id of the session, the same in all of its processes."""
         given = self.context.worker_input.get(_SESSION_KEY)
         return str(given or uuid.uuid4().hex)
 
     @cached_property
     def cache(self) -> EpisodeCache:
-        """Where the episodes are."""
+        """Cache that holds the episodes."""
         from pytest_dura.execution.cache import EpisodeCache
 
         options = self.context.options
@@ -192,16 +192,16 @@ class SharedEpisodes:
 
     @property
     def mode(self) -> str:
-        """What is taken over: ``none``, ``resume`` or ``reuse``, as the record has it."""
+        """Whether episodes are taken over: ``none``, ``resume`` or ``reuse``, as in the record."""
         options = self.context.options
         return "resume" if options.resume else "none" if options.reuse is None else "reuse"
 
     def to_json(self) -> dict[str, Any]:
-        """What the record begins with; the rest follows from its episodes."""
+        """The record's key ``reuse`` at its beginning; the rest follows from its episodes."""
         return {"mode": self.mode, "session": self.id}
 
     def store(self) -> EpisodeStore:
-        """What the runner of this process asks for episodes."""
+        """Make the store from which the runner of this process takes episodes."""
         from pytest_dura.execution.store import EpisodeStore
 
         self._store = EpisodeStore(self.cache, self._executor.execution())
@@ -213,13 +213,13 @@ class SharedEpisodes:
         return self._store is not None and self._store.is_broken
 
     def take_problems(self) -> list[str]:
-        """Why episodes could not be shared, as far as it was not told yet."""
+        """Return why episodes could not be shared, as far as not returned yet."""
         problems = [] if self._store is None else self._store.problems
         new, self._problems_reported = problems[self._problems_reported :], len(problems)
         return new
 
     def take_searched(self) -> list[dict[str, Any]]:
-        """The origins of what searches used since the last call."""
+        """Return the origins of the runs that searches used since the last call."""
         if self._store is None:
             return []
         earlier = self._store.earlier
@@ -242,15 +242,15 @@ class SharedEpisodes:
 
     @property
     def _repetition_marks(self) -> Path:
-        """Where workers note what they repeat, as long as the session runs."""
+        """Folder in which workers mark what they repeat, as long as the session runs."""
         return Path(tempfile.gettempdir()) / f"pytest-dura-{self.id}"
 
     def send_to_worker(self, workerinput: MutableMapping[str, Any]) -> None:
-        """Tell a worker which session it is of."""
+        """Add the session's id to a worker's input."""
         workerinput[_SESSION_KEY] = self.id
 
     def begin(self) -> None:
-        """Keep the episodes of the session that is resumed; or remove what an earlier one left.
+        """Keep the episodes of the session that is resumed, or remove what an earlier one left.
 
         To be called by the controller, before the record of the earlier session is replaced.
 
@@ -281,15 +281,15 @@ class SharedEpisodes:
         return self._store is not None and self._store.lost
 
     def send_to_controller(self, workeroutput: MutableMapping[str, Any]) -> None:
-        """Tell the controller whether this worker lost an episode with whoever simulated it."""
+        """Add to a worker's output whether it lost an episode with its executor."""
         workeroutput[_LOST_KEY] = self._lost_here
 
     def receive_from_worker(self, workeroutput: Mapping[str, Any], error: object) -> None:
-        """Take in what a worker tells at its end, and whether it came to its end at all."""
+        """Note whether a worker lost an episode, or did not come to its end."""
         self._lost |= bool(error) or bool(workeroutput.get(_LOST_KEY))
 
     def end(self, record: SessionRecord, *, written: bool) -> None:
-        """Remove the episodes of a session that is whole; another one can be resumed.
+        """Remove the episodes of a session that is whole; any other session can be resumed.
 
         Args:
             record: Of the session.
@@ -320,7 +320,7 @@ class SharedEpisodes:
             ) from None
 
     def _unfinished(self, *, left_episodes: bool) -> str | None:
-        """The session that the evidence is of, in words, unless it was whole.
+        """Describe the session that the evidence is of, unless it was whole.
 
         Args:
             left_episodes: Whether it left the directory of its episodes.
@@ -394,7 +394,7 @@ class Repeats:
         self._done: set[tuple[str, str]] = set()
 
     def episode_used(self, case: Case, episode: JudgedEpisode) -> None:
-        """An item looked at a planned episode of a case."""
+        """Note that an item looked at a planned episode of a case."""
         key = case.id, episode.spec.component
         if key in self._due or key in self._done or episode.failure is not None:
             return
@@ -430,7 +430,7 @@ class Repeats:
         self._due.clear()
 
     def _repeated(self, due: _DueRepetition) -> Mapping[str, Any] | None:
-        """What came of it; ``None`` if another process finds that out."""
+        """Repeat an episode; ``None`` if another process does."""
         if due.skip_reason is not None:
             return {"result": "skipped", "repeated_digest": None, "detail": due.skip_reason}
         if not self._shared.first_to_repeat(due.task.spec.case, due.task.spec.component):
@@ -455,7 +455,7 @@ class Repeats:
 
 
 def _case_id_of(item: pytest.Item) -> str:
-    """Id of the case that an item looks at; empty for one that chooses its episodes itself."""
+    """Id of the case that an item looks at; empty where it chooses its episodes itself."""
     planned = getattr(item, "planned", None)
     for value in getattr(getattr(item, "callspec", None), "params", {}).values():
         if hasattr(value, "planned") and hasattr(value, "case"):
@@ -464,7 +464,7 @@ def _case_id_of(item: pytest.Item) -> str:
 
 
 def show_repeats(terminal: Any, record: SessionRecord, objections: Collection[str]) -> None:
-    """The cases that are not repeatable, unless the gate says so anyway."""
+    """Show the cases that are not repeatable, unless they are among the objections."""
     from pytest_dura.evidence.gate import not_repeatable_lines
 
     for line in not_repeatable_lines(record["cases"]):

@@ -50,7 +50,7 @@ _REGULAR_EXIT_CODES = (
 
 
 def _waiver_of(report: pytest.TestReport) -> tuple[str, str] | None:
-    """What excuses the item of a report, and why; ``None`` if nothing does."""
+    """Return the kind of waiver and its reason, if a report has one."""
     reason = getattr(report, "wasxfail", None)
     if reason is not None:
         return "xfail", reason
@@ -63,7 +63,7 @@ def _waiver_of(report: pytest.TestReport) -> tuple[str, str] | None:
 
 
 class GivenFiles:
-    """Read once, by the controller.
+    """Baseline and argument that the user gives, read once by the controller.
 
     Args:
         context: The session's context.
@@ -77,7 +77,7 @@ class GivenFiles:
         """Over which the assurance case is built; as the record has it."""
 
     def read(self) -> None:
-        """Read both, before the session's own record takes the place of an earlier one.
+        """Read both, before the session's own record replaces an earlier one.
 
         Raises:
             ConfigurationError: If one cannot be used.
@@ -120,13 +120,13 @@ class GivenFiles:
             self.baseline = Baseline.read(given, self.context.config.invocation_params.dir)
 
     def with_baseline(self, record: SessionRecord) -> SessionRecord:
-        """The record beside the baseline."""
+        """Add the comparison with the baseline to a record."""
         finished = None if record["status"] == "running" else record
         baseline = None if self.baseline is None else self.baseline.to_json(finished)
         return replace(record, head={**record.head, "baseline": baseline})
 
     def regressions(self, record: SessionRecord) -> list[str]:
-        """What ``--dura-baseline-worse=fail`` does not let pass."""
+        """List what ``--dura-baseline-worse=fail`` does not let pass."""
         if not self.context.options.fail_worse:
             return []
         from pytest_dura.evidence.baseline import regression_objections
@@ -140,7 +140,7 @@ Expected = tuple[str, dict[str, Any], dict[str, Any]]
 def _expected_items(
     context: SessionContext, roles: SessionRoles, chosen: Iterable[str]
 ) -> list[Expected]:
-    """Node id, requirement and case of each chosen scenario item, as the evidence holds them.
+    """Return node id, requirement and case of each chosen scenario item, as recorded.
 
     There may be tens of thousands of cases: what many of them share is looked up once.
 
@@ -169,7 +169,7 @@ def _expected_items(
 
 
 class _Components:
-    """The names of the components under test, as far as they are known before anything runs."""
+    """Names of the components under test, as far as known before anything runs."""
 
     def __init__(self, context: SessionContext, roles: SessionRoles) -> None:
         self._overrides = roles.chosen()
@@ -177,7 +177,7 @@ class _Components:
         self._known: dict[tuple[str, tuple[str, ...]], str] = {}
 
     def __call__(self, case: Case) -> str:
-        """That of a case; its faults make no difference."""
+        """Name the component of a case; its faults make no difference."""
         if self._in_conftest:
             from pytest_dura.evidence.gather import UNKNOWN_COMPONENT
 
@@ -238,7 +238,7 @@ class SessionEvidence:
         self._expected: list[str] = []
 
     def start(self, *, late: bool = False) -> None:
-        """Begin the record. What a killed session leaves behind says that it was running.
+        """Begin the record, which says that the session runs until it is finished.
 
         Args:
             late: Whether workers may have written traces already.
@@ -296,7 +296,7 @@ class SessionEvidence:
             self.record.expect(*item)
 
     def note_tests(self, items: list[str], claiming: Iterable[str] = ()) -> None:
-        """Note the tests that will run, and their files, as near as can be to when they were read.
+        """Note the tests that will run, and hash their files close to when they were read.
 
         Args:
             items: Node ids of tests that use the runner.
@@ -309,7 +309,7 @@ class SessionEvidence:
                 self._sources().add_item(item)
 
     def gather(self, report: pytest.TestReport) -> None:
-        """Take in what an item told."""
+        """Take what an item recorded out of its report, and into the session's record."""
         if self.context.is_worker:
             return
         started, self._any_report = perf_counter(), True
@@ -326,7 +326,7 @@ class SessionEvidence:
         self._seconds_spent += perf_counter() - started
 
     def take(self, part: str) -> None:
-        """Take in episodes of the item that is running in this process; see ItemReport."""
+        """Add episodes of the item that runs in this process; see ItemReport."""
         from pytest_dura.evidence.episodes import unpack_report
 
         started = perf_counter()
@@ -368,7 +368,7 @@ class SessionEvidence:
             self._unlock()
 
     def enforce_exit_code(self, session: pytest.Session) -> None:
-        """Let no plugin that comes later turn the exit code of a failed session into a success."""
+        """Keep later plugins from turning the exit code of a failed session into a success."""
         if self.record is None or session.exitstatus != pytest.ExitCode.OK:
             return
         code = int(pytest.ExitCode.INTERNAL_ERROR)  # the evidence was never written
@@ -382,7 +382,7 @@ class SessionEvidence:
             session.exitstatus = code
 
     def _missing_reports(self, session: pytest.Session) -> list[str]:
-        """What other plugins kept from running, in a session that they let end as a success."""
+        """List what other plugins kept from running in a session that ends as a success."""
         shard = self._shard()
         if shard is not None and shard.lost is not None:
             return [shard.lost]
@@ -393,7 +393,7 @@ class SessionEvidence:
         return [f"{name} never told what it came to" for name in sorted(self._unreported)]
 
     def _judged(self, session: pytest.Session) -> tuple[Gate, SessionRecord]:
-        """What the session comes to, and its record."""
+        """Judge the session; returns the gate and the concluded record."""
         assert self.record is not None
         started = perf_counter()
         stopped = self.interrupted or bool(session.shouldstop or session.shouldfail)
@@ -439,7 +439,7 @@ class SessionEvidence:
     def _concluded(
         self, status: Status, gate: Gate, record: SessionRecord | None = None
     ) -> SessionRecord:
-        """The record with everything that follows from it."""
+        """Return the record with everything that follows from it."""
         assert self.record is not None
         from pytest_dura.evidence.conclude import conclude_record
 
@@ -467,7 +467,7 @@ class SessionEvidence:
             self._lock = None
 
     def _sources(self) -> SessionInputs:
-        """The files that the session is run from, as far as it is known by now."""
+        """Return the files that the session is run from, as far as known by now."""
         if self._inputs is None:
             from pytest_dura.plugin.inputs import SessionInputs
 

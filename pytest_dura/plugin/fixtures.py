@@ -138,7 +138,6 @@ def episode(
 
 
 def _target(request: pytest.FixtureRequest) -> Target:
-    """What the marker ``dura`` made of this test."""
     target: Target | None = getattr(request, "param", None)
     if target is None:
         error = ConfigurationError(

@@ -21,7 +21,7 @@ BUILTIN = "pytest_dura/scenarios"
 
 
 class SessionInputs:
-    """The inputs of one session; for the controller.
+    """Input files of one session; used by the controller.
 
     Args:
         context: The session's context.
@@ -37,7 +37,7 @@ class SessionInputs:
         self._seen: set[tuple[str, str]] = set()
 
     def begin(self) -> None:
-        """What options and settings name, and what the planned scenarios rest on."""
+        """Add what options and settings name, and what the planned scenarios rest on."""
         config, options = self.context.config, self.context.options
         here = config.invocation_params.dir
         if config.inipath is not None:
@@ -56,7 +56,7 @@ class SessionInputs:
                 self._add_requirement(requirement)
 
     def add_item(self, node_id: str) -> None:
-        """The test module of a node id, with the ``conftest.py`` files that it sees."""
+        """Add the test module of a node id, with the ``conftest.py`` files that it sees."""
         path = node_id.partition("::")[0]
         if not path.endswith(".py") or not self._is_new("item", path):
             # A scenario item sees the root's alone.
@@ -67,7 +67,7 @@ class SessionInputs:
         self._add_conftests(file.parent)
 
     def add_report(self, report: Data) -> None:
-        """What an item told, of :class:`pytest_dura.evidence.gather.ItemReport`."""
+        """Add what a report of :class:`pytest_dura.evidence.gather.ItemReport` names."""
         self.add_item(report["item"])
         for component in report["components"]:
             self.inputs.add_told("component", component["files"])
@@ -85,7 +85,7 @@ class SessionInputs:
             self._add_roles(search["simulator"], search["roles"])
 
     def _add_roles(self, simulator: str, roles: Mapping[str, str]) -> None:
-        """The simulator and the roles, the component under test apart, by their import paths."""
+        """Add simulator and roles by their import paths, without the component under test."""
         self._add_module("role", simulator)
         self._add_imports("role", simulator)
         for name, path in roles.items():
@@ -127,7 +127,7 @@ class SessionInputs:
             self._add_module("check", (definition["paired"] or {}).get("measure", ""))
 
     def _add_module(self, kind: InputKind, path: str) -> None:
-        """The user's own file behind ``package.module:name`` or ``tests/conftest.py:name``."""
+        """Add the user's own file behind ``package.module:name`` or ``tests/conftest.py:name``."""
         from pytest_dura.requirements.checks import is_function_path
 
         module, _, _ = path.strip().rpartition(":")
@@ -141,7 +141,7 @@ class SessionInputs:
                 self.inputs.add(kind, file)
 
     def _add_imports(self, kind: InputKind, path: str) -> None:
-        """The user's own files beside the one behind a path: its package, and what they import."""
+        """Add the user's own files beside the one behind a path: package and imports."""
         module = path.strip().rpartition(":")[0]
         if not self._is_new(f"{kind} imports", module) or module.startswith("pytest_dura."):
             return
@@ -176,7 +176,7 @@ class SessionInputs:
 
 
 def _file_of(module: str) -> Path | None:
-    """The source of a module, imported or not; importing it is not our business."""
+    """Source file of a module, which is not imported for that."""
     from importlib.util import find_spec
 
     loaded = sys.modules.get(module)

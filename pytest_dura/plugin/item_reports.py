@@ -48,7 +48,7 @@ def add_properties(
     report: pytest.TestReport,
     results: Sequence[ItemResult],
 ) -> None:
-    """Put what an item came to among its properties; they cross processes with its reports."""
+    """Put an item's results among its properties, which cross processes with its reports."""
     earlier = item.stash.get(_PROPERTIES_KEY, [])  # of an earlier attempt
     others = [entry for entry in item.user_properties if entry not in earlier]
     ours = _properties(context, item, results)
@@ -71,7 +71,7 @@ def _properties(
 
 
 def _value(name: str, value: Any) -> str:
-    """Plain text without anything that XML or another process could not take."""
+    """Escape a value: plain text that XML and other processes can take."""
     text = str(value)
     return junit_name(text) if name in _NAMES else one_line(text)
 
@@ -141,7 +141,7 @@ def _verdict_properties(context: SessionContext, result: ItemResult) -> Iterator
 
 
 def ending_events(context: SessionContext, result: ItemResult) -> list[str]:
-    """What ended the violating episode that stands for a result, in the terminal's words."""
+    """List what ended the violating episode that stands for a result."""
     if result.status != "violated":
         return []
     episode: Episode | None = result.episode
@@ -159,7 +159,7 @@ def ending_events(context: SessionContext, result: ItemResult) -> list[str]:
 
 
 def seed_of(context: SessionContext, result: ItemResult, episode: str) -> int | None:
-    """The seed of an episode of the result's case."""
+    """Return the seed of an episode of the result's case."""
     if result.case is None:
         return None
     return result.case.seed(int(episode.rpartition("#")[2]), context.options.seed)
@@ -186,7 +186,7 @@ def is_used(config: pytest.Config) -> bool:
 
 
 def mark_item(context: SessionContext, item: pytest.Item) -> None:
-    """Give an item that uses the runner its labels and links; the test's own ones come first."""
+    """Give an item its labels and links; the test's own ones take precedence."""
     from pytest_dura.plugin.markers import marked_requirements
 
     own = {marker.kwargs.get("label_type") for marker in item.iter_markers("allure_label")}
@@ -219,13 +219,12 @@ def _labels(requirements: Sequence[Requirement], case: Case | None) -> Iterator[
 
 
 def _story_of(case: Case) -> str:
-    """The fault campaign, and the roles that are switched off."""
     faults = " + ".join(str(fault["id"]) for fault in case.faults) or "no faults"
     return ", ".join([faults, *(f"without {role}" for role in case.without)])
 
 
 def _requirement_url(config: pytest.Config, requirement: str) -> str:
-    """The address by the user's pattern; an id is never an address or a scheme by itself."""
+    """Build an address by the user's pattern; an id is never an address by itself."""
     quoted = quote(requirement, safe="", errors="replace")
     patterns: dict[str, Any] = dict(config.getoption("allure_link_pattern", None) or [])
     return str(patterns.get(_LINK_TYPE, "{}")).replace("{}", quoted)
@@ -238,7 +237,7 @@ _COUNTEREXAMPLES = 100
 
 
 def report_item(context: SessionContext, item: pytest.Item, results: Sequence[ItemResult]) -> None:
-    """Tell the open Allure result what an item came to.
+    """Add an item's results to the open Allure result.
 
     Args:
         context: The session's context.
@@ -295,7 +294,7 @@ def _parameters(context: SessionContext, result: ItemResult) -> dict[str, Any]:
 
 
 def _description(context: SessionContext, item: pytest.Item, results: Sequence[ItemResult]) -> str:
-    """Markdown: the test's own words, then each requirement with its source and the verdict."""
+    """Write Markdown: the test's docstring, then each requirement with source and verdict."""
     given = item.get_closest_marker("allure_description")
     own = given.args[0] if given else getattr(getattr(item, "function", None), "__doc__", None)
     parts = [inspect.cleandoc(own)] if own else []
@@ -318,7 +317,7 @@ def _description(context: SessionContext, item: pytest.Item, results: Sequence[I
 
 
 def _looked_at(verdict: Mapping[str, Any]) -> str:
-    """What a test that decided by its own assertions looked at, and what was false for it."""
+    """Describe what a test that decided by its own assertions read, and what was false."""
     assertion = verdict.get("assertion")
     if not assertion or not (assertion["alone"] or assertion["observed"]):
         return ""
@@ -327,7 +326,7 @@ def _looked_at(verdict: Mapping[str, Any]) -> str:
 
 
 def _show_worst(context: SessionContext, item: pytest.Item, results: Sequence[ItemResult]) -> None:
-    """One episode: the worst violation, one that says nothing, or else the first as a sample."""
+    """Show one episode: the worst violation, else one that does not count, else the first."""
     from pytest_dura.evidence.traces import Trace
 
     result = next((result for result in results if result.status == "violated"), None)
@@ -383,7 +382,7 @@ def _worst_episode(context: SessionContext, result: ItemResult) -> Episode | Non
 
 
 def _judged_on(result: ItemResult, episode: Episode) -> EpisodeVerdict | None:
-    """What the requirement says of this episode: its outcome, or by the check."""
+    """Judge this episode by the requirement: from the item's outcome, or by the check."""
     from pytest_dura.core.errors import ConfigurationError
     from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict, judge_episode
 
@@ -397,7 +396,7 @@ def _judged_on(result: ItemResult, episode: Episode) -> EpisodeVerdict | None:
 
 
 def _show_loop(episode: Episode, trace: Trace, judged: EpisodeVerdict | None, check: str) -> None:
-    """The loop's six steps at the tick of the violation."""
+    """Show the loop's six steps at the tick of the violation."""
     from pytest_dura.reports.episode_view import decision_at, loop_steps
 
     tick = decision_at(trace, None if judged is None else judged.time)
@@ -414,7 +413,7 @@ def _show_loop(episode: Episode, trace: Trace, judged: EpisodeVerdict | None, ch
 
 
 def _signals(episode: Episode, check: str) -> list[str]:
-    """The signals that the check reads, or else the first ones of the truth."""
+    """Name the signals that the check reads, or else the first ones of the truth."""
     from pytest_dura.reports.episode_view import formula_of
 
     formula = formula_of(check)
@@ -485,7 +484,7 @@ def _bounded(value: Any) -> Any:
 
 
 def _attach(body: str | bytes, name: str, kind: str, extension: str | None = None) -> None:
-    """Attach what is small enough, and say so of what is not."""
+    """Attach what is small enough, and a note in place of what is not."""
     import allure
 
     size = len(body.encode()) if isinstance(body, str) else len(body)
@@ -500,7 +499,7 @@ def _attach(body: str | bytes, name: str, kind: str, extension: str | None = Non
 
 @contextmanager
 def _step(title: str, parameters: Mapping[str, str], problem: str | None = None) -> Iterator[None]:
-    """A step with its parameters; with a problem it failed."""
+    """Context of a step with its parameters; with a problem it fails."""
     from allure_commons import plugin_manager
 
     step, failure = str(uuid4()), None if problem is None else AssertionError(problem)

@@ -35,7 +35,7 @@ _COLLECTOR = "::scenarios"
 
 
 class ScenarioCases(pytest.Collector):
-    """Collects the items of all planned cases at once: a report for each would take its time.
+    """Collector of the items of all planned cases at once: each collector takes a report.
 
     It is no file: ``--lf`` would pass over it.
     """
@@ -43,7 +43,7 @@ class ScenarioCases(pytest.Collector):
     context: SessionContext
 
     def collect(self) -> Iterator[pytest.Item]:
-        """The items of each case in the order of the plan."""
+        """Yield the items of each case in the order of the plan."""
         for planned in self.context.plan:
             name = planned.case.id
             # The root's path lets the root conftest apply, wherever the scenario file lies.
@@ -55,26 +55,26 @@ class ScenarioCases(pytest.Collector):
 
     @cached_property
     def fixtures(self) -> Any:
-        """The fixtures of all items, which are the same: those of plugins and the root conftest."""
+        """Fixtures of all items, which are the same: of plugins and the root conftest."""
         first = pytest.Function.from_parent(self, name="fixtures", callobj=_judge)
         return first._fixtureinfo  # noqa: SLF001 - it is what `Function` takes as `fixtureinfo`
 
     @cached_property
     def markers(self) -> dict[str, pytest.MarkDecorator]:
-        """The markers of the items, by their requirement."""
+        """Markers of the items, by their requirement."""
         known = self.context.library().requirements
         names = {name for planned in self.context.plan for name in planned.requirements}
         return {name: pytest.mark.requirement(name, text=known[name].text) for name in names}
 
 
 class ScenarioCase(pytest.Collector):
-    """The parent of the items of one case."""
+    """Collector of the items of one case."""
 
     planned: Planned
     cases: ScenarioCases
 
     def collect(self) -> Iterator[pytest.Item]:
-        """One item per requirement."""
+        """Yield one item per requirement."""
         for name in self.planned.requirements:
             item = ScenarioItem.from_parent(
                 self, name=name, callobj=_judge, fixtureinfo=self.cases.fixtures
@@ -85,20 +85,20 @@ class ScenarioCase(pytest.Collector):
 
 
 class ScenarioItem(pytest.Function):
-    """Judges one requirement on all episodes of a case."""
+    """Item that judges one requirement on all episodes of a case."""
 
     context: SessionContext
     planned: Planned
 
     def reportinfo(self) -> tuple[os.PathLike[str] | str, int | None, str]:
-        """Where the scenario stands."""
+        """Return the place of the scenario."""
         scenario = self.planned.case.scenario
         line = scenario.line_of("requirements") or 1
         return scenario.file, line - 1, self.nodeid
 
 
 def scenario_items(context: SessionContext, root: pytest.Session) -> list[pytest.Item]:
-    """The items of all planned cases."""
+    """Collect the items of all planned cases."""
     cases = ScenarioCases.from_parent(
         root, name=_COLLECTOR, nodeid=_COLLECTOR, path=context.config.rootpath
     )
@@ -107,7 +107,7 @@ def scenario_items(context: SessionContext, root: pytest.Session) -> list[pytest
 
 
 def _judge(request: pytest.FixtureRequest, _dura_roles: None, orchestrator: Runner) -> None:
-    """What each item runs, whose case and requirement it is that it asks for."""
+    """Judge the requirement of the item on its case: the function that each item runs."""
     from pytest_dura.campaign.reasons import explain_verdict
     from pytest_dura.plugin.item_reports import ending_events
     from pytest_dura.plugin.outcomes import ItemResult
@@ -141,7 +141,7 @@ _SELECTION_KEY = "dura_selection"
 
 
 class Selection:
-    """What ``-k``, ``--deselect``, a conftest and ``--dura-runs`` left of the plan.
+    """Counts what ``-k``, ``--deselect``, a conftest and ``--dura-runs`` leave of the plan.
 
     The plan is what the arguments name: every verdict that the collected tests and scenario items
     would come to.
@@ -163,7 +163,7 @@ class Selection:
         self._planned = dict(self._verdicts(items))
 
     def select(self, items: Sequence[pytest.Item]) -> None:
-        """Note what is left of them."""
+        """Note the verdicts of those items that are left."""
         selected = dict(self._verdicts(items))
         left_out = [name for name in self._planned if name not in selected]
         runs = self.context.options.runs
@@ -181,16 +181,16 @@ class Selection:
         return self._selected
 
     def send_to_controller(self, workeroutput: MutableMapping[str, Any]) -> None:
-        """Tell the controller what this worker collected."""
+        """Add to a worker's output what it collected."""
         workeroutput[_SELECTION_KEY] = json.dumps(self._selected)
 
     def receive_from_worker(self, workeroutput: Mapping[str, Any]) -> None:
-        """Take over from a worker what it collected; each collects the same."""
+        """Take over what a worker collected; each collects the same."""
         if _SELECTION_KEY in workeroutput:
             self._selected = json.loads(workeroutput[_SELECTION_KEY])
 
     def _verdicts(self, items: Sequence[pytest.Item]) -> Iterator[tuple[str, int]]:
-        """The verdicts that items would come to, each with the runs that are declared for it."""
+        """Yield the verdicts that items would come to, each with its declared runs."""
         from pytest_dura.plugin.outcomes import target_of
 
         known: dict[tuple[str, str], list[str]] = {}
@@ -206,7 +206,7 @@ class Selection:
                     yield name, target.declared
 
     def _decided_by(self, item: pytest.Item, test: str, case: str) -> list[str]:
-        """The verdicts of a test on a case: one for each requirement, or the one it asks for."""
+        """List the verdicts of a test on a case: one per requirement, or its own."""
         from pytest_dura.plugin.markers import decides_nothing, marked_requirements
 
         if decides_nothing(item):
@@ -274,14 +274,14 @@ class ShardHooks:
 
     @property
     def is_empty(self) -> bool:
-        """Whether there is something to run, and by right none of it here."""
+        """Whether the session has units, and this shard rightly holds none of them."""
         return self._split is not None and self._split["units"] > 0 and not self._split["holds"]
 
     @pytest.hookimpl(wrapper=True, tryfirst=True)
     def pytest_collection_modifyitems(
         self, config: pytest.Config, items: list[pytest.Item]
     ) -> Generator[None, Any, Any]:
-        """Leave the items of this shard."""
+        """Deselect the items of other shards."""
         from pytest_dura.evidence.sessions import plan_digest, split_units
 
         result = yield
@@ -303,7 +303,7 @@ class ShardHooks:
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtestloop(self, session: pytest.Session) -> None:
-        """Look whether everything will run that the shard says it holds: no other one runs it."""
+        """Check that all items which this shard holds will run: no other shard runs them."""
         present = set(map(id, session.items))
         lost = [item.nodeid for item in self._own_items if id(item) not in present]
         if lost:
@@ -316,7 +316,7 @@ class ShardHooks:
             session.config.workeroutput[_LOST_ITEMS_KEY] = self.lost  # type: ignore[attr-defined]
 
     def pytest_report_collectionfinish(self) -> list[str]:
-        """Say what this shard holds."""
+        """Report what this shard holds."""
         if self._split is None:
             return []
         held = self._split["holds"]
@@ -326,7 +326,7 @@ class ShardHooks:
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_testnodedown(self, node: WorkerController) -> None:
-        """Take over from a worker what it collected."""
+        """Take over what a worker collected."""
         split = getattr(node, "workeroutput", {}).get(_SHARD_KEY)
         if split is not None:
             self._split = json.loads(split)
@@ -334,13 +334,13 @@ class ShardHooks:
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
-        """Let a shard end well that rightly has nothing to run, before its evidence is written."""
+        """Let a shard without items succeed, before its evidence is written."""
         if self.is_empty and session.exitstatus == pytest.ExitCode.NO_TESTS_COLLECTED:
             session.exitstatus = pytest.ExitCode.OK
 
 
 def _compared_options(config: pytest.Config) -> dict[str, str]:
-    """What was asked of the session on which its results depend, as JSON."""
+    """Return the options on which results depend, with their values as JSON."""
     options = vars(config.option)
     names = [name for name in options if name.startswith("dura_") and name not in _MAY_DIFFER]
     given = {
@@ -360,7 +360,7 @@ def _compared_options(config: pytest.Config) -> dict[str, str]:
 def _units_of(
     context: SessionContext, items: Sequence[pytest.Item]
 ) -> dict[ShardUnit, list[pytest.Item]]:
-    """The items in units, all of one case in one, and so those of cases that share episodes.
+    """Split the items into units: all items of a case, and of cases that share episodes.
 
     A campaign that is compared with runs without faults runs those of another case, so that both
     are one unit. What a test asks of a runner itself is not known before it runs: an episode that
@@ -406,7 +406,7 @@ def _units_of(
 
 
 def _planned_case_of(context: SessionContext, item: pytest.Item) -> tuple[Case, int, bool] | None:
-    """An item's case, its planned runs, and whether it compares them with runs without faults."""
+    """Return an item's case, its planned runs, and whether it pairs them with fault-free runs."""
     from pytest_dura.plugin.markers import Target
 
     if isinstance(item, ScenarioItem):
@@ -423,7 +423,7 @@ def _planned_case_of(context: SessionContext, item: pytest.Item) -> tuple[Case, 
 
 
 def _pairs(context: SessionContext, case: Case, names: Iterable[str]) -> bool:
-    """Whether one of these requirements compares runs with their twins without faults."""
+    """Whether one of these requirements compares runs with their fault-free twins."""
     from pytest_dura.requirements.model import FAULTS
 
     known = context.library().requirements
@@ -434,7 +434,7 @@ def _pairs(context: SessionContext, case: Case, names: Iterable[str]) -> bool:
 
 
 class _Groups:
-    """Cases that hang together, and how many episodes they come to."""
+    """Cases that share episodes, as disjoint sets, and the episodes of each set."""
 
     def __init__(self) -> None:
         self._above: dict[str, str] = {}
@@ -455,7 +455,7 @@ class _Groups:
         self._above[second] = first
 
     def episodes(self) -> Counter[str]:
-        """Of each group, by its root."""
+        """Episodes of each group, by its root."""
         counter: Counter[str] = Counter()
         for case, planned in self._planned.items():
             counter[self.root(case)] += planned

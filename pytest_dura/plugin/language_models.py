@@ -33,7 +33,7 @@ _SESSION_MODULE = "pytest_dura.llm.session"
 
 
 class LanguageModels:
-    """What one process knows of language models.
+    """Language models that the components of one process ask.
 
     Args:
         context: The session's context.
@@ -63,7 +63,7 @@ class LanguageModels:
             ]
 
     def begin(self) -> None:
-        """Let nothing of an earlier session of this process answer, and open the cassette.
+        """Open the cassette, and let nothing of an earlier session of this process answer.
 
         Raises:
             ConfigurationError: If the cassette cannot be used.
@@ -98,7 +98,7 @@ class LanguageModels:
         self.end()
 
     def end(self) -> None:
-        """Put everything back as it was before the session."""
+        """Restore the model session that was in use before."""
         if not self._has_begun:
             return
         self._has_begun = False
@@ -107,20 +107,20 @@ class LanguageModels:
             session.close()
 
     def _activate(self, session: ModelSession | None) -> ModelSession | None:
-        """See :func:`pytest_dura.llm.session.use`."""
+        """Put a model session to use; returns the one that was in use."""
         module = sys.modules.get(_SESSION_MODULE)
         before: ModelSession | None = None if module is None else module.use(session)
         return before
 
     @property
     def _active(self) -> ModelSession | None:
-        """The session that is in use by now, if any is."""
+        """Model session that is in use by now, if any is."""
         module = sys.modules.get(_SESSION_MODULE)
         in_use: ModelSession | None = None if module is None else module.in_use()
         return in_use
 
     def resolve_parameters(self) -> None:
-        """Settle the components that are known before anything runs, so that it fails here or not.
+        """Resolve the components that are known before anything runs, to fail early.
 
         Raises:
             ConfigurationError: If one cannot be settled, such as for a server that does not answer.
@@ -145,7 +145,7 @@ class LanguageModels:
         return role_specs
 
     def replayed(self) -> list[str]:
-        """A line on who spoke, where a cassette answers, whatever component will ask it."""
+        """Header line on the recorded models, where a cassette answers."""
         if self.context.cassette is None or not self._replayed:
             return []
         from pytest_dura.provenance import recorded_path
@@ -157,7 +157,7 @@ class LanguageModels:
         return [f"dura: answers replayed from {file}: {'; '.join(models)}"]
 
     def header(self) -> list[str]:
-        """A line for each model that is known by now."""
+        """Header line for each model that is known by now."""
         session = self._active
         lines = []
         for description in [] if session is None else session.descriptions:
@@ -176,7 +176,7 @@ class LanguageModels:
         return lines
 
     def prepare(self, spec: EpisodeSpec) -> None:
-        """Find the servers of an episode that is run again, before the component's time runs.
+        """Probe the servers of an episode that is run again, outside the component's time.
 
         Raises:
             ConfigurationError: If one does not answer.
@@ -191,7 +191,7 @@ class LanguageModels:
                 current().describe(model)
 
     def replay_warning(self) -> list[str]:
-        """A line, if a server was asked in this process, that its answers may be others now."""
+        """Warning, if a server was asked in this process, that its answers may differ."""
         session = self._active
         counts = {} if session is None else session.counts
         if not any(count for (*_, outcome), count in counts.items() if outcome == "asked"):
@@ -200,7 +200,7 @@ class LanguageModels:
         return [f"  a language model was asked anew and may have answered otherwise; {advice}"]
 
     def used(self, spec: EpisodeSpec) -> None:
-        """An item looked at an episode: note the models that its settled specs state."""
+        """Note the models that the resolved specs of a used episode state."""
         if _SESSION_MODULE not in sys.modules:
             return
         from pytest_dura.execution.task import stated_model
@@ -213,7 +213,7 @@ class LanguageModels:
                 self._latest[stated] = key
 
     def take(self) -> list[Data]:
-        """What is new of the models that were used: how often they were asked so far, above all.
+        """Return the models that are new or were asked since the last call, with the counts so far.
 
         Returns:
             Entries for :class:`pytest_dura.evidence.episodes.ItemReport`.
@@ -234,7 +234,7 @@ class LanguageModels:
 
     @contextmanager
     def uncounted(self) -> Iterator[None]:
-        """Context of a repetition, which is part of no count: nor is what it asks a model."""
+        """Context of a repetition, whose requests enter no count."""
         before = Counter({} if self._active is None else self._active.counts)
         try:
             yield
@@ -264,7 +264,7 @@ class LanguageModels:
         }
 
     def completed(self, record: SessionRecord, inputs: SessionInputs) -> SessionRecord:
-        """The record of a session that is over, with the cassette as it is now."""
+        """Return the record of a finished session with the cassette as it is now."""
         session, file = self._active, self.context.cassette
         if file is None or session is None or session.cassette is None:
             return record

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 def marked_requirements(context: SessionContext, node: pytest.Item) -> list[Requirement]:
-    """The requirements that a test's markers name, the closest first.
+    """Return the requirements that a test's markers name, the closest first.
 
     Raises:
         ConfigurationError: For a marker that cannot be used, and a requirement without a text.
@@ -98,11 +98,11 @@ def _requirement_marker(
     kind: Any = None,
     source: Any = None,
 ) -> None:
-    """The signature of the marker ``requirement``."""
+    """Signature of the marker ``requirement``."""
 
 
 def _marker_arguments(marker: pytest.Mark, signature: Any) -> dict[str, Any]:
-    """The marker's arguments by name, defaults filled in."""
+    """Return the marker's arguments by name, defaults filled in."""
     known = inspect.signature(signature)
     try:
         bound = known.bind(*marker.args, **marker.kwargs)
@@ -167,7 +167,7 @@ def _check_formula(text: str) -> None:
 
 
 def run_marked_search(item: pytest.Function) -> None:
-    """Search as the test's marker says, if it has one, and fail the test by what is found."""
+    """Run the search of the test's marker, if it has one, and fail the test by its result."""
     __tracebackhide__ = True
     marker = item.get_closest_marker(_FALSIFY)
     if marker is None:
@@ -194,7 +194,7 @@ def _falsify_marker(
     shrink: Any = None,
     seed: Any = None,
 ) -> None:
-    """The signature of the marker ``falsify``."""
+    """Signature of the marker ``falsify``."""
 
 
 _OUR_MARKERS = ("dura", "falsify", "requirement")
@@ -202,7 +202,7 @@ _OUR_MARKERS = ("dura", "falsify", "requirement")
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """What a parametrized test looks at: a case, and a run where it looks at one episode."""
+    """Case that a parametrized test looks at, and the run where it looks at one episode."""
 
     case: Case
     run: int
@@ -213,7 +213,7 @@ class Target:
     """Runs of the marker or the scenario, whatever ``--dura-runs`` says."""
 
     def __repr__(self) -> str:
-        """The episode's id. Reports show it, and Allure tells tests apart by it."""
+        """Return the episode's id, which reports show and by which Allure tells tests apart."""
         return f"{self.case.id}#{self.run}"
 
 
@@ -243,7 +243,7 @@ def parametrize(context: SessionContext, metafunc: pytest.Metafunc, marker: pyte
 
 
 def check_markers(context: SessionContext, definition: pytest.Item) -> None:
-    """Check the requirements that a test names which chooses its episodes itself.
+    """Check the markers of a test that chooses its episodes itself.
 
     Raises:
         pytest.Collector.CollectError: For one that does not exist, at the test's place.
@@ -254,7 +254,7 @@ def check_markers(context: SessionContext, definition: pytest.Item) -> None:
 
 
 def check_spelling(definition: pytest.Item) -> None:
-    """Refuse a marker that is nearly one of ours: without ``--strict-markers`` it does nothing.
+    """Refuse a marker that nearly has the name of ours, and would have no effect.
 
     Raises:
         pytest.Collector.CollectError: For one that no ini file registers, at the test's place.
@@ -279,7 +279,7 @@ def check_spelling(definition: pytest.Item) -> None:
 
 @contextmanager
 def _errors_at(definition: pytest.Item) -> Iterator[None]:
-    """Errors are told at the place of a test, unless it is another file that has to be mended."""
+    """Context that reports errors at a test's place, unless another file is at fault."""
     try:
         yield
     except ConfigurationError as error:
@@ -293,7 +293,7 @@ def _errors_at(definition: pytest.Item) -> Iterator[None]:
 
 
 def _check_use(definition: pytest.Item, looked_at: Sequence[str]) -> None:
-    """A marker that would run nothing must not read as a pass."""
+    """Refuse a marker that would run nothing, which must not read as a pass."""
     own = [marker for marker in definition.own_markers if marker.name == "dura"]
     verdicts = [
         marker.kwargs["verdict"] for marker in own if marker.kwargs.get("verdict", True) is not True
@@ -327,7 +327,7 @@ def _check_use(definition: pytest.Item, looked_at: Sequence[str]) -> None:
 
 
 def _check_decidable(requirements: Sequence[Requirement], *, each_run: bool) -> None:
-    """What the test does not decide must not read as decided."""
+    """Refuse requirements that the test cannot decide, which must not read as decided."""
     names = list(dict.fromkeys(requirement.id for requirement in requirements))
     if each_run:
         paired = [requirement.id for requirement in requirements if requirement.paired is not None]
@@ -388,7 +388,7 @@ def _cases(context: SessionContext, scenario: Any, faults: Any) -> list[Case]:
 
 
 def _are_campaigns(faults: Any) -> bool:
-    """Whether each entry is a fault, or a list of them, and there is one at all."""
+    """Whether each entry is a fault or a list of faults, and there is at least one."""
     if not isinstance(faults, Sequence) or not faults:
         return False
     return all(
@@ -402,7 +402,7 @@ def _are_campaigns(faults: Any) -> bool:
 
 
 def _runs(value: Any, case: Case) -> tuple[int, bool]:
-    """How many runs there are at most, and whether they end once the requirement is decided."""
+    """Return the number of runs at most, and whether they end once the requirement is decided."""
     if value is None:
         return case.scenario.planned, case.scenario.until_decided
     budget = isinstance(value, Mapping)
@@ -427,7 +427,7 @@ def _unusable(key: str, value: Any, expected: str) -> ConfigurationError:
 def _dura_marker(
     scenario: Any = None, faults: Any = None, runs: Any = None, verdict: Any = True
 ) -> None:
-    """The signature of the marker ``dura``."""
+    """Signature of the marker ``dura``."""
 
 
 def names_no_scenario(marker: pytest.Mark) -> bool:

@@ -14,7 +14,7 @@ from pytest_dura.plugin.options import DEFAULT_EVIDENCE
 
 
 def sibling_directory(evidence: Path, what: str) -> Path:
-    """A directory of its own beside the evidence, whose manifest lists all that is in it.
+    """Name a directory beside the evidence, whose manifest lists all that is in it.
 
     Args:
         evidence: The evidence directory.
@@ -25,7 +25,7 @@ def sibling_directory(evidence: Path, what: str) -> Path:
 
 
 def typed_path(file: Path, here: Path) -> str:
-    """The path of a file as the user would type it.
+    """Return the path of a file as the user would type it.
 
     Args:
         file: The file, or folder.
@@ -38,7 +38,7 @@ def typed_path(file: Path, here: Path) -> str:
 
 
 def apply_code_places(config: pytest.Config) -> None:
-    """Let files and records name code of the project, and none that lies beside a stranger's files.
+    """Let files name code of the project, and none that lies beside a stranger's files.
 
     Strange are a bundle that is replayed or reduced, and files outside of pytest's root directory
     that the command line names. What was in force before comes back when the session ends.
@@ -76,7 +76,7 @@ _LONGEST_USER_TEXT = 200_000
 
 
 def escape_error(error: BaseException) -> None:
-    """Change the texts of an error, and of those that led to it, so that no terminal acts on them.
+    """Escape the texts of an error and of its causes, so that no terminal acts on them.
 
     Tests quote what components say, in messages of their own. A lone surrogate in a single one
     ends a session under xdist, and one that Allure reports.
@@ -95,7 +95,7 @@ def escape_error(error: BaseException) -> None:
 
 
 def _error_chain(error: BaseException) -> Iterator[BaseException]:
-    """The error, what it was raised from, what was being handled, and so on."""
+    """Yield the error, its causes and its contexts, each once."""
     seen: set[int] = set()
     pending: list[BaseException | None] = [error]
     while pending:
@@ -107,7 +107,7 @@ def _error_chain(error: BaseException) -> Iterator[BaseException]:
 
 
 def escape_reason(marker: pytest.Mark) -> None:
-    """Change the reason that a marker gives, likewise."""
+    """Escape the reason that a marker gives."""
     from pytest_dura.evidence.text import visible
 
     reason = marker.kwargs.get("reason")
@@ -117,7 +117,7 @@ def escape_reason(marker: pytest.Mark) -> None:
 
 
 def error_text(error: Exception) -> str:
-    """The message of one of our own errors, on which no terminal acts."""
+    """Return the message of one of our own errors, escaped for terminals."""
     from pytest_dura.evidence.text import visible
 
     return visible(str(error), _LONGEST_MESSAGE)
@@ -136,7 +136,7 @@ class usage_errors:  # noqa: N801 - reads like a statement
 
 
 def safe_lines(text: str) -> Iterator[str]:
-    """A text for a terminal, on which nothing in it acts; only its first line is not indented.
+    """Yield the lines of a text, escaped for terminals; all but the first are indented.
 
     So nothing that a component says reads as a line of ours.
     """
@@ -148,24 +148,24 @@ def safe_lines(text: str) -> Iterator[str]:
 
 
 def indent_if_reserved(text: str) -> str:
-    """A text that begins with a name of a user's, which must not read as a line of ours."""
+    """Indent a text that begins with a user's name and would read as a line of ours."""
     return f" {text}" if text.startswith(("|", "#", "gate:")) else text
 
 
 def counted(number: int, noun: str) -> str:
-    """``1 run``, ``2 runs``."""
+    """Return ``1 run``, ``2 runs``."""
     return f"{number} {noun}" + ("" if number == 1 else "s")
 
 
 def print_lines(lines: Iterable[str]) -> None:
-    """Print these lines."""
+    """Print lines, escaped for terminals."""
     for line in lines:
         for safe_line in safe_lines(line):
             print(safe_line)  # noqa: T201 - it is what a command was asked for
 
 
 class SafeTerminal:
-    """pytest's terminal, on which no text of a file or component acts.
+    """pytest's terminal, which escapes every text that is written.
 
     Args:
         terminal: pytest's own.

@@ -224,7 +224,7 @@ _REPEATED = ("evidence", "evidence-level", "llm", "cassette")
 
 @dataclass(frozen=True)
 class Options:
-    """The options as the session uses them.
+    """Checked options, as the session uses them.
 
     ``given`` are the options that a command for the same again must repeat.
     """
@@ -267,7 +267,7 @@ class Options:
 
     @classmethod
     def of(cls, config: pytest.Config) -> Options:
-        """The options of a session.
+        """Read the options of a session.
 
         Raises:
             ConfigurationError: For a value that cannot be used.
@@ -351,7 +351,7 @@ class Options:
 
 
 def _fault_campaigns(given: tuple[str, ...], here: Path) -> tuple[Any, ...] | None:
-    """The campaigns of all ``--dura-faults``, in their order; ``None`` without any."""
+    """List the campaigns of all ``--dura-faults``, in their order; ``None`` without any."""
     if not given:
         return None
     campaigns: list[Any] = []
@@ -409,13 +409,13 @@ def _seconds(option: str, text: Any) -> float | None:
 
 
 def _interval(text: str) -> float:
-    """Seconds between lines of a log; infinite for never."""
+    """Read the seconds between lines of a log; infinite for ``never``."""
     seconds = None if text == "never" else _seconds("dura_progress_interval", text)
     return math.inf if seconds is None else seconds
 
 
 def _paths(config: pytest.Config) -> tuple[Path, ...]:
-    """Where scenario files are, the built-in ones apart: ini setting, then ``--dura-path``."""
+    """List the places of scenario files but the built-in: ini setting, then ``--dura-path``."""
     ini = "ini dura_scenario_paths"
     chosen = [(ini, Path(path)) for path in config.getini("dura_scenario_paths")]
     default = config.rootpath / "scenarios"
@@ -452,7 +452,7 @@ def _evidence(config: pytest.Config) -> Path:
 
 
 def _reuse(config: pytest.Config) -> Path | None:
-    """Where episodes are kept from session to session, if they are."""
+    """Return the directory in which episodes are kept from session to session, if given."""
     given = config.getoption("dura_reuse")
     if not given:
         return None
@@ -478,7 +478,7 @@ def _reuse(config: pytest.Config) -> Path | None:
 
 
 def _cassette(config: pytest.Config) -> Path | None:
-    """The cassette, where the mode has one."""
+    """Return the cassette, where the mode has one."""
     given, mode = config.getoption("dura_cassette"), config.getoption("dura_llm") or "live"
     if mode == "live" and given is not None:
         raise ConfigurationError(
@@ -497,7 +497,7 @@ _TIMEOUT_OPTION = "--dura-episode-timeout"
 
 
 def _executor_choice(config: pytest.Config, seconds: float | None) -> ExecutorChoice | None:
-    """The executor that the options name; ``None`` for this process.
+    """Return the executor that the options name; ``None`` for this process.
 
     Args:
         config: The session's configuration.
@@ -552,7 +552,7 @@ _LONGEST = len(f"{_MOST_SHARDS}/{_MOST_SHARDS}")
 
 @dataclass(frozen=True)
 class Shard:
-    """Which part of a session this is.
+    """Part of a session.
 
     Args:
         index: Its number, from 1.
@@ -564,7 +564,7 @@ class Shard:
 
     @classmethod
     def read(cls, text: str | None) -> Shard | None:
-        """From the option's value, such as ``2/5``; ``None`` without one.
+        """Read the option's value, such as ``2/5``; ``None`` without one.
 
         Raises:
             ConfigurationError: If it is none.
@@ -599,7 +599,7 @@ _EXCLUDED_OPTIONS = {
 
 
 def _shard_of(config: pytest.Config) -> Shard | None:
-    """The shard that the options name, if they do.
+    """Return the shard that the options name, if they do.
 
     Raises:
         ConfigurationError: For one that cannot be used, and options that exclude it.

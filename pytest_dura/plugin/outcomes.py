@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 class UsedEpisodes:
-    """The episodes of one case that an item looked at. They may be many, and none is kept.
+    """Facts about the episodes of one case that an item looked at; no episode is kept.
 
     Args:
         case: The case.
@@ -46,7 +46,7 @@ class UsedEpisodes:
         self._invalid: dict[str, str] = {}
 
     def add(self, episode: JudgedEpisode) -> None:
-        """The item looked at an episode."""
+        """Note an episode that the item looked at."""
         name = episode.id
         self._seeds[name] = episode.spec.seed
         self._invalid.pop(name, None)
@@ -60,14 +60,14 @@ class UsedEpisodes:
             self.failure = self.failure or f"{episode.failure} (in {name})"
 
     def episode(self, runner: Runner, name: str) -> JudgedEpisode | None:
-        """The episode of this id that the item looked at last, if it looked at one."""
+        """Return the episode of this id that the item looked at last, if any."""
         if name not in self._seeds:
             return None
         return runner.again(self.case, int(name.rpartition("#")[2]), self._seeds[name])
 
     @property
     def undecided_reason(self) -> str | None:
-        """Why they leave a campaign undecided that no verdict was asked of, if they do."""
+        """Why they leave a campaign without a verdict undecided, if they do."""
         from pytest_dura.requirements.verdicts.judging import MAX_INVALID_SHARE
 
         if len(self._invalid) <= MAX_INVALID_SHARE * len(self._seeds):
@@ -80,7 +80,7 @@ class UsedEpisodes:
 
 @dataclass(frozen=True)
 class ItemResult:
-    """What an item came to for one requirement.
+    """Result of an item for one requirement.
 
     Args:
         requirement: The requirement.
@@ -98,7 +98,7 @@ class ItemResult:
 
     @property
     def status(self) -> str | None:
-        """The verdict in one word, if there is one."""
+        """Verdict, if there is one: ``supported``, ``violated`` and so on."""
         verdict = self.verdict or self.outcome
         return None if verdict is None else str(verdict["verdict"])
 
@@ -110,7 +110,7 @@ class ItemResult:
 
     @property
     def question(self) -> tuple[Any, ...]:
-        """What was asked: equal for several attempts of a test, and for them alone."""
+        """Key of what is decided: equal for several attempts of a test, and for them alone."""
         verdict = self.verdict or self.outcome or {}
         bound = verdict.get("bound") or {}
         names = (verdict.get(name) for name in ("case", "component", "check"))
@@ -123,7 +123,7 @@ _EARLIER_RESULTS = pytest.StashKey[list[ItemResult]]()
 def item_results(
     context: SessionContext, item: pytest.Item, report: ItemReport | None
 ) -> list[ItemResult]:
-    """What an item came to, once it has run or could not be set up.
+    """Return the results of an item that has run or could not be set up.
 
     Args:
         context: The session's context.
@@ -160,7 +160,7 @@ def item_results(
 
 
 def target_of(item: pytest.Item) -> Any:
-    """What the item looks at, with its ``case``: a planned case, or a parametrized target."""
+    """Return the planned case or the parametrized target of an item, which has a ``case``."""
     planned = getattr(item, "planned", None)
     if planned is not None:
         return planned
@@ -170,7 +170,7 @@ def target_of(item: pytest.Item) -> Any:
 
 
 def episode_of(item: pytest.Item) -> JudgedEpisode | None:
-    """The episode that the item looks at, if it looks at one and there is one."""
+    """Return the episode that the item looks at, if there is one."""
     from pytest_dura.requirements.verdicts.episodes import JudgedEpisode
 
     episode = getattr(item, "funcargs", {}).get("episode")
@@ -222,7 +222,7 @@ def _decided_results(
 def _undecided_result(
     context: SessionContext, item: pytest.Item, requirement: Requirement, target: Any
 ) -> ItemResult:
-    """A requirement that the item was to decide, and did not."""
+    """Make the result of a requirement that the item was to decide, and did not."""
     case = None if target is None else target.case
     parameters = getattr(getattr(item, "callspec", None), "params", {})
     if case is None or "episode" in parameters:
@@ -242,7 +242,7 @@ def _undecided_result(
 
 
 def _case_of_result(context: SessionContext, item: pytest.Item, name: str) -> Case | None:
-    """The case of this id; ``None`` for one that a test made by itself."""
+    """Return the case of this id; ``None`` for one that a test made by itself."""
     target = target_of(item)
     if target is not None and target.case.id == name:
         case: Case = target.case
@@ -260,7 +260,7 @@ def outcome_of_test(
     error: BaseException | None,
     failed: str = "",
 ) -> dict[str, Any]:
-    """The verdict of a test on an episode: by its outcome, and by the requirement's own check.
+    """Judge a test on an episode: by its outcome, and by the requirement's own check.
 
     Args:
         requirement: What the test decides.
@@ -309,7 +309,7 @@ def outcome_of_test(
 
 
 def failed_assertion(item: pytest.Item, excinfo: pytest.ExceptionInfo[BaseException]) -> str:
-    """What of a test failed: its message with what was compared, and the line in its file."""
+    """Describe what failed in a test: message, what was compared, and the line in its file."""
     from pytest_dura.evidence.text import one_line
 
     error = excinfo.value
@@ -325,7 +325,7 @@ def failed_assertion(item: pytest.Item, excinfo: pytest.ExceptionInfo[BaseExcept
 
 
 def _judged_by_own_check(requirement: Requirement, episode: JudgedEpisode) -> EpisodeVerdict | None:
-    """What the requirement's own check says; ``None`` without one, and where none can be asked."""
+    """Judge by the requirement's own check; ``None`` where it has none that applies."""
     if not requirement.check or requirement.paired is not None:
         return None
     from pytest_dura.requirements.verdicts.episodes import judge_episode
@@ -339,7 +339,7 @@ def _judged_by_own_check(requirement: Requirement, episode: JudgedEpisode) -> Ep
 def status_of_test(
     episode: JudgedEpisode, error: BaseException | None
 ) -> tuple[EpisodeStatus, str]:
-    """What the outcome of a test says of the episode that it looked at, and why."""
+    """Return what the outcome of a test says of its episode, and why."""
     message = str(error).partition("\n")[0] if error is not None else ""
     if episode.failure is not None:
         return "missing", episode.failure
@@ -364,7 +364,7 @@ def check_passed(
     used: Mapping[str, UsedEpisodes],
     decided: Collection[tuple[str, str]],
 ) -> None:
-    """Fail a test that passed if the episodes that it looked at do not carry that.
+    """Fail a test that passed if the episodes that it looked at do not support that.
 
     Args:
         context: The session's context.
@@ -404,7 +404,7 @@ def check_passed(
 def without_verdict(
     context: SessionContext, item: pytest.Item, decided: Collection[tuple[str, str]]
 ) -> bool:
-    """Whether a test that asked for episodes came to no verdict, and does not say that it would.
+    """Whether a test that uses episodes came to no verdict, and does not declare that.
 
     Args:
         context: The session's context.
@@ -418,7 +418,7 @@ def without_verdict(
 
 
 def _episode_fixtures_of(item: pytest.Item) -> list[str]:
-    """Those of our fixtures that give a test its episodes; others may have some of these names."""
+    """List those of our fixtures that give a test its episodes, by name and origin."""
     info = getattr(item, "_fixtureinfo", None)
     known = {} if info is None else info.name2fixturedefs
     return [
@@ -429,7 +429,7 @@ def _episode_fixtures_of(item: pytest.Item) -> list[str]:
 
 
 def _is_ours(name: str, definitions: Sequence[Any]) -> bool:
-    """Whether a fixture is ours, or overrides ours and asks for it."""
+    """Whether a fixture is ours, or overrides ours and requests it."""
     for definition in reversed(definitions):
         if definition.func.__module__ == _OUR_FIXTURES:
             return True
@@ -450,7 +450,7 @@ def _remedy(item: pytest.Item) -> str:
 def _check_violations(
     context: SessionContext, item: pytest.Function, episode: JudgedEpisode
 ) -> None:
-    """A violation by what its requirements say in their files counts, whatever else is amiss.
+    """Fail a test whose episode violates the check of a requirement, whatever else happened.
 
     One that accepts a rate of violations is decided on all episodes, once they have run.
     """
@@ -463,7 +463,7 @@ def _check_violations(
 def _check_decided_by_own(
     context: SessionContext, item: pytest.Function, episode: JudgedEpisode
 ) -> None:
-    """A test on an episode passes by what its requirements say in their files, or not at all."""
+    """Fail a test whose episode does not satisfy its requirements' own checks."""
     for requirement in marked_requirements(context, item):
         judged = _judged_by_own_check(requirement, episode)
         if judged is not None and judged.verdict not in ("satisfied", "violated"):
@@ -471,7 +471,7 @@ def _check_decided_by_own(
 
 
 def _check_looked(context: SessionContext, item: pytest.Function, episode: JudgedEpisode) -> None:
-    """A test supports by its assertions what it has looked at; of nothing it knows nothing."""
+    """Fail a test that read nothing of its episode, and so decides nothing by assertions."""
     from pytest_dura.plugin.observed_episode import observations_of
 
     alone = [
@@ -489,7 +489,7 @@ def _check_looked(context: SessionContext, item: pytest.Function, episode: Judge
 
 
 def _check_searched(context: SessionContext, used: Iterable[UsedEpisodes]) -> None:
-    """A property test passes by at least one case that a strategy chose and that is valid."""
+    """Fail a property test none of whose cases is valid."""
     from pytest_dura.library.cases import SearchedCase
 
     reasons = [
@@ -514,7 +514,7 @@ def _check_decided(
     used: Mapping[str, UsedEpisodes],
     decided: Collection[tuple[str, str]],
 ) -> None:
-    """A test on a campaign that claims to decide a requirement must ask for its verdict."""
+    """Fail a test on a campaign that asked for no verdict on a requirement of its markers."""
     used_episodes = used.get(campaign.case.id)
     if used_episodes is not None and used_episodes.undecided_reason is not None:
         _fail_undecided(context, used_episodes.undecided_reason)

@@ -46,7 +46,7 @@ LONGEST_BOUND_AGE = 10.0
 
 
 class Snapshots:
-    """Makes a new bound as seldom as its cost asks for.
+    """Snapshots of running campaigns, with new bounds only as often as their cost allows.
 
     Args:
         clock: Seconds.
@@ -57,13 +57,13 @@ class Snapshots:
         self.forget()
 
     def forget(self) -> None:
-        """The campaign has ended."""
+        """Forget the campaign, which has ended."""
         self._campaign: RunningCampaign | None = None
         self._bounded: CampaignProgress | None = None
         self._due = -1.0
 
     def of(self, running: RunningCampaign) -> CampaignProgress:
-        """How far a campaign is."""
+        """Return how far a campaign is."""
         if running is not self._campaign:
             self.forget()
             self._campaign = running
@@ -89,7 +89,7 @@ _MOST_BYTES, _MOST_FILES, _LONGEST, _GREATEST = 4096, 256, 500, 10**9
 
 
 class WorkerFile:
-    """Where a worker tells how far its campaign is.
+    """File in which a worker writes how far its campaign is.
 
     Args:
         folder: Where all workers do.
@@ -109,12 +109,12 @@ class WorkerFile:
         self._usable = True
 
     def expect(self) -> None:
-        """Campaigns are to come: the folder is there from now on, by which the controller knows."""
+        """Make the folder, by which the controller knows that campaigns are to come."""
         with suppress(OSError):  # without it there is no progress, which nothing depends on
             self._folder.mkdir(parents=True, exist_ok=True)
 
     def write(self, running: RunningCampaign) -> None:
-        """Tell of a campaign that has run for a while; of one that has ended, no more."""
+        """Write the progress of a campaign that has run for a while; remove the file at its end."""
         if running.ended:
             self._end()
             return
@@ -150,7 +150,7 @@ class WorkerFile:
 
 
 def read_files(folder: Path, token: str) -> dict[str, CampaignProgress]:
-    """How far the campaign of each worker of a session is; what cannot be read is passed over."""
+    """Read the progress of each worker's campaign; what cannot be read is left out."""
     progress_of = {}
     for file, of_session, worker, end in _progress_files(folder):
         if of_session == token and end == "json":
@@ -181,7 +181,7 @@ def remove_files(folder: Path, worker: str | None = None) -> None:
 
 
 def _progress_files(folder: Path) -> list[tuple[Path, str, str, str]]:
-    """Files by our names: path, token, worker, ending."""
+    """List our files: path, token, worker, ending."""
     try:
         with os.scandir(folder) as entries:
             named = [(entry, _FILE_NAME.fullmatch(entry.name)) for entry in entries]
@@ -205,7 +205,7 @@ def _read_progress(file: Path) -> CampaignProgress | None:
 
 
 def _checked_progress(data: Any) -> CampaignProgress | None:
-    """Plain data of which nothing is out of its range."""
+    """Make progress of plain data, if every value is in its range."""
     if not (isinstance(data, dict) and set(data) == _FIELDS):
         return None
     counts = [data[name] for name in ("taken_over", "done", "budget")]
@@ -226,7 +226,7 @@ def _is_text(value: Any) -> bool:
 
 
 class ProgressHooks:
-    """Shows the progress of this process, or as a controller that of its workers.
+    """Hooks that show this process's progress, or as a controller that of its workers.
 
     Args:
         context: The session's context.
@@ -250,7 +250,7 @@ class ProgressHooks:
             remove_files(self._folder)  # of a session that was killed
 
     def update(self, running: RunningCampaign) -> None:
-        """Take in how far a campaign of this process is."""
+        """Take in the progress of a campaign of this process."""
         if running.ended:
             self._own_progress = {}
             self._snapshots.forget()
@@ -302,33 +302,33 @@ class ProgressHooks:
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_configure_node(self, node: WorkerController) -> None:
-        """Let a worker tell."""
+        """Let a worker write its progress."""
         node.workerinput["dura_progress"] = self._token
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_xdist_node_collection_finished(self) -> None:
-        """Look at the workers if campaigns are among what they are to run."""
+        """Begin to read progress if workers are to run campaigns."""
         if self._folder.is_dir():
             self._begin()
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_testnodedown(self, node: WorkerController) -> None:
-        """Forget a worker, also one that was killed."""
+        """Remove the file of a worker, also of one that was killed."""
         remove_files(self._folder, node.gateway.id)
 
     @pytest.hookimpl(wrapper=True, tryfirst=True)
     def pytest_runtest_logstart(self) -> Generator[None, Any, Any]:
-        """Let pytest write as a whole what it writes in pieces."""
+        """Let pytest write whole lines, which it writes in pieces."""
         return (yield from self._undisturbed())
 
     @pytest.hookimpl(wrapper=True, tryfirst=True)
     def pytest_runtest_logreport(self) -> Generator[None, Any, Any]:
-        """As above."""
+        """Let pytest write whole lines."""
         return (yield from self._undisturbed())
 
     @pytest.hookimpl(wrapper=True, tryfirst=True)
     def pytest_runtest_logfinish(self) -> Generator[None, Any, Any]:
-        """As above."""
+        """Let pytest write whole lines."""
         return (yield from self._undisturbed())
 
     def _undisturbed(self) -> Generator[None, Any, Any]:
@@ -343,13 +343,13 @@ class ProgressHooks:
             self._screen.pause()
 
     def pytest_leave_pdb(self) -> None:
-        """Take it back."""
+        """Take the terminal back."""
         if self._screen is not None:
             self._screen.resume()
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_sessionfinish(self) -> None:
-        """Show nothing any more."""
+        """End the display."""
         if self._ticker is not None:
             self._ticker.close()
         if self._screen is not None:
@@ -359,6 +359,6 @@ class ProgressHooks:
 
     @pytest.hookimpl(trylast=True)
     def pytest_unconfigure(self) -> None:
-        """Remove what workers left, which are gone by now."""
+        """Remove what workers left, which have ended by now."""
         if self._distributed:
             remove_files(self._folder)

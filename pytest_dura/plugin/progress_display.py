@@ -27,7 +27,7 @@ LEAST_SAMPLES = 6
 
 
 class Pace:
-    """How fast one campaign gets on.
+    """Pace of one campaign: samples of its progress over time.
 
     Runs that were at hand when the campaign began say nothing of those that are simulated, and do
     not count.
@@ -47,7 +47,7 @@ class Pace:
         return same and progress.done >= self._samples[-1][1]
 
     def add(self, progress: CampaignProgress, now: float) -> None:
-        """Take in how far the campaign is now."""
+        """Add a sample of the progress."""
         samples = self._samples
         if 0 < progress.done <= progress.taken_over:
             samples.clear()
@@ -57,7 +57,7 @@ class Pace:
             samples.popleft()
 
     def rate(self, now: float) -> float | None:
-        """Runs per second; ``None`` before a run has ended that was begun under these eyes.
+        """Runs per second; ``None`` until a run has ended that began after the first sample.
 
         The run that is under way may take as long as one took lately before it slows the rate.
         """
@@ -68,7 +68,7 @@ class Pace:
         return (last - first) / (max(latest, now - usual) - begun)
 
     def left(self, remaining: int, now: float) -> float | None:
-        """Seconds for so many runs, the one that is under way among them; ``None`` as above."""
+        """Seconds for so many runs, including the one under way; ``None`` as above."""
         rate = self.rate(now)
         if rate is None:
             return None
@@ -85,7 +85,7 @@ SLOW, FAST = 0.1, 10.0
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """A campaign that runs.
+    """Progress of a campaign that runs, as it is shown.
 
     Args:
         place: The worker that runs it; empty for this process.
@@ -101,7 +101,7 @@ class Row:
 
 
 def log_line(row: Row) -> str:
-    """Everything, as in a log."""
+    """Write all figures, as in a log."""
     progress, parts = row.progress, [_runs(row.progress)]
     if progress.violations is not None:
         parts.append(_violations(progress.violations))
@@ -116,7 +116,7 @@ def log_line(row: Row) -> str:
 
 
 def short_line(row: Row) -> str:
-    """The same figures in fewer characters."""
+    """Write the same figures in fewer characters."""
     progress = row.progress
     parts = [f"{progress.done}/{progress.budget}"]
     if progress.violations is not None:
@@ -131,7 +131,7 @@ def short_line(row: Row) -> str:
 
 
 def terminal_line(row: Row, width: int) -> str:
-    """As much as goes into so many columns of a terminal."""
+    """Write as much as fits into so many columns of a terminal."""
     place = f"{row.place} " if row.place else ""
     text = place + log_line(row)
     # In between, a figure more or less would make the line jump from one form to the other.
@@ -141,7 +141,7 @@ def terminal_line(row: Row, width: int) -> str:
 
 
 def duration(seconds: float) -> str:
-    """In the two largest units."""
+    """Write a duration in its two largest units."""
     whole = max(1, round(seconds))
     if whole < MINUTE:
         return f"{whole} s"
@@ -151,7 +151,7 @@ def duration(seconds: float) -> str:
 
 
 def columns(text: str) -> int:
-    """The columns that a terminal needs for a text."""
+    """Count the columns that a terminal needs for a text."""
     return sum(map(_columns, text))
 
 
@@ -200,13 +200,13 @@ def _percent(share: float) -> str:
 
 
 class Board:
-    """Rows of what is found to run, look after look."""
+    """Rows of the running campaigns, whose pace it follows."""
 
     def __init__(self) -> None:
         self._paces: dict[str, Pace] = {}
 
     def rows(self, campaigns: Mapping[str, CampaignProgress], now: float) -> list[Row]:
-        """One row per place, in the order of their names.
+        """Return a row per place, in the order of their names.
 
         Args:
             campaigns: The campaign that runs at each place.
@@ -231,11 +231,11 @@ class Board:
 
 
 def _wipe_nothing() -> None:
-    """What is to be done before pytest writes, as long as nobody draws."""
+    """Do nothing before pytest writes, as long as nothing is drawn."""
 
 
 class TerminalGuard:
-    """Lets pytest write once what must come before is done, and at once to the end.
+    """Guards pytest's terminal writer: wipes what is drawn before pytest writes, then flushes.
 
     Args:
         writer: Pytest's terminal writer, of which two methods are replaced.
@@ -260,7 +260,7 @@ class TerminalGuard:
         return guarded
 
     def remove(self) -> None:
-        """Let pytest write by itself again."""
+        """Restore pytest's own methods."""
         for name in ("write", "write_raw"):
             vars(self._writer).pop(name, None)
 
@@ -304,12 +304,12 @@ class LiveScreen:
                 self._wipe()
 
     def wipe(self) -> None:
-        """Leave nothing behind."""
+        """Wipe what is drawn."""
         with self._guard.lock:
             self._wipe()
 
     def pause(self) -> None:
-        """Draw nothing, since somebody else writes: a debugger."""
+        """Wipe what is drawn and draw nothing, since a debugger writes."""
         with self._guard.lock:
             self._wipe()
             self._paused = True
@@ -319,7 +319,7 @@ class LiveScreen:
         self._paused = False
 
     def close(self) -> None:
-        """Leave nothing behind, and draw nothing any more."""
+        """Wipe what is drawn, and draw nothing any more."""
         self.pause()
         self._guard.remove()
         self._stream.close()
@@ -378,7 +378,7 @@ class ProgressLog:
         self._due = begun + interval
 
     def show(self, rows: Sequence[Row], now: float) -> None:
-        """Write the rows, if it is time to."""
+        """Write the rows, if a line is due."""
         if now < self._due or not rows:
             return
         longest = max(LONGEST_SILENCE, 2 * self._interval)
@@ -387,7 +387,7 @@ class ProgressLog:
             self._write([f"dura: {log_line(row)}" for row in rows])
 
     def _write(self, lines: Sequence[str]) -> None:
-        """Whole lines on a line of their own."""
+        """Write lines on lines of their own."""
         reporter = self._reporter
         writer, at = reporter.config.get_terminal_writer(), reporter.currentfspath
         if writer.width_of_current_line:
@@ -408,7 +408,7 @@ LINES_INTERVAL = 0.5
 
 
 def display_mode(config: pytest.Config) -> DisplayMode | None:
-    """How this process shows progress; ``None`` if it does not, as under ``-q``."""
+    """Return how this process shows progress; ``None`` if it does not, as under ``-q``."""
     reporter = config.pluginmanager.getplugin("terminalreporter")
     if reporter is None or hasattr(config, "workerinput") or config.getoption("verbose") < 0:
         return None
@@ -424,14 +424,14 @@ def display_mode(config: pytest.Config) -> DisplayMode | None:
 
 
 class Surface(Protocol):
-    """Whatever shows rows."""
+    """Display that shows rows."""
 
     def show(self, rows: Sequence[Row], now: float) -> None:
-        """Show these rows, or wait."""
+        """Show these rows, or wait until a line is due."""
 
 
 class ProgressView:
-    """Looks at what runs, and shows it.
+    """Shows the running campaigns on a surface, at each refresh.
 
     Args:
         surface: Shows it.
@@ -449,13 +449,13 @@ class ProgressView:
         self._board = Board()
 
     def refresh(self) -> None:
-        """Look once."""
+        """Show the present progress."""
         now = self._clock()
         self._surface.show(self._board.rows(self._campaigns(), now), now)
 
 
 class Ticker:
-    """Looks again and again, in a thread that ends with the session.
+    """Calls a function at intervals, in a thread that ends with the session.
 
     Args:
         refresh: Called each time; an error of the operating system ends it.
@@ -475,7 +475,7 @@ class Ticker:
                 self._refresh()
 
     def close(self) -> None:
-        """Look no more."""
+        """End the thread."""
         self._over.set()
         self._thread.join()
 
@@ -490,7 +490,7 @@ def capture_disabled(config: pytest.Config) -> AbstractContextManager[Any]:
 
 
 def open_terminal(config: pytest.Config) -> TextIO:
-    """The terminal by a way of its own, which no capture closes.
+    """Open the terminal again, past any capture.
 
     Raises:
         OSError: If standard output has no file beneath it.

@@ -31,7 +31,7 @@ _DEFAULT_FOLDER = "scenarios"
 
 
 def _scenario_folder(context: SessionContext) -> Path:
-    """The first folder of ini ``dura_scenario_paths``; by default one that need not exist yet.
+    """Return the first folder of ini ``dura_scenario_paths``; the default need not exist yet.
 
     Raises:
         ConfigurationError: If the setting names files alone: what is kept elsewhere is run by none.
@@ -51,7 +51,7 @@ def _scenario_folder(context: SessionContext) -> Path:
 
 
 def counterexample_store(context: SessionContext) -> CounterexampleStore:
-    """What keeps a counterexample, and says where, as seen from the project's root."""
+    """Make what stores a counterexample, and returns its path relative to the project's root."""
 
     def store(
         case: SearchedCase, objective: Objective, lines: Sequence[str]
@@ -82,13 +82,13 @@ _MOST_FAILURES = 8
 
 
 def register_profile(config: pytest.Config) -> None:
-    """Have the profile ``dura`` where the command line asks Hypothesis for it."""
+    """Register the profile ``dura`` if the command line asks Hypothesis for it."""
     if config.getoption("--hypothesis-profile", None) == PROFILE:
         import pytest_dura.strategies  # noqa: F401 - importing it registers the profile
 
 
 class PropertyTests:
-    """The property tests of this process.
+    """Property tests of this process.
 
     Args:
         context: The session's context.
@@ -103,7 +103,7 @@ class PropertyTests:
         self._settings: dict[str, Any] | None = None
 
     def begin(self) -> Callable[[], None]:
-        """Let strategies know the session's scenarios; returns what undoes it."""
+        """Give strategies the session's scenarios; returns what undoes it."""
         from contextlib import ExitStack
 
         from pytest_dura.library.loading import use_library
@@ -113,12 +113,12 @@ class PropertyTests:
         return stack.close
 
     def case_used(self, case: SearchedCase) -> None:
-        """The current test looked at an episode of a case that a strategy chose."""
+        """Note that the current test looked at an episode of a case that a strategy chose."""
         self._cases.append(case)
 
     @contextmanager
     def watching(self, item: pytest.Function) -> Iterator[None]:
-        """Within it, a property test runs; if it fails, its simplest failing case is kept."""
+        """Context of a property test; if it fails, its simplest failing case is stored."""
         handle: Any = getattr(item.obj, "hypothesis", None)
         if not hasattr(handle, "inner_test"):
             yield
@@ -136,13 +136,13 @@ class PropertyTests:
             self._failed.clear()
 
     def add_section(self, report: pytest.TestReport) -> None:
-        """Say in the report of a test what was kept."""
+        """Add what was stored to the report of a test."""
         if report.when == "call" and self._lines:
             report.sections.append(("dura", "\n".join(self._lines)))
             self._lines = []
 
     def with_profile(self, header: Mapping[str, Any]) -> dict[str, Any]:
-        """The head of the record with the profile of Hypothesis, where it was imported."""
+        """Add the profile of Hypothesis to the record's head, where it was imported."""
         from pytest_dura.provenance import describe_hypothesis
 
         settings = self._settings or describe_hypothesis()
@@ -153,17 +153,17 @@ class PropertyTests:
         }
 
     def send_to_controller(self, workeroutput: MutableMapping[str, Any]) -> None:
-        """Tell the controller, which reads no tests, under which profile this worker ran them."""
+        """Add to a worker's output the profile under which it ran its tests."""
         from pytest_dura.provenance import describe_hypothesis
 
         workeroutput[_PROFILE_KEY] = describe_hypothesis()
 
     def receive_from_worker(self, workeroutput: Mapping[str, Any]) -> None:
-        """Take in what a worker tells at its end."""
+        """Take over the profile of a worker."""
         self._settings = workeroutput.get(_PROFILE_KEY) or self._settings
 
     def _watched(self, test: Callable[..., Any]) -> Callable[..., Any]:
-        """The test function, which notes on what cases it fails."""
+        """Wrap the test function: note the cases of failing runs."""
 
         @functools.wraps(test)
         def watched(*arguments: Any, **named: Any) -> Any:
@@ -178,7 +178,7 @@ class PropertyTests:
         return watched
 
     def _failing_cases(self, error: BaseException) -> list[SearchedCase]:
-        """The cases of the runs whose errors are reported, each once."""
+        """List the cases of the runs whose errors are reported, each once."""
         reported = set(map(id, _leaves(error)))
         failed = [
             case for failure, cases in self._failed if id(failure) in reported for case in cases
@@ -186,7 +186,7 @@ class PropertyTests:
         return list({case.id: case for case in failed}.values())
 
     def _store_lines(self, item: pytest.Item, case: SearchedCase) -> Iterator[str]:
-        """Lines on a case that is kept, or why it is not."""
+        """Store a case; yields lines on where it is, or why it is not stored."""
         try:
             objective = self._violated(item, case)
             if objective is None:
@@ -200,7 +200,7 @@ class PropertyTests:
             yield f"{case.id} is not kept: {error}"
 
     def _violated(self, item: pytest.Item, case: SearchedCase) -> Objective | None:
-        """What a case violates: of what the test's markers name, else of the scenario's own."""
+        """Return what a case violates of the test's markers, else of the scenario's own."""
         from pytest_dura.plugin.markers import marked_requirements
         from pytest_dura.search.trials import Objective
 
@@ -260,7 +260,7 @@ class PropertyTests:
 
 
 def _leaves(error: BaseException) -> Iterator[BaseException]:
-    """The error, or those that a group of them holds."""
+    """Yield the error, or the errors that a group holds."""
     inner = getattr(error, "exceptions", None)
     if isinstance(inner, (tuple, list)):
         for member in inner:

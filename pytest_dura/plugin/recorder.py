@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 def case_record(
     case: Case, component: str, planned: int, runs_override: int | None, off: list[str]
 ) -> dict[str, Any]:
-    """A case as the evidence holds it.
+    """Return a case as the evidence holds it.
 
     Args:
         case: The case.
@@ -76,7 +76,7 @@ def case_record(
 
 
 def _without_none(spread: dict[str, Any]) -> dict[str, Any]:
-    """A range of single numbers says nothing of pieces."""
+    """Leave out the keys of pieces, which a range of single numbers does not have."""
     return {key: value for key, value in spread.items() if value is not None}
 
 
@@ -107,7 +107,7 @@ class TraceKeeper:
         """Why a trace could not be written; the first reason alone is told."""
 
     def used(self, episode: Episode) -> None:
-        """A test looked at an episode."""
+        """Note an episode that a test looked at."""
         level = self.context.options.evidence_level
         if level == "all":
             self._keep(episode, "all")
@@ -119,12 +119,12 @@ class TraceKeeper:
                 self._keep(episode, reason)
 
     def violated(self, episode: Episode) -> None:
-        """An episode violates a requirement, or failed its test."""
+        """Keep the trace of an episode that violates a requirement, or failed its test."""
         if self.context.options.evidence_level != "summary":
             self._keep(episode, "violation")
 
     def take(self) -> tuple[list[dict[str, Any]], list[str]]:
-        """What there is to tell since the last call: traces, and problems."""
+        """Return the traces and problems since the last call."""
         taken = self.traces, self.problems
         self.traces, self.problems = [], []
         return taken
@@ -149,7 +149,7 @@ class TraceKeeper:
             self.traces.append({**named, "trace": {**written, "kept_for": reason}})
 
     def _write(self, episode: Episode, about: dict[str, Any]) -> dict[str, Any] | None:
-        """The file and its digest; ``None`` if it cannot be written, which is told."""
+        """Write a trace; returns its file and digest, ``None`` if it cannot be written."""
         from pytest_dura.evidence.mcap import write_trace
         from pytest_dura.evidence.traces import TRACE_FOLDER, Trace, trace_path
 
@@ -182,7 +182,7 @@ REPORT_ATTRIBUTE = "dura"
 
 
 class ItemRecorder:
-    """Works in whichever process runs the items.
+    """Records what items use and decide, in whichever process runs them.
 
     Args:
         context: The session's context.
@@ -219,7 +219,7 @@ class ItemRecorder:
         self.traces = TraceKeeper(context)
 
     def episode_used(self, case: Case, episode: JudgedEpisode, planned: int) -> None:
-        """An item looked at an episode of so many planned ones; 0 for one chosen by hand."""
+        """Record an episode of so many planned ones; 0 for one chosen by hand."""
         from pytest_dura.evidence.episodes import episode_record
 
         self._used.setdefault(case.id, UsedEpisodes(case)).add(episode)
@@ -240,14 +240,14 @@ class ItemRecorder:
             self._repeats.episode_used(case, episode)
 
     def searched_used(self, case: SearchedCase, episode: SearchedEpisode) -> None:
-        """An item looked at an episode of a case that a strategy chose, which is no sample."""
+        """Note an episode of a case that a strategy chose, which is no sample."""
         self._used.setdefault(case.id, UsedEpisodes(case)).add(episode)
         self._component_used(episode.spec.roles["generator"])
         self._models.used(episode.spec)
         self._properties.case_used(case)
 
     def verdict_reached(self, verdict: CampaignVerdict, requirement: Requirement) -> None:
-        """A campaign was judged, and what its episodes are worth along with it."""
+        """Record the verdict on a campaign, and keep the traces of its counterexamples."""
         used = self._used.pop(verdict.case, None)
         for counterexample in verdict.counterexamples:
             episode = used and used.episode(self.context.runner, counterexample.episode)
@@ -262,7 +262,7 @@ class ItemRecorder:
         self._planned(verdict.case, verdict.component, verdict.planned)
 
     def search_ended(self, case: Case, falsification: Mapping[str, Any]) -> None:
-        """A search for violations came to its end, whatever its test makes of that.
+        """Record a search for violations, whatever its test makes of it.
 
         Args:
             case: What it searched.
@@ -288,21 +288,21 @@ class ItemRecorder:
         self._report.searches.append({**plain_data(falsification), **about})
 
     def monitors_judged(self, case: Case, qualities: list[MonitorQuality]) -> None:
-        """It was measured how good a case's monitors are."""
+        """Record how good a case's monitors are."""
         self._report.monitors += [{"case": case.id, **quality.to_json()} for quality in qualities]
 
     def faults_traced(self, case: Case, episode: JudgedEpisode, chains: list[CausalChain]) -> None:
-        """It was found what came of each fault of an episode."""
+        """Record the causal chain of each fault of an episode."""
         about = {"case": case.id, "component": episode.spec.component, "episode": episode.id}
         self._report.chains += [{**about, **chain.to_json()} for chain in chains]
         self._flush_if_full()
 
     def case_repeated(self, repeat: Mapping[str, Any]) -> None:
-        """One episode of a case was run again."""
+        """Record the repetition of an episode of a case."""
         self._report.repeats.append(dict(repeat))
 
     def _flush_if_full(self) -> None:
-        """Let no item hold a great many episodes until it ends."""
+        """Split off part of a report that holds a great many episodes."""
         if self._report.full:
             part = self._report.split(self.context.redact)
             if self.context.is_worker:
@@ -311,7 +311,7 @@ class ItemRecorder:
                 self._take(part)
 
     def outcome_of(self, error: DuraError) -> BaseException:
-        """What one of our own errors does to a test: fail it, with a message and no more."""
+        """Turn one of our own errors into a failure or a skip with its message."""
         verdict, search = getattr(error, "verdict", None), getattr(error, "falsification", None)
         undecided = verdict is not None and verdict.verdict == "undecided"
         if search is not None:
@@ -323,7 +323,7 @@ class ItemRecorder:
         return pytest.fail.Exception(str(error))
 
     def body_ended(self, item: pytest.Function) -> None:
-        """A test came to its end: what it has looked at by now is what it looked at."""
+        """End the observation of the episode: what is read from now on is not the test."""
         episode = episode_of(item)
         if episode is not None:
             from pytest_dura.plugin.observed_episode import observations_of
@@ -331,14 +331,14 @@ class ItemRecorder:
             observations_of(episode).end()
 
     def body_passed(self, item: pytest.Function) -> None:
-        """A test passed; fail it if the episodes that it looked at do not carry that."""
+        """Fail a test that passed if the episodes that it looked at do not support that."""
         self._body_passed = True
         check_passed(self.context, item, self._used, self._decided)
 
     def attach(
         self, item: pytest.Item, call: pytest.CallInfo[None], report: pytest.TestReport
     ) -> ItemReport | None:
-        """Put what the item told on its report, as JSON; returns it, if it told anything."""
+        """Put what the item recorded on its report, as JSON; returns it, if there is anything."""
         if call.when == "teardown":
             self._item_ended(item)
         if call.when == "setup":
@@ -387,7 +387,7 @@ class ItemRecorder:
             item.session.shouldstop = "file descriptors of this process were closed"
 
     def _keep_failed_trace(self, call: pytest.CallInfo[None]) -> None:
-        """Keep the episode at which a test failed that asked for no verdict: its last one."""
+        """Keep the trace of the last episode of a failed test that asked for no verdict."""
         if self._last_episode is None or self._decided or call.excinfo is None:
             return
         status, detail = status_of_test(self._last_episode, call.excinfo.value)
@@ -449,7 +449,7 @@ class ItemRecorder:
             self._report.requirements.append(requirement.to_json())
 
     def _add_claims(self, item: pytest.Item) -> None:
-        """Say what a test is to decide: if it ends before it does, that is undecided."""
+        """Record what a test is to decide: if it ends before it does, that is undecided."""
         run = self._target(item)
         target = run or self._target(item, "campaign")
         if target is None:
@@ -467,7 +467,7 @@ class ItemRecorder:
             self._report.claims.append(claim)
 
     def _target(self, item: pytest.Item, fixture: str = "episode") -> Target | None:
-        """The run that a test looks at, or the case, if it looks at one."""
+        """Return the run, or the case, that a test looks at."""
         parameters = getattr(getattr(item, "callspec", None), "params", {})
         target = parameters.get(fixture)
         return target if hasattr(target, "planned") else None
@@ -475,7 +475,7 @@ class ItemRecorder:
     def _test_outcome(
         self, item: pytest.Item, call: pytest.CallInfo[None], report: pytest.TestReport
     ) -> None:
-        """What a test on one episode means for the requirements in its markers."""
+        """Record the outcome of a test on one episode for the requirements in its markers."""
         target, episode = self._target(item), getattr(item, "funcargs", {}).get("episode")
         if target is None or episode is None:
             return

@@ -33,13 +33,13 @@ _OVERRIDABLE = (
 
 
 def root_conftest_with(config: pytest.Config, role: str) -> str | None:
-    """The root conftest's file name, if it defines the fixture of this role."""
+    """Return the root conftest's file name, if it defines the fixture of this role."""
     root = config.rootpath / "conftest.py"
     return root.name if (root, role) in _overrides(config) else None
 
 
 def overrides_deeper_down(config: pytest.Config) -> list[tuple[str, str]]:
-    """``(file, role)`` of overrides that scenario items do not see, relative to the root."""
+    """List ``(file, role)`` of overrides that scenario items do not see."""
     root = config.rootpath
     return [
         (os.path.relpath(file, root), role)
@@ -49,7 +49,7 @@ def overrides_deeper_down(config: pytest.Config) -> list[tuple[str, str]]:
 
 
 def none_in_root_conftest(config: pytest.Config) -> list[tuple[str, str]]:
-    """``(file, role)`` of fixtures of the root conftest that plainly return ``None``."""
+    """List ``(file, role)`` of fixtures of the root conftest that plainly return ``None``."""
     root = config.rootpath / "conftest.py"
     roles = [role for file, role in _overrides(config) if file == root]
     if not roles:
@@ -71,7 +71,7 @@ def _returns_none(function: ast.FunctionDef | None) -> bool:
 
 
 def _conftest_defining(config: pytest.Config, value: object) -> str | None:
-    """The ``conftest.py`` at whose top level a class or function is defined, if it is in one.
+    """Return the ``conftest.py`` at whose top level a class or function is defined, if any.
 
     pytest may have loaded several modules of the name ``conftest``, of which ``sys.modules`` holds
     one; so the class itself does not tell.
@@ -85,7 +85,7 @@ def _conftest_defining(config: pytest.Config, value: object) -> str | None:
 
 
 def defined_in_conftest(config: pytest.Config, file: str, name: str) -> Any:
-    """What :func:`_conftest_defining` was asked about; ``None`` if that file is not loaded."""
+    """Return what a ``conftest.py`` defines under a name; ``None`` if it is not loaded."""
     conftest = config.rootpath / file
     return next(
         (vars(module).get(name) for path, module in _conftests(config) if path == conftest), None
@@ -118,7 +118,7 @@ def _is_fixture(module: ModuleType, name: str) -> bool:
 
 
 class SessionRoles:
-    """What options, role fixtures and the domain's defaults come to.
+    """Roles of a session: from options, role fixtures and the domain's defaults.
 
     Args:
         context: The session's context.
@@ -129,7 +129,7 @@ class SessionRoles:
         self._defaults: dict[str, RoleSpec] = {}
 
     def default(self, role: str) -> RoleSpec:
-        """What a role's fixture returns unless it is overridden; the same object at every call."""
+        """Return what a role's fixture returns unless overridden: the same object at every call."""
         if role not in self._defaults:
             from pytest_dura.core.role_spec import RoleSpec
             from pytest_dura.domains import DOMAINS
@@ -146,13 +146,13 @@ class SessionRoles:
         return self._defaults[role]
 
     def chosen(self) -> dict[str, RoleSpec | None]:
-        """The roles that options put in place of the scenarios' and domains' own."""
+        """Return the roles that options put in place of the scenarios' and domains' own."""
         if self.context.options.generator is None:
             return {}
         return {"generator": self.default("generator")}
 
     def use(self, given: dict[str, Any]) -> None:
-        """Let the runner run what the role fixtures of an item returned.
+        """Let the runner use what the role fixtures of an item returned.
 
         Raises:
             ConfigurationError: For something that is no such role, and for a generator that is
@@ -185,7 +185,6 @@ class SessionRoles:
 
 
 def _given_twice(where: str) -> ConfigurationError:
-    """The component under test is named twice."""
     return ConfigurationError(
         "the component under test is given twice",
         key="--dura-generator",

@@ -39,7 +39,7 @@ Chosen = tuple[str, str]
 
 
 def _scenario_arguments(context: SessionContext) -> dict[str, Chosen]:
-    """The arguments that name no file and a case, and what they choose.
+    """Return the arguments that name a case and no file, with their case and requirement.
 
     Raises:
         ConfigurationError: For an unknown requirement of a case, and scenarios that cannot be read.
@@ -59,7 +59,7 @@ def _scenario_arguments(context: SessionContext) -> dict[str, Chosen]:
 
 
 def _case_name(context: SessionContext, path: str) -> str | None:
-    """The case that an argument names which is no file, if there is such a case."""
+    """Return the case that an argument names, if there is such a case."""
     try:
         library = context.library()
     except ConfigurationError as error:
@@ -94,7 +94,7 @@ def _requirement_name(context: SessionContext, name: str, requirement: str) -> s
 
 
 def make_plan(context: SessionContext, chosen: Mapping[str, Chosen]) -> list[Planned]:
-    """The cases of the scenarios, or those that arguments name, with their requirements.
+    """List the cases of the scenarios, or those that arguments name, with their requirements.
 
     Args:
         context: The session's context, which takes in each case.
@@ -144,20 +144,20 @@ _PROGRESS_PLUGIN = "dura-progress"
 
 
 def begin_progress(context: SessionContext) -> None:
-    """Prepare a session with workers, which tell what their controller shows."""
+    """Register the progress display of a session with workers."""
     if context.config.pluginmanager.hasplugin("dsession"):
         _register_progress(context)
 
 
 def expect_progress(context: SessionContext) -> None:
-    """Campaigns are among what this process is to run."""
+    """Note that this process is to run campaigns."""
     file = _progress_file(context) if context.is_worker else None
     if file is not None:
         file.expect()
 
 
 def _progress_listener(context: SessionContext) -> Callable[[RunningCampaign], None]:
-    """What a runner reports its progress to."""
+    """Return the function to which a runner reports its progress."""
     if context.is_worker:
         file = _progress_file(context)
         return _show_nothing if file is None else file.write
@@ -165,7 +165,7 @@ def _progress_listener(context: SessionContext) -> Callable[[RunningCampaign], N
 
 
 def _progress_file(context: SessionContext) -> WorkerFile | None:
-    """Where a worker tells; ``None`` if nothing is shown."""
+    """Return the file in which a worker writes progress; ``None`` if nothing is shown."""
     worker_input = context.worker_input
     if "dura_progress" not in worker_input:
         return None
@@ -176,7 +176,7 @@ def _progress_file(context: SessionContext) -> WorkerFile | None:
 
 
 def _register_progress(context: SessionContext) -> Callable[[RunningCampaign], None]:
-    """What shows it in this process, which takes part in the session from now on."""
+    """Register the progress display of this process; returns what updates it."""
     from pytest_dura.plugin.progress_display import display_mode
 
     mode = display_mode(context.config)
@@ -193,7 +193,7 @@ def _register_progress(context: SessionContext) -> Callable[[RunningCampaign], N
 
 
 def _show_nothing(_: RunningCampaign) -> None:
-    """Nothing is shown."""
+    """Ignore progress, where nothing is shown."""
 
 
 class DuraSession(SessionContext):
@@ -235,12 +235,12 @@ class DuraSession(SessionContext):
 
     @cached_property
     def shard(self) -> ShardHooks | None:
-        """What keeps the items of one shard, if the session is one."""
+        """Hooks that keep the items of one shard, if the session is one."""
         return None if self.options.shard is None else ShardHooks(self, self.options.shard)
 
     @property
     def active(self) -> bool:
-        """Whether the session was asked for something of ours."""
+        """Whether options or arguments ask for something of this package."""
         return self.options.any_given or bool(self._own_arguments)
 
     def start(self) -> None:
@@ -293,7 +293,7 @@ class DuraSession(SessionContext):
 
     @cached_property
     def runner(self) -> Runner:
-        """What runs episodes. Its roles follow the fixtures that the current item sees."""
+        """Runner of episodes. Its roles follow the fixtures that the current item sees."""
         from pytest_dura.plugin.property_tests import counterexample_store
         from pytest_dura.runner import Runner
 
@@ -350,7 +350,7 @@ _STASH_KEY = pytest.StashKey[DuraSession]()
 
 
 def session_of(config: pytest.Config) -> DuraSession:
-    """The one object of a configuration, made at the first call."""
+    """Return the one session object of a configuration, made at the first call."""
     if _STASH_KEY not in config.stash:
         config.stash[_STASH_KEY] = DuraSession(config)
     return config.stash[_STASH_KEY]

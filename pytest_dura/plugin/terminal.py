@@ -53,13 +53,13 @@ _MOST_REASONS = 8
 
 
 def _reuse_lines(record: SessionRecord) -> Iterator[str]:
-    """How many episodes were taken over, how many were simulated, and why some of them again."""
+    """Count the episodes taken over and simulated, with reasons for repeated ones."""
     if record["reuse"]["mode"] != "none":
         yield from _reuse_sentences(record["reuse"], record["totals"]["episodes"], "episode")
 
 
 def _searched_lines(record: SessionRecord) -> Iterator[str]:
-    """The same of what searches simulated, and why something could not be shared."""
+    """Count the same for searches, and say why something could not be shared."""
     searched = record["reuse"]["searched"]
     if searched is not None and searched["simulations"]:
         yield from _reuse_sentences(searched, searched["simulations"], "run", " of searches")
@@ -84,7 +84,7 @@ def _reuse_sentences(
 
 
 def _resume_lines(session: DuraSession) -> Iterator[str]:
-    """How a session that was not whole goes on, if anything of it was kept."""
+    """Say how an incomplete session goes on, if anything of it was kept."""
     if session.shared.is_whole or not session.shared.cache.count():
         return
     if session.shared.mode == "reuse":
@@ -116,7 +116,6 @@ _BASELINE_LEGEND = (
 
 
 def _baseline_header(baseline: Baseline | None) -> list[str]:
-    """That a baseline is compared, and which."""
     if baseline is None:
         return []
     names = sorted({claim.component for claim in baseline.claims})
@@ -128,7 +127,7 @@ def _baseline_header(baseline: Baseline | None) -> list[str]:
 
 
 def _show_baseline(terminal: Any, record: SessionRecord) -> None:
-    """What was violated now or then with its figures, the rest by name, and what they come to."""
+    """Show comparisons with violations by their figures, and the others by name."""
     baseline = record["baseline"]
     if baseline is None:
         return
@@ -205,7 +204,7 @@ def _violated(comparison: Data) -> bool:
 
 
 def _unremarkable(comparisons: Sequence[Data]) -> dict[str, list[Data]]:
-    """What never was violated, stands in one record only, or cannot be compared, by reason."""
+    """Group comparisons without violations, or without a test, by reason."""
     by_reason: dict[str, list[Data]] = {}
     for comparison in comparisons:
         if comparison["test"] is None:
@@ -224,7 +223,6 @@ def _unremarkable(comparisons: Sequence[Data]) -> dict[str, list[Data]]:
 
 
 def _requirements_by_case(comparisons: Sequence[Data]) -> str:
-    """The requirements, by case."""
     cases: dict[str, list[str]] = {}
     for comparison in comparisons:
         cases.setdefault(comparison["case"], []).append(comparison["requirement"])
@@ -237,7 +235,7 @@ _COUNTED = ("supported", "violated", "undecided", "waived")
 
 
 def header(session: DuraSession) -> list[str]:
-    """Component under test, base seed, what will run, and what is probably not meant."""
+    """Name component under test, base seed, what will run, and what is probably not meant."""
     options, plan = session.options, session.plan
     parts = [f"base seed {options.seed}"]
     component = _component(session)
@@ -267,7 +265,7 @@ def header(session: DuraSession) -> list[str]:
 
 
 def _switched_off(session: DuraSession) -> list[tuple[str, str]]:
-    """Roles that run nowhere, as far as that is known before anything runs, and who says so."""
+    """List the roles that run nowhere, as far as known before anything runs, and why."""
     places = {
         role: f"the fixture in {file}" for file, role in none_in_root_conftest(session.config)
     }
@@ -278,7 +276,7 @@ def _switched_off(session: DuraSession) -> list[tuple[str, str]]:
 
 
 def unused_requirements(session: DuraSession) -> list[str]:
-    """Requirements that are defined and decided by nothing, which is probably not meant."""
+    """Warn of requirements that nothing decides, which is probably not meant."""
     return [
         f"dura: warning: {place}: no scenario and no collected test uses the requirement {name!r}"
         for name, place in session.unused.items()
@@ -286,7 +284,7 @@ def unused_requirements(session: DuraSession) -> list[str]:
 
 
 def _component(session: DuraSession) -> str:
-    """Its name, or where it comes from, as far as that is known before anything runs."""
+    """Name the component, or where it comes from, as far as known before anything runs."""
     if session.options.generator is not None:
         return session.roles.default("generator").label
     conftest = root_conftest_with(session.config, "generator")
@@ -297,7 +295,7 @@ def _component(session: DuraSession) -> str:
 
 
 def summary(session: DuraSession, terminal: Any) -> None:
-    """Cases, verdicts and failures, from the record alone."""
+    """Show cases, verdicts and failures, from the record alone."""
     record = session.evidence.final
     keys = ("cases", "searches", "baseline", "shard")
     if record is None or not (any(record[key] for key in keys) or any(_searched_lines(record))):
@@ -338,7 +336,7 @@ def _show_objections(terminal: Any, objections: list[str]) -> None:
 
 
 def _gate_line(record: SessionRecord) -> str:
-    """The gate's word, and the verdicts that it rests on."""
+    """Write the gate's result, and the verdicts that it rests on."""
     from pytest_dura.reports.wording import selection_text, shard_text
 
     totals = record["totals"]
@@ -351,13 +349,13 @@ def _gate_line(record: SessionRecord) -> str:
 
 
 def _page(file: Path) -> Path:
-    """What to open: the report, or the record itself where the report could not be made."""
+    """Return the page to open: the report, or the record where there is no report."""
     report = file.with_name("report.html")
     return report if report.is_file() else file
 
 
 def _show_cases(session: DuraSession, terminal: Any, record: SessionRecord) -> None:
-    """What was run, and the tables of what it came to."""
+    """Show what was run, and the tables of its results."""
     from pytest_dura.reports.wording import roles_off_lines
 
     terminal.line(

@@ -35,7 +35,7 @@ LONGEST = 500
 
 
 def case_table(cases: Sequence[Data], overall: Sequence[Data] = ()) -> list[str]:
-    """The paper's table: one line per case and component, and one for all of a component's cases.
+    """Write the paper's table: a line per case and component, and one per component.
 
     Args:
         cases: Those that are shown.
@@ -50,7 +50,7 @@ def case_table(cases: Sequence[Data], overall: Sequence[Data] = ()) -> list[str]
 
 
 def reliance_table(cases: Sequence[Data], overall: Sequence[Data] = ()) -> list[str]:
-    """What the component leaves to its recovery, to passengers, and how it reacts to attacks.
+    """Write how often recovery acts, what passengers feel, and reactions to attacks.
 
     Args:
         cases: Those that are shown.
@@ -82,7 +82,7 @@ def reliance_table(cases: Sequence[Data], overall: Sequence[Data] = ()) -> list[
 
 
 def _case_names(cases: Sequence[Data], overall: Sequence[Data]) -> tuple[list[str], list[Data]]:
-    """Names and metrics of the rows: the cases, then all together where there are several."""
+    """Return names and metrics of the rows: the cases, then all together if several."""
     several = len({case["component"] for case in cases}) > 1
     names = [f"{case['id']} ({case['component']})" if several else case["id"] for case in cases]
     metrics = [case["metrics"] for case in cases]
@@ -106,7 +106,7 @@ _REACTED = (
 def aligned(
     title: str, columns: Sequence[str], names: Sequence[str], rows: Sequence[Sequence[str]]
 ) -> list[str]:
-    """Lines of a table; a name that is too long stands on a line of its own."""
+    """Align the lines of a table; a name that is too long stands on a line of its own."""
     # The names of cases, faults and metrics may have any length.
     names = [indent_if_reserved(name(text, LONGEST)) for text in names]
     table = [[name(column) for column in columns], *rows]
@@ -155,7 +155,7 @@ def _percent(share: Data | None) -> str:
 
 
 def _beyond(share: Data | None) -> str:
-    """``+3*`` for what happened in runs that are not valid."""
+    """Return ``+3*`` for what happened in runs that are not valid."""
     beyond = 0 if share is None else share["run"] - share["valid"]
     return f" +{beyond}*" if beyond else ""
 
@@ -180,7 +180,7 @@ _ATTACK_LEGEND = (
 
 
 def attack_table(verdicts: Sequence[Data], cases: Sequence[Data]) -> list[str]:
-    """What faults did: one line per case and requirement on pairs without them."""
+    """Write what faults did: a line per case and requirement on pairs without them."""
     names: list[str] = []
     rows: list[list[str]] = []
     order = {case["id"]: place for place, case in enumerate(cases)}
@@ -219,7 +219,7 @@ _PAIR_LEGEND = (
 
 
 def pair_table(verdicts: Sequence[Data], cases: Sequence[Data]) -> list[str]:
-    """What recovery did: one line per case, component and requirement on pairs without it."""
+    """Write what recovery did: a line per case, component and requirement on pairs without it."""
     metrics = {(case["id"], case["component"]): case["metrics"] for case in cases}
     names: list[str] = []
     rows: list[list[str]] = []
@@ -261,7 +261,7 @@ def _pair_row(verdict: Data, switching: Data | None) -> list[str]:
 
 
 def _all_pairs_row(pairs_of_cases: Sequence[Data]) -> list[str]:
-    """The sums over cases; a test of all pairs together would take them to be of one kind."""
+    """Sum over cases, without a test, which would take all pairs to be of one kind."""
     total: Counter[str] = Counter()
     for pairs in pairs_of_cases:
         total.update({key: value for key, value in pairs.items() if isinstance(value, int)})
@@ -288,7 +288,7 @@ def _success(prevented: int, futile: int) -> str:
 
 
 def effectiveness_lines(entries: Sequence[Data], role: str | None = None) -> list[str]:
-    """What the runs show of recovery or of monitors, a sentence each.
+    """Write what the runs show of recovery or of monitors, a sentence each.
 
     Args:
         entries: The record's ``effectiveness``.
@@ -315,7 +315,7 @@ _MONITOR_LEGEND = (
 
 
 def monitor_table(monitors: Sequence[Data]) -> list[str]:
-    """How good each monitor was, one line per case and monitor.
+    """Write how good each monitor was, a line per case and monitor.
 
     Requirements on which it did equally well share a line; where nothing was violated and nothing
     flagged there is none.
@@ -356,7 +356,7 @@ WHERE_ALL_ARE = "-v shows all of them, as do the report and evidence.json"
 
 
 def keep_worst(rows: Sequence[T], ranks: Sequence[int], *, most: int | None = MOST_ROWS) -> list[T]:
-    """As many as are shown, the worst of them, in their own order.
+    """Return the worst rows, as many as are shown, in their own order.
 
     Args:
         rows: All there is.
@@ -372,7 +372,7 @@ def keep_worst(rows: Sequence[T], ranks: Sequence[int], *, most: int | None = MO
 def worst_cases(
     cases: Sequence[Data], verdicts: Iterable[Data], *, most: int | None = MOST_ROWS
 ) -> list[Data]:
-    """The cases that tables show: first those with the worst verdicts, also on a comparison."""
+    """Return the cases that tables show: those with the worst verdicts, also on comparisons."""
     rank: dict[tuple[str, str], int] = {}
     for verdict in verdicts:
         for case in (verdict["case"], (verdict["pairs"] or {}).get("case")):
@@ -383,7 +383,7 @@ def worst_cases(
 
 
 def left_out_lines(statuses: Iterable[str]) -> list[str]:
-    """A line on the verdicts that are not shown, by their words; none where all are."""
+    """Count the verdicts that are not shown, by status; no line where all are shown."""
     counts = Counter(statuses)
     if not counts:
         return []
@@ -402,7 +402,7 @@ _FAULT_LEGEND = (
 
 
 def fault_table(cases: Sequence[Data]) -> list[str]:
-    """One line per fault, case and component."""
+    """Write a line per fault, case and component."""
     several = len({case["component"] for case in cases}) > 1
     names, rows = [], []
     for case in cases:
@@ -434,7 +434,7 @@ def _fault_row(fault: Data) -> list[str]:
 
 
 def _known(count: int, known: int, whole: int, apart: int = 0) -> str:
-    """A count; with the number of runs in which it is known, if that is not all of them.
+    """Write a count, with the number of runs in which it is known if not all of them.
 
     Args:
         count: Runs.
@@ -453,7 +453,7 @@ def _median(latency: Data | None) -> str:
 
 
 def chain_line(fault: Data) -> str:
-    """The chain of one fault in words, with times in s."""
+    """Write the causal chain of one fault, with times in s."""
     steps = [
         ("planned", fault["planned_at"], ""),
         ("activated", fault["activated_at"], ""),
@@ -483,7 +483,7 @@ _FAILURE_MODE_LEGEND = (
 
 
 def failure_mode_table(cases: Sequence[Data], *, by_case: bool = False) -> list[str]:
-    """One line per failure mode and component, over all cases, and with ``by_case`` for each too.
+    """Write a line per failure mode and component, over all cases or also by case.
 
     The negative control, and what is no failure by itself, stand apart below.
     """

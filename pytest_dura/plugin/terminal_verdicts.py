@@ -60,7 +60,7 @@ _VERDICT_COLOURS = {
 
 
 def show_verdicts(context: SessionContext, terminal: Any, record: SessionRecord) -> None:
-    """Every verdict with its figures, and then each failure with what helps to mend it."""
+    """Show every verdict with its figures, then each failure with what helps to mend it."""
     verdicts = record["verdicts"]
     if not verdicts:
         return
@@ -98,7 +98,7 @@ def show_verdicts(context: SessionContext, terminal: Any, record: SessionRecord)
 
 
 def _show_alike(terminal: Any, heading: tuple[str, ...], verdicts: Sequence[Data]) -> None:
-    """Verdicts of a case that differ by their requirement and margin alone."""
+    """Show verdicts of a case that differ by requirement and margin alone."""
     status, where, counts, *rests_on = heading
     terminal.write(f"{status:<9}", **_VERDICT_COLOURS[status])
     terminal.line(f"  {where}")
@@ -112,7 +112,7 @@ def _show_alike(terminal: Any, heading: tuple[str, ...], verdicts: Sequence[Data
 
 
 def _counts(verdict: Data) -> str:
-    """The figures that the verdict rests on."""
+    """Write the figures that the verdict rests on."""
     violations = counted(verdict["violations"], "violation") + fault_free_violations_text(verdict)
     counts = f"n = {verdict['episodes']}, {violations}"
     if verdict["pairs"]:
@@ -132,7 +132,7 @@ def _counts(verdict: Data) -> str:
 
 
 def _rests_on(verdict: Data) -> list[str]:
-    """That assertions decided it, and what they looked at; what failed is shown further below."""
+    """List what assertions decided and read; what failed is shown with the failure."""
     sentences = [one_line(sentence, LONGEST_TEXT) for sentence in assertion_sentences(verdict)]
     return [
         sentence for sentence in sentences if not sentence.startswith(("failed: ", "by its check"))
@@ -140,7 +140,7 @@ def _rests_on(verdict: Data) -> list[str]:
 
 
 def _with_margin(verdict: Data) -> str:
-    """The requirement, its least margin, and how many episodes satisfied it vacuously."""
+    """Write the requirement with its least margin and its vacuous episodes."""
     parts = [] if verdict["margin"] is None else [f"{verdict['margin']:.3g}"]
     if verdict["vacuous"]:
         parts.append(f"{verdict['vacuous']} vacuous")
@@ -192,7 +192,7 @@ def _show_episode(
     verdict: Data,
     episodes: Mapping[tuple[str, str], Data],
 ) -> None:
-    """The worst episode, or one that spoilt the campaign, and how to see it again."""
+    """Show the worst episode, or one that did not count, and how to replay it."""
     shown_id = _shown_episode_id(verdict)
     if shown_id is None:
         return
@@ -223,14 +223,14 @@ def _show_episode(
 
 
 def _shown_episode_id(verdict: Data) -> str | None:
-    """The id of the episode that stands for a verdict which is not "supported"."""
+    """Return the id of the episode that stands for a verdict that is not "supported"."""
     if verdict["counterexamples"]:
         return str(verdict["counterexamples"][0]["episode"])
     return None if verdict["spoilt"] is None else str(verdict["spoilt"]["episode"])
 
 
 def _shown_episodes(record: SessionRecord, verdicts: Iterable[Data]) -> dict[tuple[str, str], Data]:
-    """The episodes that stand for verdicts: of their components, and run by hand only if no other.
+    """Return the episodes that stand for verdicts, by id and component, planned ones first.
 
     They are found in one go, since a record may have a great many.
     """
@@ -259,7 +259,7 @@ _SEARCH_RANK = {
 
 
 def show_searches(context: SessionContext, terminal: Any, record: SessionRecord) -> None:
-    """Every search, and for each of its requirements what came of it."""
+    """Show every search, with the outcome for each of its requirements."""
     searches = record["searches"]
     if not searches:
         return
@@ -284,7 +284,7 @@ def show_searches(context: SessionContext, terminal: Any, record: SessionRecord)
 
 
 def search_counts(record: SessionRecord) -> str:
-    """Outcomes by their words, for the line on the gate; empty without a search."""
+    """Count outcomes by status, for the line on the gate; empty without a search."""
     counts = Counter(
         outcome["word"] for search in record["searches"] for outcome in search["outcomes"]
     )
@@ -326,7 +326,7 @@ def _show_outcome(context: SessionContext, terminal: Any, search: Data, outcome:
 
 
 def _outcome_lines(outcome: Data) -> Iterator[str]:
-    """The check, and the counterexample as far as there is one."""
+    """Write the check, and the counterexample as far as there is one."""
     counterexample = outcome["counterexample"]
     if outcome["check"] not in ("", outcome["requirement"]):
         yield from _entry("check", outcome["check"])
@@ -361,7 +361,7 @@ def _wrapped(text: str, indent: int) -> list[str]:
 
 
 def _searcher_table(search: Data, requirement: str) -> Iterator[str]:
-    """Searchers, and below them each trivial baseline by itself."""
+    """Write the searchers, and below them each trivial baseline by itself."""
     own = list(searcher_rows(search, requirement, "searchers"))
     alone = list(searcher_rows(search, requirement, "baselines"))
     rows = [*own, ("trivial, each by itself:", [""] * len(SEARCHER_COLUMNS)), *alone]
