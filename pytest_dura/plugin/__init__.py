@@ -30,8 +30,15 @@ from pytest_dura.plugin.fixtures import (
     security_assessor,
     simulator,
 )
-from pytest_dura.plugin.markers import run_marked_search
-from pytest_dura.plugin.messages import apply_code_places
+from pytest_dura.plugin.items import scenario_items
+from pytest_dura.plugin.markers import (
+    check_markers,
+    check_spelling,
+    names_no_scenario,
+    parametrize,
+    run_marked_search,
+)
+from pytest_dura.plugin.messages import apply_code_places, escape_error, escape_reason
 from pytest_dura.plugin.options import add_options
 from pytest_dura.plugin.property_tests import register_profile
 from pytest_dura.plugin.session import begin_progress, expect_progress, session_of
@@ -154,16 +161,10 @@ class SessionHooks:
         """Make one test per case and run."""
         marker = metafunc.definition.get_closest_marker("dura")
         if uses_runner(metafunc):
-            from pytest_dura.plugin.markers import check_spelling
-
             check_spelling(metafunc.definition)
         if marker is not None:
-            from pytest_dura.plugin.markers import parametrize
-
             parametrize(self.session, metafunc, marker)
         elif uses_runner(metafunc) or metafunc.definition.get_closest_marker("falsify"):
-            from pytest_dura.plugin.markers import check_markers
-
             check_markers(self.session, metafunc.definition)
 
     def pytest_itemcollected(self, item: pytest.Item) -> None:
@@ -177,8 +178,6 @@ class SessionHooks:
                     self.session.named_requirements.update(map(str, marker.args[:1]))
                     self.session.named_requirements.add(str(marker.kwargs.get("id", "")))
                 elif ours and marker.name == "xfail":
-                    from pytest_dura.plugin.messages import escape_reason
-
                     escape_reason(marker)
             node = node.parent
         if ours:
@@ -192,8 +191,6 @@ class SessionHooks:
     ) -> Generator[None, Any, Any]:
         """Add the scenario items, and note which items others leave."""
         if self.session.plan:
-            from pytest_dura.plugin.items import scenario_items
-
             items += scenario_items(self.session, session)
         self._label(items)
         self.session.selection.plan(list(filter(uses_runner, items)))
@@ -241,8 +238,6 @@ class SessionHooks:
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_setup(self, item: pytest.Item) -> None:
         """Refuse a marker that pytest hides from us, and which would run nothing and pass."""
-        from pytest_dura.plugin.markers import names_no_scenario
-
         own = any(
             marker.name == "dura" and not names_no_scenario(marker) for marker in item.own_markers
         )
@@ -279,8 +274,6 @@ class SessionHooks:
             return (yield)
         except BaseException as error:  # also of `pytest.skip`; it is raised again
             if uses_runner(request):
-                from pytest_dura.plugin.messages import escape_error
-
                 escape_error(error)
             raise
 
@@ -307,22 +300,18 @@ class SessionHooks:
     ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
         """Attach what the item recorded to its report, which crosses processes."""
         if call.excinfo is not None and uses_runner(item):
-            from pytest_dura.plugin.messages import escape_error
-
             escape_error(call.excinfo.value)
         report = yield
         self.session.properties.add_section(report)
         item_report = self.session.recorder.attach(item, call, report)
         # A test that could not be set up is not called.
         if uses_runner(item) and (call.when == "call" or (call.when == "setup" and call.excinfo)):
-            from pytest_dura.plugin.item_reports import add_properties
+            from pytest_dura.plugin.item_reports import add_properties, report_item
             from pytest_dura.plugin.outcomes import item_results
 
             results = item_results(self.session, item, item_report)
             add_properties(self.session, item, report, results)
             if item.config.getoption("allure_report_dir", None):
-                from pytest_dura.plugin.item_reports import report_item
-
                 report_item(self.session, item, results)
         return report
 
@@ -339,10 +328,8 @@ class SessionHooks:
         self.session.executor.close()
         if self.session.is_worker:
             workeroutput = vars(session.config)["workeroutput"]
-            self.session.executor.send_to_controller(workeroutput)
-            self.session.properties.send_to_controller(workeroutput)
-            self.session.selection.send_to_controller(workeroutput)
-            self.session.shared.send_to_controller(workeroutput)
+            for part in self.session.parts_of_workers:
+                part.send_to_controller(workeroutput)
         self.session.evidence.finish(session)
 
     def pytest_keyboard_interrupt(self) -> None:
@@ -389,10 +376,9 @@ class SessionHooks:
     def pytest_testnodedown(self, node: WorkerController, error: object) -> None:
         """Receive what a worker sends at its end, or note that it ended early."""
         workeroutput = getattr(node, "workeroutput", {})
-        self.session.executor.receive_from_worker(workeroutput)
-        self.session.properties.receive_from_worker(workeroutput)
-        self.session.selection.receive_from_worker(workeroutput)
-        self.session.shared.receive_from_worker(workeroutput, error)
+        for part in self.session.parts_of_workers:
+            part.receive_from_worker(workeroutput)
+        self.session.shared.worker_ended(error)
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_xdist_make_scheduler(

@@ -133,7 +133,7 @@ class RecordedEpisode:
         """Run the episode again, or another spec that ends as this one would.
 
         Args:
-            spec: The other one.
+            spec: The other spec.
             recorded: Whether to keep what a viewer shows of it.
         """
         from pytest_dura.execution.task import run_episode
@@ -340,7 +340,8 @@ def _compared(
         "or something is not deterministic"
     )
     if recorded.trace is None:
-        return is_same, lines if is_same else [*lines, *_without_trace(recorded, episode)]
+        note = "  no trace of it was kept (--dura-evidence-level=all keeps each)"
+        return is_same, lines if is_same else [*lines, note, *_by_faults(recorded, episode)]
     try:
         kept_trace = _read_trace(recorded.trace, evidence)
     except FileNotFoundError:
@@ -379,11 +380,6 @@ def _by_trace(
     if difference is not None:
         lines = [*lines, f"  what the digest leaves out is not the same: {place}"]
     return True, lines
-
-
-def _without_trace(recorded: RecordedEpisode, episode: Episode) -> list[str]:
-    note = "no trace of it was kept (--dura-evidence-level=all keeps each)"
-    return [f"  {note}", *_by_faults(recorded, episode)]
 
 
 def _by_faults(recorded: RecordedEpisode, episode: Episode) -> list[str]:

@@ -284,9 +284,13 @@ class SharedEpisodes:
         """Add to a worker's output whether it lost an episode with its executor."""
         workeroutput[_LOST_KEY] = self._lost_here
 
-    def receive_from_worker(self, workeroutput: Mapping[str, Any], error: object) -> None:
-        """Note whether a worker lost an episode, or did not come to its end."""
-        self._lost |= bool(error) or bool(workeroutput.get(_LOST_KEY))
+    def receive_from_worker(self, workeroutput: Mapping[str, Any]) -> None:
+        """Note whether a worker lost an episode."""
+        self._lost |= bool(workeroutput.get(_LOST_KEY))
+
+    def worker_ended(self, error: object) -> None:
+        """Note that a worker ended, with an error if it did not come to its end."""
+        self._lost |= bool(error)
 
     def end(self, record: SessionRecord, *, written: bool) -> None:
         """Remove the episodes of a session that is whole; any other session can be resumed.

@@ -82,18 +82,19 @@ class GivenFiles:
         Raises:
             ConfigurationError: If one cannot be used.
         """
-        if not self.context.is_worker:
-            self._read_baseline()
-            self._read_argument()
+        options, config = self.context.options, self.context.config
+        if self.context.is_worker:
+            return
+        if options.baseline is not None:
+            from pytest_dura.evidence.baseline import Baseline
 
-    def _read_argument(self) -> None:
-        given = self.context.options.argument
-        if given is not None:
+            self.baseline = Baseline.read(options.baseline, config.invocation_params.dir)
+        if options.argument is not None:
             from pytest_dura.provenance import recorded_path
             from pytest_dura.reports.gsn.user_argument import read_user_argument
 
-            name = recorded_path(given, self.context.config.rootpath)
-            self.argument = {**read_user_argument(given), "path": name}
+            name = recorded_path(options.argument, config.rootpath)
+            self.argument = {**read_user_argument(options.argument), "path": name}
 
     def check_argument(self) -> None:
         """Check that the requirements to which the user's argument refers are in the session.
@@ -111,13 +112,6 @@ class GivenFiles:
             # Which of them the tests claim is known to the workers.
             known.update(self.context.library().requirements)
         check_requirements(self.argument, known - {""})
-
-    def _read_baseline(self) -> None:
-        given = self.context.options.baseline
-        if given is not None:
-            from pytest_dura.evidence.baseline import Baseline
-
-            self.baseline = Baseline.read(given, self.context.config.invocation_params.dir)
 
     def with_baseline(self, record: SessionRecord) -> SessionRecord:
         """Add the comparison with the baseline to a record."""
@@ -321,8 +315,9 @@ class SessionEvidence:
             self._failed.add(report.nodeid)
         if item_report is not None:
             self._add(json.loads(item_report))
-        if self.record is not None:
-            self._add_waiver(report)
+        waiver = _waiver_of(report)
+        if self.record is not None and waiver is not None:
+            self.record.waive(*self.context.redact([report.nodeid, *waiver]))
         self._seconds_spent += perf_counter() - started
 
     def take(self, part: str) -> None:
@@ -474,12 +469,6 @@ class SessionEvidence:
             self._inputs = SessionInputs(self.context, self.given.baseline)
             self._inputs.begin()
         return self._inputs
-
-    def _add_waiver(self, report: pytest.TestReport) -> None:
-        assert self.record is not None
-        waiver = _waiver_of(report)
-        if waiver is not None:
-            self.record.waive(*self.context.redact([report.nodeid, *waiver]))
 
 
 def _now() -> str:

@@ -33,7 +33,7 @@ class SessionInputs:
 
         self.context = context
         self.inputs = InputFiles(context.config.rootpath, dict.fromkeys(builtin_paths(), BUILTIN))
-        self._given_baseline = baseline
+        self._baseline = baseline
         self._seen: set[tuple[str, str]] = set()
 
     def begin(self) -> None:
@@ -49,7 +49,12 @@ class SessionInputs:
             self.inputs.add("argument", options.argument)
         if options.llm == "replay" and options.cassette is not None:
             self.inputs.add("cassette", options.cassette)
-        self._add_baseline(here)
+        if self._baseline is not None:
+            from pytest_dura.evidence.bundle import RECORD_FILE
+
+            file = here / self._baseline.path
+            file = file / RECORD_FILE if file.is_dir() else file
+            self.inputs.add("baseline", file, self._baseline.sha256)
         for planned in self.context.plan:
             self._add_scenario(planned.case.scenario.name)
             for requirement in planned.requirements:
@@ -96,15 +101,6 @@ class SessionInputs:
     def to_json(self) -> list[dict[str, Any]]:
         """The record's key ``inputs``, with the files as they are at the end."""
         return self.inputs.to_json()
-
-    def _add_baseline(self, here: Path) -> None:
-        baseline = self._given_baseline
-        if baseline is not None:
-            from pytest_dura.evidence.bundle import RECORD_FILE
-
-            file = here / baseline.path
-            file = file / RECORD_FILE if file.is_dir() else file
-            self.inputs.add("baseline", file, baseline.sha256)
 
     def _add_scenario(self, name: str) -> None:
         if self._is_new("scenario", name):
@@ -153,10 +149,9 @@ class SessionInputs:
         if file is None or is_installed(file):
             return
         code = user_code(file, module)
-        for source in (
-            code.files if code is not None and len(code.files) <= MAX_LISTED_FILES else ()
-        ):
-            self.inputs.add(kind, source)
+        if code is not None and len(code.files) <= MAX_LISTED_FILES:
+            for source in code.files:
+                self.inputs.add(kind, source)
 
     def _add_conftests(self, folder: Path) -> None:
         if not self._is_new("folder", str(folder)):

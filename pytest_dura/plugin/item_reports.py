@@ -23,6 +23,7 @@ import pytest
 from pytest_dura.evidence.junit import junit_name
 from pytest_dura.evidence.text import markdown, name, one_line, visible
 from pytest_dura.plugin.context import replay_command
+from pytest_dura.plugin.markers import marked_requirements
 from pytest_dura.plugin.outcomes import ItemResult, episode_of, target_of
 from pytest_dura.reports.wording import event_text
 
@@ -187,8 +188,6 @@ def is_used(config: pytest.Config) -> bool:
 
 def mark_item(context: SessionContext, item: pytest.Item) -> None:
     """Give an item its labels and links; the test's own ones take precedence."""
-    from pytest_dura.plugin.markers import marked_requirements
-
     own = {marker.kwargs.get("label_type") for marker in item.iter_markers("allure_label")}
     requirements = list(
         {requirement.id: requirement for requirement in marked_requirements(context, item)}.values()

@@ -440,10 +440,14 @@ def _evidence(config: pytest.Config) -> Path:
     folder = config.rootpath / DEFAULT_EVIDENCE
     if given:
         folder = config.invocation_params.dir / given
+    return _checked_folder(folder, "--dura-evidence", "the evidence goes into a directory")
+
+
+def _checked_folder(folder: Path, option: str, use: str) -> Path:
     if folder.exists() and not folder.is_dir():
         raise ConfigurationError(
-            "the evidence goes into a directory, and this is a file",
-            key="--dura-evidence",
+            f"{use}, and this is a file",
+            key=option,
             found=str(folder),
             expected="a directory, which is made if it does not exist",
             remedy="choose another path",
@@ -466,15 +470,7 @@ def _reuse(config: pytest.Config) -> Path | None:
             "anyway",
         )
     folder: Path = config.invocation_params.dir / given
-    if folder.exists() and not folder.is_dir():
-        raise ConfigurationError(
-            "episodes are kept in a directory, and this is a file",
-            key="--dura-reuse",
-            found=str(folder),
-            expected="a directory, which is made if it does not exist",
-            remedy="choose another path",
-        )
-    return folder
+    return _checked_folder(folder, "--dura-reuse", "episodes are kept in a directory")
 
 
 def _cassette(config: pytest.Config) -> Path | None:

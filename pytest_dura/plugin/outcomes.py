@@ -135,8 +135,6 @@ def item_results(
         decided on a campaign and was not is undecided. Of several attempts a violation counts
         before anything else, as in the record.
     """
-    from pytest_dura.plugin.markers import marked_requirements
-
     claimed = {requirement.id: requirement for requirement in marked_requirements(context, item)}
     results = _decided_results(context, item, report, claimed)
     answered = {verdict.requirement.id for verdict in results}
@@ -159,12 +157,18 @@ def item_results(
     return results
 
 
+def parameters_of(item: pytest.Item) -> Mapping[str, Any]:
+    """Return the parameters of an item, by their names."""
+    parameters: Mapping[str, Any] = getattr(getattr(item, "callspec", None), "params", {})
+    return parameters
+
+
 def target_of(item: pytest.Item) -> Any:
     """Return the planned case or the parametrized target of an item, which has a ``case``."""
     planned = getattr(item, "planned", None)
     if planned is not None:
         return planned
-    parameters = getattr(getattr(item, "callspec", None), "params", {})
+    parameters = parameters_of(item)
     targets = (parameters.get(name) for name in ("episode", "campaign"))
     return next((target for target in targets if hasattr(target, "case")), None)
 
@@ -224,8 +228,7 @@ def _undecided_result(
 ) -> ItemResult:
     """Make the result of a requirement that the item was to decide, and did not."""
     case = None if target is None else target.case
-    parameters = getattr(getattr(item, "callspec", None), "params", {})
-    if case is None or "episode" in parameters:
+    if case is None or "episode" in parameters_of(item):
         return ItemResult(requirement, case, episode=episode_of(item))
     from pytest_dura.requirements.verdicts.judging import judge_campaign
 

@@ -21,6 +21,7 @@ from pytest_dura.plugin.outcomes import (
     episode_of,
     failed_assertion,
     outcome_of_test,
+    parameters_of,
     status_of_test,
     without_verdict,
 )
@@ -468,8 +469,7 @@ class ItemRecorder:
 
     def _target(self, item: pytest.Item, fixture: str = "episode") -> Target | None:
         """Return the run, or the case, that a test looks at."""
-        parameters = getattr(getattr(item, "callspec", None), "params", {})
-        target = parameters.get(fixture)
+        target = parameters_of(item).get(fixture)
         return target if hasattr(target, "planned") else None
 
     def _test_outcome(

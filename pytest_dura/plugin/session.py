@@ -112,7 +112,7 @@ def make_plan(context: SessionContext, chosen: Mapping[str, Chosen]) -> list[Pla
         selected = select_cases(list(named.values()), options.select)
     else:
         selected = expand_cases(library.scenarios, options.faults, options.select, library.faults)
-    cases = {case.id: case for case in selected}
+    cases, choices = {case.id: case for case in selected}, set(chosen.values())
     for name in sorted(cases):
         case = cases[name]
         if not (case.requirements or chosen or options.list_only):
@@ -128,16 +128,12 @@ def make_plan(context: SessionContext, chosen: Mapping[str, Chosen]) -> list[Pla
             requirements = tuple(
                 requirement
                 for requirement in case.requirements
-                if any(_chooses(choice, name, requirement) for choice in chosen.values())
+                if (name, requirement) in choices or (name, "") in choices
             )
         if requirements:
             context.register_case(case)
             plan.append(Planned(case, requirements))
     return plan
-
-
-def _chooses(chosen: Chosen, case: str, requirement: str) -> bool:
-    return chosen[0] == case and chosen[1] in ("", requirement)
 
 
 _PROGRESS_PLUGIN = "dura-progress"
@@ -231,6 +227,8 @@ class DuraSession(SessionContext):
             executor=self.executor,
             take=self.evidence.take,
         )
+        self.parts_of_workers = self.executor, self.properties, self.selection, self.shared
+        """Parts whose workers send what they know to the controller at their end."""
         self._own_arguments: set[str] = set()
 
     @cached_property
@@ -310,7 +308,7 @@ class DuraSession(SessionContext):
             on_verdict=self.recorder.verdict_reached,
             on_monitors=self.recorder.monitors_judged,
             on_chains=self.recorder.faults_traced,
-            on_search=lambda case, found: self.recorder.search_ended(case, found.to_json()),
+            on_search=lambda case, search: self.recorder.search_ended(case, search.to_json()),
             on_searched=self.recorder.searched_used,
             keep=counterexample_store(self),
             twins=self.options.twins,

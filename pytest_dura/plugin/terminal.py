@@ -193,7 +193,7 @@ def _baseline_summary(baseline: Data) -> str:
     statuses = [comparison["word"] for comparison in baseline["comparisons"]]
     compared = sum(comparison["test"] is not None for comparison in baseline["comparisons"])
     parts = [counted(compared, "comparison")]
-    parts += [f"{statuses.count(word)} {word}" for word in ("worse", "better")]
+    parts += [f"{statuses.count(status)} {status}" for status in ("worse", "better")]
     if baseline["tests"] != compared:
         parts.append(f"corrected for {baseline['tests']}")
     return ", ".join(parts)

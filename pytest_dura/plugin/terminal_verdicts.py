@@ -22,7 +22,6 @@ from pytest_dura.plugin.terminal_tables import (
     keep_worst,
     left_out_lines,
 )
-from pytest_dura.plugin.terminal_tables import keep_worst as worst_of
 from pytest_dura.reports.tables import (
     NOTHING_SUPPORTED,
     SEARCHER_COLUMNS,
@@ -271,7 +270,7 @@ def show_searches(context: SessionContext, terminal: Any, record: SessionRecord)
         )
         for search in searches
     ]
-    shown = worst_of(searches, ranks, most=most)
+    shown = keep_worst(searches, ranks, most=most)
     for search in shown:
         terminal.line("")
         _show_search(context, terminal, search)

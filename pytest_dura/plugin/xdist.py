@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from pytest_dura.campaign.campaign import Campaign
     from pytest_dura.plugin.context import SessionContext
     from pytest_dura.requirements.model import Requirement
-    from pytest_dura.runner import Runner
 
 
 def steal_work(context: SessionContext, last: pytest.Item) -> None:
@@ -35,7 +34,10 @@ def steal_work(context: SessionContext, last: pytest.Item) -> None:
     """
     if not isinstance(last, ScenarioItem) or not _may_steal(context, last.session):
         return
-    runner, known = _silenced(context.runner), context.library().requirements
+    known = context.library().requirements
+    listeners = (field for field in fields(context.runner) if field.name.startswith("on_"))
+    silent: dict[str, Any] = {field.name: field.default for field in listeners}
+    runner = replace(context.runner, **silent, keep=None)
     workers = int(vars(context.config)["workerinput"]["workercount"])
     for item in _last_items(last.session.items, known, workers):
         requirement = known[item.name]
@@ -55,14 +57,6 @@ def _may_steal(context: SessionContext, run: pytest.Session) -> bool:
     runs_all = not context.config.getoption("maxfail", 0)
     stopped = bool(run.shouldstop or run.shouldfail)
     return runs_all and not stopped and context.runner.store.execution.inside
-
-
-def _silenced(runner: Runner) -> Runner:
-    """Copy the runner without its listeners."""
-    no_listeners: dict[str, Any] = {
-        field.name: field.default for field in fields(runner) if field.name.startswith("on_")
-    }
-    return replace(runner, **no_listeners, keep=None)
 
 
 def _last_items(
