@@ -68,7 +68,7 @@ def watch(clock: Clock) -> None:
     from pytest_dura.plugin.recorder import ItemRecorder, TraceKeeper
 
     clock.runs_in(EpisodeLog, "_recording", "recording")
-    for name in ("episode_used", "verdict_reached", "monitors_judged", "faults_followed", "attach"):
+    for name in ("episode_used", "verdict_reached", "monitors_judged", "faults_traced", "attach"):
         clock.runs_in(ItemRecorder, name, "items")
     for name in ("used", "violated"):
         clock.runs_in(TraceKeeper, name, "traces")

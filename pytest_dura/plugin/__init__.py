@@ -1,13 +1,20 @@
-"""The pytest plugin: hooks of a few lines, which hand over to one object per session.
+"""The pytest plugin: hooks of a few lines, each of which delegates to a part of the session.
 
-Every pytest run of whoever has the package installed loads this module, so it imports nothing
+Every pytest run loads this module, whether it uses the package or not, so it imports nothing
 heavy: what a session needs is imported when it is first used.
 """
 
 from __future__ import annotations
 
+import os
+from collections.abc import Generator
+from contextlib import ExitStack
+from typing import TYPE_CHECKING, Any
+
 import pytest
 
+from pytest_dura.core.boundary import EXIT_CODE, end_process, lasting_guard
+from pytest_dura.core.errors import DuraError
 from pytest_dura.plugin.fixtures import (
     _dura_roles,
     campaign,
@@ -23,11 +30,25 @@ from pytest_dura.plugin.fixtures import (
     security_assessor,
     simulator,
 )
-from pytest_dura.plugin.hooks import SessionHooks
-from pytest_dura.plugin.messages import apply_code_places
+from pytest_dura.plugin.items import scenario_items
+from pytest_dura.plugin.markers import (
+    check_markers,
+    check_spelling,
+    names_no_scenario,
+    parametrize,
+    run_marked_search,
+)
+from pytest_dura.plugin.messages import apply_code_places, escape_error, escape_reason
 from pytest_dura.plugin.options import add_options
 from pytest_dura.plugin.property_tests import register_profile
-from pytest_dura.plugin.session import session_of
+from pytest_dura.plugin.session import begin_progress, expect_progress, session_of
+
+if TYPE_CHECKING:
+    from xdist.remote import Producer
+    from xdist.scheduler import LoadScopeScheduling
+    from xdist.workermanage import WorkerController
+
+    from pytest_dura.plugin.session import DuraSession
 
 __all__ = [
     "_dura_roles",
@@ -85,3 +106,296 @@ def pytest_configure(config: pytest.Config) -> None:
     session = session_of(config)
     config.add_cleanup(session.properties.begin())
     config.pluginmanager.register(SessionHooks(session), "dura-session")
+
+
+def uses_runner(item: pytest.Item | pytest.Metafunc | pytest.FixtureRequest) -> bool:
+    """Whether the item runs episodes: our ``orchestrator`` alone asks for ``dura_metrics``.
+
+    Names such as ``episode`` or ``generator`` may be fixtures of other people's own.
+    """
+    return "dura_metrics" in getattr(item, "fixturenames", ())
+
+
+def lacks_case(item: pytest.Item) -> bool:
+    """Whether the item asks for an episode of no scenario, which it cannot get.
+
+    Somebody may have forgotten a fixture of his own that is named like one of ours.
+    """
+    given = getattr(getattr(item, "callspec", None), "params", {})
+    names = getattr(item, "fixturenames", ())
+    return any(name in names and name not in given for name in ("episode", "campaign"))
+
+
+class SessionHooks:
+    """Hooks of one session, registered in the controller and in every worker alike."""
+
+    def __init__(self, session: DuraSession) -> None:
+        self.session = session
+        self._pytest_session: pytest.Session | None = None
+        self._pid = os.getpid()
+        self._guard: ExitStack | None = None
+
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_sessionstart(self, session: pytest.Session) -> None:
+        """Check the options before anything runs."""
+        self._pytest_session = session
+        self.session.start()
+        if self.session.active:
+            self._begin_guard()
+        begin_progress(self.session)
+        if self.session.shard is not None:
+            session.config.pluginmanager.register(self.session.shard, "dura-shard")
+
+    def pytest_report_header(self) -> list[str]:
+        """Name the component under test."""
+        from pytest_dura.plugin.terminal import header
+
+        return header(self.session) if self.session.active else []
+
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_collection(self) -> None:
+        """Take scenario items out of the arguments, which pytest would look up as files."""
+        self.session.take_arguments()
+
+    def pytest_generate_tests(self, metafunc: pytest.Metafunc) -> None:
+        """Make one test per case and run."""
+        marker = metafunc.definition.get_closest_marker("dura")
+        if uses_runner(metafunc):
+            check_spelling(metafunc.definition)
+        if marker is not None:
+            parametrize(self.session, metafunc, marker)
+        elif uses_runner(metafunc) or metafunc.definition.get_closest_marker("falsify"):
+            check_markers(self.session, metafunc.definition)
+
+    def pytest_itemcollected(self, item: pytest.Item) -> None:
+        """Let the runner follow the role fixtures that the item sees, before any other fixture."""
+        ours = uses_runner(item)
+        # One pass, and no iterator of pytest's own: there may be tens of thousands of items.
+        node: pytest.Item | pytest.Collector | None = item
+        while node is not None:
+            for marker in node.own_markers:
+                if marker.name == "requirement":
+                    self.session.named_requirements.update(map(str, marker.args[:1]))
+                    self.session.named_requirements.add(str(marker.kwargs.get("id", "")))
+                elif ours and marker.name == "xfail":
+                    escape_reason(marker)
+            node = node.parent
+        if ours:
+            names: list[str] = item.fixturenames  # type: ignore[attr-defined]
+            if names[0] != "_dura_roles":
+                names.insert(0, "_dura_roles")
+
+    @pytest.hookimpl(wrapper=True, tryfirst=True)
+    def pytest_collection_modifyitems(
+        self, session: pytest.Session, items: list[pytest.Item]
+    ) -> Generator[None, Any, Any]:
+        """Add the scenario items, and note which items others leave."""
+        if self.session.plan:
+            items += scenario_items(self.session, session)
+        self._label(items)
+        self.session.selection.plan(list(filter(uses_runner, items)))
+        result = yield
+        self.session.selection.select(list(filter(uses_runner, items)))
+        return result
+
+    def _label(self, items: list[pytest.Item]) -> None:
+        own_items = list(filter(uses_runner, items))
+        if not own_items:
+            return
+        from pytest_dura.plugin.item_reports import is_used, mark_item
+
+        if is_used(self.session.config):
+            for item in own_items:
+                mark_item(self.session, item)
+
+    def pytest_collection_finish(self, session: pytest.Session) -> None:
+        """Note what will run, in a record that replaces an earlier session's."""
+        own_items = list(filter(uses_runner, session.items))
+        if self.session.shard is None:  # which leaves out what other shards run
+            self.session.selection.select(own_items)
+        node_ids = [item.nodeid for item in own_items]
+        if node_ids:
+            self._begin_guard()
+        # The record of an earlier session must not be taken for that of this one, whatever it runs.
+        earlier = bool(node_ids) and (self.session.evidence_directory / "evidence.json").exists()
+        if earlier or not all(map(lacks_case, own_items)):
+            self.session.begin_evidence()
+            expect_progress(self.session)
+        if self.session.evidence.record is not None:
+            marked = [item.nodeid for item in own_items if item.get_closest_marker("dura")]
+            self.session.evidence.note_tests(node_ids, marked)
+        self.session.check_argument()
+        self.session.evidence.expect([item.nodeid for item in session.items])
+
+    def pytest_report_collectionfinish(self) -> list[str]:
+        """Name the requirements that nothing uses."""
+        if not self.session.unused:
+            return []
+        from pytest_dura.plugin.terminal import unused_requirements
+
+        return unused_requirements(self.session)
+
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_runtest_setup(self, item: pytest.Item) -> None:
+        """Refuse a marker that pytest hides from us, and which would run nothing and pass."""
+        own = any(
+            marker.name == "dura" and not names_no_scenario(marker) for marker in item.own_markers
+        )
+        if own and not hasattr(item, "callspec"):
+            pytest.fail(
+                "the marker dura runs nothing here: a test of unittest.TestCase takes no fixtures; "
+                "write a function, or a class of its own",
+                pytrace=False,
+            )
+
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_runtest_teardown(self, item: pytest.Item, nextitem: pytest.Item | None) -> None:
+        """Repeat an episode of a case after the last item on it, while its roles are there."""
+        if uses_runner(item):
+            for repeat in self.session.repeats.item_ends(item, nextitem):
+                self.session.recorder.case_repeated(repeat)
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_protocol(
+        self, item: pytest.Item, nextitem: pytest.Item | None
+    ) -> Generator[None, Any, Any]:
+        """Let a worker that has no item left simulate episodes for the others."""
+        result = yield
+        if nextitem is None and self.session.is_worker and self.session.plan:
+            from pytest_dura.plugin.xdist import steal_work
+
+            steal_work(self.session, item)
+        return result
+
+    @pytest.hookimpl(wrapper=True, trylast=True)
+    def pytest_fixture_setup(self, request: pytest.FixtureRequest) -> Generator[None, Any, Any]:
+        """Escape the error of a fixture of our tests before it is passed on."""
+        try:
+            return (yield)
+        except BaseException as error:  # also of `pytest.skip`; it is raised again
+            if uses_runner(request):
+                escape_error(error)
+            raise
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_pyfunc_call(self, pyfuncitem: pytest.Function) -> Generator[None, Any, Any]:
+        """Turn errors of this package into failures, and check what a pass rests on."""
+        __tracebackhide__ = True
+        try:
+            run_marked_search(pyfuncitem)
+            with self.session.properties.watching(pyfuncitem):
+                result = yield
+        except DuraError as error:
+            outcome = self.session.recorder.outcome_of(error)
+            raise outcome.with_traceback(error.__traceback__) from None
+        finally:
+            self.session.recorder.body_ended(pyfuncitem)
+        if uses_runner(pyfuncitem):
+            self.session.recorder.body_passed(pyfuncitem)
+        return result
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_makereport(
+        self, item: pytest.Item, call: pytest.CallInfo[None]
+    ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+        """Attach what the item recorded to its report, which crosses processes."""
+        if call.excinfo is not None and uses_runner(item):
+            escape_error(call.excinfo.value)
+        report = yield
+        self.session.properties.add_section(report)
+        item_report = self.session.recorder.attach(item, call, report)
+        # A test that could not be set up is not called.
+        if uses_runner(item) and (call.when == "call" or (call.when == "setup" and call.excinfo)):
+            from pytest_dura.plugin.item_reports import add_properties, report_item
+            from pytest_dura.plugin.outcomes import item_results
+
+            results = item_results(self.session, item, item_report)
+            add_properties(self.session, item, report, results)
+            if item.config.getoption("allure_report_dir", None):
+                report_item(self.session, item, results)
+        return report
+
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        """Gather what items recorded."""
+        self._end_forked_copy()
+        self.session.evidence.gather(report)
+
+    def pytest_sessionfinish(self, session: pytest.Session) -> None:
+        """Write the evidence."""
+        self._end_forked_copy()
+        # Whatever is still under way must not come in once the episodes are cleared away.
+        self.session.executor.close()
+        if self.session.is_worker:
+            workeroutput = vars(session.config)["workeroutput"]
+            for part in self.session.parts_of_workers:
+                part.send_to_controller(workeroutput)
+        self.session.evidence.finish(session)
+
+    def pytest_keyboard_interrupt(self) -> None:
+        """Note the interruption, also where ``pytest.exit`` reports a success."""
+        self.session.evidence.interrupted = True
+
+    @pytest.hookimpl(trylast=True)
+    def pytest_unconfigure(self) -> None:
+        """Enforce the exit code that the evidence supports, and release what is held."""
+        self._end_forked_copy()
+        if self._guard is not None:
+            self._guard.close()
+        if self._pytest_session is not None:
+            self.session.evidence.enforce_exit_code(self._pytest_session)
+        self.session.executor.close()
+        self.session.models.end()
+
+    def _begin_guard(self) -> None:
+        """Keep any code from ending this process with a success; a second call does nothing."""
+        if self._guard is None:
+            self._guard = ExitStack()
+            self._guard.enter_context(lasting_guard())
+
+    def _end_forked_copy(self) -> None:
+        """End a copy of this process that some code forked and that returned to pytest."""
+        if os.getpid() != self._pid:
+            end_process(EXIT_CODE)
+
+    def pytest_terminal_summary(self, terminalreporter: Any) -> None:
+        """Show cases, verdicts and failures."""
+        if self.session.evidence.record is not None:
+            from pytest_dura.plugin.terminal import summary
+
+            summary(self.session, terminalreporter)
+
+    @pytest.hookimpl(optionalhook=True)
+    def pytest_configure_node(self, node: WorkerController) -> None:
+        """Send a worker what it needs: it writes the traces of its episodes itself."""
+        node.workerinput["dura_evidence"] = str(self.session.options.evidence.absolute())
+        self.session.shared.send_to_worker(node.workerinput)
+        self.session.models.send_to_worker(node.workerinput)
+
+    @pytest.hookimpl(optionalhook=True)
+    def pytest_testnodedown(self, node: WorkerController, error: object) -> None:
+        """Receive what a worker sends at its end, or note that it ended early."""
+        workeroutput = getattr(node, "workeroutput", {})
+        for part in self.session.parts_of_workers:
+            part.receive_from_worker(workeroutput)
+        self.session.shared.worker_ended(error)
+
+    @pytest.hookimpl(optionalhook=True)
+    def pytest_xdist_make_scheduler(
+        self, config: pytest.Config, log: Producer
+    ) -> LoadScopeScheduling | None:
+        """Schedule by cases, so that workers share episodes."""
+        if not self.session.active or config.getoption("dist") != "load":
+            return None
+        from pytest_dura.plugin.xdist import CaseScheduling
+
+        return CaseScheduling(config, log)
+
+    @pytest.hookimpl(optionalhook=True)
+    def pytest_xdist_node_collection_finished(
+        self,
+        node: WorkerController,  # noqa: ARG002 - pluggy passes arguments by name
+        ids: list[str],
+    ) -> None:
+        """Note what will run: under xdist the controller does not collect."""
+        self.session.evidence.expect(ids)

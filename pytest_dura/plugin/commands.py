@@ -32,33 +32,31 @@ if TYPE_CHECKING:
 
 
 def run_command(session: DuraSession) -> int:
-    """Run what the options name that runs no tests, and return the exit code.
+    """Run the command that the options name, and return the exit code.
 
     Raises:
         pytest.UsageError: For options and files that cannot be used.
     """
     options = session.options
-    session.reach_project()
+    session.extend_import_path()
     with usage_errors():
         if options.replay is None and options.reduce is None:
             session.roles.check()
             session.make_plan()
-            return show_list(session)
+            return _show_list(session)
         with session.models:
             return reduce(session) if options.replay is None else replay(session)
 
 
 def _fault_line(name: str) -> str:
-    """A type of the catalogue, what it acts on, and what it does in one sentence."""
     from pytest_dura.faults.catalogue import fault_class
 
-    kind = fault_class(name)
-    first = (kind.__doc__ or "").partition("\n")[0]
-    return f"  {name} ({kind.acts_on}): {first}"
+    fault_type = fault_class(name)
+    summary = (fault_type.__doc__ or "").partition("\n")[0]
+    return f"  {name} ({fault_type.acts_on}): {summary}"
 
 
-def show_list(session: DuraSession) -> int:
-    """Print everything and return the exit code."""
+def _show_list(session: DuraSession) -> int:
     from pytest_dura.campaign.reporting import describe_check
     from pytest_dura.domains import DOMAINS
     from pytest_dura.faults.catalogue import FAULT_TYPES
@@ -97,7 +95,7 @@ def show_list(session: DuraSession) -> int:
         lines.append(f"      {number} episodes")
     items = sum(len(planned.requirements) for planned in session.plan)
     lines.append(f"{items} items, {len(session.plan)} cases, {episodes} episodes")
-    lines += [f"warning: {one}" for one in library.warnings]
+    lines += [f"warning: {warning}" for warning in library.warnings]
     lines += [
         f"warning: {place}: no scenario uses the requirement {name!r}"
         for name, place in library.unused.items()
@@ -111,7 +109,7 @@ Data = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class RecordedEpisode:
-    """One episode of a record.
+    """Episode of a record, ready to be run again.
 
     Args:
         spec: What it was run from, with classes of conftest files where pytest has loaded them.
@@ -132,10 +130,10 @@ class RecordedEpisode:
     faults: tuple[Data, ...]
 
     def run(self, spec: EpisodeSpec | None = None, *, recorded: bool = False) -> Episode:
-        """The episode again, or one of another spec that ends as this one would.
+        """Run the episode again, or another spec that ends as this one would.
 
         Args:
-            spec: The other one.
+            spec: The other spec.
             recorded: Whether to keep what a viewer shows of it.
         """
         from pytest_dura.execution.task import run_episode
@@ -146,10 +144,10 @@ class RecordedEpisode:
         return run_episode(spec or self.spec, judge, recorded=recorded)
 
 
-def recorded_episodes(
+def _recorded_episodes(
     config: pytest.Config, options: Options, name: str, option: str
 ) -> tuple[Data, list[RecordedEpisode]]:
-    """The record, and its episodes of this id: several, with several seeds or components.
+    """Read the record and its episodes of this id; seeds and components make several.
 
     Args:
         config: Of the session, for what conftest files define.
@@ -165,15 +163,15 @@ def recorded_episodes(
 
     record = read_record(options.evidence)
     _check_whole(options.evidence, option)
-    with damage_as_error(options, name, option):
+    with _damage_as_error(options, name, option):
         return record, [
-            _recorded_episode(config, record, one, option)
-            for one in _entries_named(record, name, option)
+            _recorded_episode(config, record, entry, option)
+            for entry in _entries_named(record, name, option)
         ]
 
 
 def _check_whole(evidence: Path, option: str) -> None:
-    """Refuse a bundle that its manifest does not hold for: it names what is imported and run.
+    """Refuse a bundle that differs from its manifest: it names what is imported and run.
 
     Raises:
         ConfigurationError: With the first difference.
@@ -182,9 +180,9 @@ def _check_whole(evidence: Path, option: str) -> None:
 
     problems = list(manifest_problems(evidence))
     if problems:
-        more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
+        rest = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
         raise ConfigurationError(
-            f"this bundle is not as it was written: {problems[0]}{more}",
+            f"this bundle is not as it was written: {problems[0]}{rest}",
             file=str(evidence / "evidence.json"),
             key=option,
             found=len(problems),
@@ -195,8 +193,8 @@ def _check_whole(evidence: Path, option: str) -> None:
 
 
 @contextmanager
-def damage_as_error(options: Options, name: str, option: str) -> Iterator[None]:
-    """What a record makes impossible that is not as it was written, as one error.
+def _damage_as_error(options: Options, name: str, option: str) -> Iterator[None]:
+    """Context in which errors of a damaged record become one error.
 
     Raises:
         ConfigurationError: In place of whatever reading the record, or running what it says, met.
@@ -215,10 +213,10 @@ def damage_as_error(options: Options, name: str, option: str) -> Iterator[None]:
 
 
 def _entries_named(record: Data, name: str, option: str) -> list[Data]:
-    found = [one for one in record["episodes"] if one["id"] == name]
-    if found:
-        return found
-    known = sorted({one["id"] for one in record["episodes"]})
+    episodes = [episode for episode in record["episodes"] if episode["id"] == name]
+    if episodes:
+        return episodes
+    known = sorted({episode["id"] for episode in record["episodes"]})
     near = difflib.get_close_matches(name, known, n=3, cutoff=0.4)
     expected = ", ".join(near or known[:3]) or "an episode; this evidence has none"
     raise ConfigurationError(
@@ -249,14 +247,18 @@ def _recorded_episode(
     spec = EpisodeSpec.from_json(episode["spec"])
     roles = {name: _local_role(config, role, option) for name, role in spec.roles.items()}
     spec = replace(spec, roles=roles, simulator=_local_role(config, spec.simulator, option))
-    case = {(one["id"], one["component"]): one for one in record["cases"]}
-    known = {one["id"]: Requirement.from_json(one) for one in record["requirements"]}
+    case = {(case["id"], case["component"]): case for case in record["cases"]}
+    known = {
+        requirement["id"]: Requirement.from_json(requirement)
+        for requirement in record["requirements"]
+    }
     names = case[episode["case"], episode["component"]]["requirements"]
     violated = [
         verdict["requirement"]
         for verdict in record["verdicts"]
-        for one in verdict["counterexamples"]
-        if one["episode"] == episode["id"] and verdict["component"] == episode["component"]
+        for counterexample in verdict["counterexamples"]
+        if counterexample["episode"] == episode["id"]
+        and verdict["component"] == episode["component"]
     ]
     return RecordedEpisode(
         spec,
@@ -275,9 +277,9 @@ def _local_role(config: pytest.Config, role: RoleSpec, option: str) -> RoleSpec:
     file, _, name = role.path.rpartition(":")
     if not file.endswith("conftest.py"):
         return role
-    target = defined_in_conftest(config, file, name)
-    if callable(target):
-        return LocalRole(role.path, target, role.params)
+    factory = defined_in_conftest(config, file, name)
+    if callable(factory):
+        return LocalRole(role.path, factory, role.params)
     raise ConfigurationError(
         f"{name} is defined in {file}, which is not loaded here",
         key=option,
@@ -287,7 +289,7 @@ def _local_role(config: pytest.Config, role: RoleSpec, option: str) -> RoleSpec:
     )
 
 
-REPLAY_OPTION = "--dura-replay"
+_REPLAY_OPTION = "--dura-replay"
 
 
 def replay(session: DuraSession) -> int:
@@ -303,90 +305,96 @@ def replay(session: DuraSession) -> int:
 
     config, options = session.config, session.options
     name = str(options.replay)
-    _, found = recorded_episodes(config, options, name, REPLAY_OPTION)
+    _, episodes = _recorded_episodes(config, options, name, _REPLAY_OPTION)
     equal = True
-    for one in found:
-        session.models.prepare(one.spec)
-        with damage_as_error(options, name, REPLAY_OPTION):
-            episode = one.run(recorded=True)
+    for recorded in episodes:
+        session.models.prepare(recorded.spec)
+        with _damage_as_error(options, name, _REPLAY_OPTION):
+            episode = recorded.run(recorded=True)
         # As a session would have kept it.
         trace = Trace.of(episode).without_secrets(session.redact)
-        same, lines = _compared(one, episode, trace, options.evidence)
-        equal &= same
-        lines += [] if same else session.models.replay_warning()
-        print_lines([*lines, f"  player: {_write_player(one, episode, trace, options.evidence)}"])
+        is_same, lines = _compared(recorded, episode, trace, options.evidence)
+        equal &= is_same
+        lines += [] if is_same else session.models.replay_warning()
+        print_lines(
+            [*lines, f"  player: {_write_player(recorded, episode, trace, options.evidence)}"]
+        )
     return 0 if equal else 1
 
 
 def _compared(
-    one: RecordedEpisode, episode: Episode, replayed: Trace, evidence: Path
+    recorded: RecordedEpisode, episode: Episode, replayed: Trace, evidence: Path
 ) -> tuple[bool, list[str]]:
-    """Whether the episode is the recorded one, and what there is to say of it."""
-    same = one.digest == episode.digest
+    """Return whether the episode is the recorded one, and lines that show it."""
+    is_same = recorded.digest == episode.digest
     end = f"{episode.time[-1]:.1f} s" if episode.ticks else "no tick"
     outcome = f"{episode.termination} after {end}"
     lines = [f"{episode.id} ({episode.spec.component}, seed {episode.spec.seed}): {outcome}"]
     if episode.failure is not None:
         lines.append(f"  {episode.failure}")
-    lines += [f"  recorded digest {one.digest}", f"  replayed digest {episode.digest}"]
+    lines += [f"  recorded digest {recorded.digest}", f"  replayed digest {episode.digest}"]
     lines.append(
         "  the same"
-        if same
+        if is_same
         else "  DIFFERENT: the code, a package or the platform has changed, "
         "or something is not deterministic"
     )
-    if one.trace is None:
-        return same, lines if same else [*lines, *_without_trace(one, episode)]
+    if recorded.trace is None:
+        note = "  no trace of it was kept (--dura-evidence-level=all keeps each)"
+        return is_same, lines if is_same else [*lines, note, *_by_faults(recorded, episode)]
     try:
-        recorded = _read_trace(one.trace, evidence)
+        kept_trace = _read_trace(recorded.trace, evidence)
     except FileNotFoundError:
-        lines.append(f"  its trace {one.trace['file']} is not there any more")
-        return same, lines if same else [*lines, *_by_faults(one, episode)]
+        lines.append(f"  its trace {recorded.trace['file']} is not there any more")
+        return is_same, lines if is_same else [*lines, *_by_faults(recorded, episode)]
     except ConfigurationError as error:
-        told = [f"    {line}" for line in str(error).splitlines()]
-        return False, [*lines, "  its trace cannot be compared:", *told]
-    return _by_trace(recorded, replayed, one, episode, lines)
+        reasons = [f"    {line}" for line in str(error).splitlines()]
+        return False, [*lines, "  its trace cannot be compared:", *reasons]
+    return _by_trace(kept_trace, replayed, recorded, episode, lines)
 
 
 def _by_trace(
-    recorded: Trace, replayed: Trace, one: RecordedEpisode, episode: Episode, lines: list[str]
+    recorded: Trace,
+    replayed: Trace,
+    recorded_episode: RecordedEpisode,
+    episode: Episode,
+    lines: list[str],
 ) -> tuple[bool, list[str]]:
-    """Whether the episode is the recorded one, and where it differs from its trace."""
+    """Return whether the episode is the recorded one, and lines that name the difference."""
     from pytest_dura.evidence.text import one_line
     from pytest_dura.evidence.traces import first_difference
 
-    first = first_difference(recorded, replayed)
-    place = one_line(str(first), 1000)
-    if one.digest != episode.digest:
-        told = _by_faults(one, episode) if first is None else [f"  first difference: {place}"]
-        return False, [*lines, *told]
+    difference = first_difference(recorded, replayed)
+    place = one_line(str(difference), 1000)
+    if recorded_episode.digest != episode.digest:
+        by_faults = (
+            _by_faults(recorded_episode, episode)
+            if difference is None
+            else [f"  first difference: {place}"]
+        )
+        return False, [*lines, *by_faults]
     covered = first_difference(recorded, replayed, covered=True)
     if covered is not None:
         place = one_line(str(covered), 1000)
         return False, [*lines, f"  yet the trace that was kept is of another episode: {place}"]
-    if first is not None:
+    if difference is not None:
         lines = [*lines, f"  what the digest leaves out is not the same: {place}"]
     return True, lines
 
 
-def _without_trace(one: RecordedEpisode, episode: Episode) -> list[str]:
-    kept = "no trace of it was kept (--dura-evidence-level=all keeps each)"
-    return [f"  {kept}", *_by_faults(one, episode)]
-
-
-def _by_faults(one: RecordedEpisode, episode: Episode) -> list[str]:
-    """What the record itself tells of the episode, apart from its trace."""
+def _by_faults(recorded: RecordedEpisode, episode: Episode) -> list[str]:
+    """Compare what became of the faults, which the record holds without a trace."""
     from pytest_dura.evidence.model import plain_data
 
-    for before, fault in zip(one.faults, episode.faults, strict=False):
+    for before, fault in zip(recorded.faults, episode.faults, strict=False):
         for key, value in plain_data(asdict(fault)).items():
             if key in before and before[key] != value:
                 return [f"  fault {fault.id}: {key}: recorded {before[key]}, replayed {value}"]
     return ["  it is not known where they differ"]
 
 
-def _read_trace(told: Any, evidence: Path) -> Trace:
-    """The trace that was kept.
+def _read_trace(entry: Any, evidence: Path) -> Trace:
+    """Read the trace that was kept.
 
     Raises:
         FileNotFoundError: If it is gone.
@@ -396,7 +404,7 @@ def _read_trace(told: Any, evidence: Path) -> Trace:
     from pytest_dura.evidence.mcap import read_trace
     from pytest_dura.evidence.traces import is_trace_path
 
-    path = told.get("file")
+    path = entry.get("file")
     if not is_trace_path(path):
         raise ConfigurationError(
             "the record names a trace that is none of the bundle's",
@@ -410,19 +418,19 @@ def _read_trace(told: Any, evidence: Path) -> Trace:
         raise FileNotFoundError(file)
     trace = read_trace(file)
     digest = file_entry(file)["sha256"]
-    if digest != told.get("sha256"):
+    if digest != entry.get("sha256"):
         raise ConfigurationError(
             "the trace is not the one that was recorded: its SHA-256 is another",
             file=str(file),
             found=digest,
-            expected=told.get("sha256"),
+            expected=entry.get("sha256"),
             remedy="restore the file",
         )
     return trace
 
 
-def _write_player(one: RecordedEpisode, episode: Episode, trace: Trace, evidence: Path) -> str:
-    """Write the page that plays the episode; its URL.
+def _write_player(recorded: RecordedEpisode, episode: Episode, trace: Trace, evidence: Path) -> str:
+    """Write the page that plays the episode, and return its URL.
 
     Raises:
         ConfigurationError: If it cannot be written.
@@ -432,30 +440,30 @@ def _write_player(one: RecordedEpisode, episode: Episode, trace: Trace, evidence
     from pytest_dura.reports.html.player import player_page
 
     file = sibling_directory(evidence, "replay") / f"{episode_name(trace.about)}.html"
-    write_file(file, [player_page(trace, _verdicts(one, episode))])
+    write_file(file, [player_page(trace, _verdicts(recorded, episode))])
     return file.as_uri()
 
 
-def _verdicts(one: RecordedEpisode, episode: Episode) -> list[dict[str, Any]]:
-    """What the requirements of the episode's case say of it now."""
+def _verdicts(recorded: RecordedEpisode, episode: Episode) -> list[dict[str, Any]]:
+    """Judge the replayed episode by the requirements of its case."""
     from pytest_dura.requirements.episode_verdicts import judge_episode
 
-    found: list[dict[str, Any]] = []
-    for requirement in one.requirements:
+    verdicts: list[dict[str, Any]] = []
+    for requirement in recorded.requirements:
         if not requirement.check or requirement.paired is not None:
             continue
         try:
             verdict = judge_episode(requirement, episode)
         except ConfigurationError as error:  # such as a signal that a failed episode lacks
-            told = {"requirement": requirement.id, "verdict": "missing", "detail": error.problem}
-            found.append({**told, "check": requirement.check})
+            missing = {"requirement": requirement.id, "verdict": "missing", "detail": error.problem}
+            verdicts.append({**missing, "check": requirement.check})
         else:
-            found.append({**verdict.to_json(), "check": requirement.check})
-    return found
+            verdicts.append({**verdict.to_json(), "check": requirement.check})
+    return verdicts
 
 
-REDUCE_OPTION = "--dura-reduce"
-REDUCED = "reduced"
+_REDUCE_OPTION = "--dura-reduce"
+_REDUCED = "reduced"
 """Behind the name of the evidence: where the reduced episode is recorded, to be replayed from."""
 
 
@@ -469,23 +477,25 @@ def reduce(session: DuraSession) -> int:
 
     options = session.options
     name = str(options.reduce)
-    record, found = recorded_episodes(session.config, options, name, REDUCE_OPTION)
+    record, candidates = _recorded_episodes(session.config, options, name, _REDUCE_OPTION)
     # Verdicts name episodes without their seeds, and rest on planned runs.
-    found.sort(key=lambda one: not one.planned)
-    recorded = next((one for one in found if one.violated), found[0])
+    candidates.sort(key=lambda candidate: not candidate.planned)
+    recorded = next((candidate for candidate in candidates if candidate.violated), candidates[0])
     _check_reducible(recorded, name)
     session.models.prepare(recorded.spec)
-    judged = [one for one in recorded.requirements if one.id in recorded.violated]
+    judged = [
+        requirement for requirement in recorded.requirements if requirement.id in recorded.violated
+    ]
     budget = BUDGET if options.runs is None else options.runs
     spec = recorded.spec
     violates = f"violates {', '.join(recorded.violated)}; at most {budget} runs"
     print_lines([f"{name} ({spec.component}): {counted(len(spec.faults), 'fault')}, {violates}"])
-    with damage_as_error(options, name, REDUCE_OPTION):
+    with _damage_as_error(options, name, _REDUCE_OPTION):
         reduction = reduce_faults(spec, judged, recorded.run, budget=budget, on_run=_show_run)
     lines = _result_lines(reduction, budget)
     if reduction.episode is not None:
-        folder = sibling_directory(options.evidence, REDUCED)
-        with damage_as_error(options, name, REDUCE_OPTION):
+        folder = sibling_directory(options.evidence, _REDUCED)
+        with _damage_as_error(options, name, _REDUCE_OPTION):
             _write_reduced(record, recorded, reduction, folder)
         lines.append(f"  replay: {replay_command(session, reduction.episode.id, folder)}")
     print_lines(lines)
@@ -496,15 +506,19 @@ def _check_reducible(recorded: RecordedEpisode, name: str) -> None:
     if not recorded.spec.faults:
         raise ConfigurationError(
             f"the episode {name!r} has no faults to leave out",
-            key=REDUCE_OPTION,
+            key=_REDUCE_OPTION,
             found=name,
             expected="an episode with at least one fault",
         )
-    checked = {one.id for one in recorded.requirements if one.check and not one.paired}
+    checked = {
+        requirement.id
+        for requirement in recorded.requirements
+        if requirement.check and not requirement.paired
+    }
     if not set(recorded.violated) & checked:
         raise ConfigurationError(
             f"the episode {name!r} is no counterexample to a requirement that could be asked again",
-            key=REDUCE_OPTION,
+            key=_REDUCE_OPTION,
             found=", ".join(recorded.violated) or "no violation",
             expected="an episode that a verdict names as a counterexample, by a check in a file",
             remedy="choose an episode that the terminal shows as `worst` or `also in`",
@@ -512,8 +526,8 @@ def _check_reducible(recorded: RecordedEpisode, name: str) -> None:
 
 
 def _show_run(faults: Sequence[str], violated: Sequence[str]) -> None:
-    told = f"violates {', '.join(violated)}" if violated else "violates nothing"
-    print_lines([f"  {' + '.join(faults) or 'none'}: {told}"])
+    text = f"violates {', '.join(violated)}" if violated else "violates nothing"
+    print_lines([f"  {' + '.join(faults) or 'none'}: {text}"])
 
 
 def _result_lines(reduction: Reduction, budget: int) -> list[str]:
@@ -542,7 +556,7 @@ def _result_lines(reduction: Reduction, budget: int) -> list[str]:
 def _write_reduced(
     record: Data, recorded: RecordedEpisode, reduction: Reduction, folder: Path
 ) -> None:
-    """A record with the reduced episode alone, in the form of the one that it came from."""
+    """Write a record of the reduced episode alone, in the form of the original one."""
     from pytest_dura.evidence.bundle import write_record
     from pytest_dura.evidence.episodes import episode_record
     from pytest_dura.evidence.files import MANIFEST_FILE, file_entry, manifest_text, write_file
@@ -550,12 +564,12 @@ def _write_reduced(
 
     episode = reduction.episode
     assert episode is not None
-    own = recorded.spec.case, recorded.spec.component
-    (before,) = [one for one in record["cases"] if (one["id"], one["component"]) == own]
-    case: dict[str, Any] = {**before, "id": episode.spec.case, "planned": 1}
+    key = recorded.spec.case, recorded.spec.component
+    (original,) = [case for case in record["cases"] if (case["id"], case["component"]) == key]
+    case: dict[str, Any] = {**original, "id": episode.spec.case, "planned": 1}
     case["faults"] = [dict(fault) for fault in episode.spec.faults]
     case.pop("metrics", None)
-    told = {
+    changes = {
         "cases": [case],
         "episodes": [episode_record(episode, planned=True)],
         "verdicts": [],
@@ -563,5 +577,5 @@ def _write_reduced(
         "baseline": None,
         "reduced_from": recorded.spec.id,
     }
-    file = write_record(folder, SessionRecord.of({**record, **told}, folder))
+    file = write_record(folder, SessionRecord.of({**record, **changes}, folder))
     write_file(folder / MANIFEST_FILE, [manifest_text({file.name: file_entry(file)})])

@@ -61,11 +61,11 @@ class SessionContext(ABC):
     @property
     @abstractmethod
     def runner(self) -> Runner:
-        """What runs episodes. Its roles follow the fixtures that the current item sees."""
+        """Runner of episodes. Its roles follow the fixtures that the current item sees."""
 
     @cached_property
     def options(self) -> Options:
-        """The checked options.
+        """Checked options.
 
         Raises:
             pytest.UsageError: For a value that cannot be used.
@@ -75,24 +75,24 @@ class SessionContext(ABC):
 
     @property
     def worker_input(self) -> Mapping[str, Any]:
-        """What the controller sent to this process, if it is a worker."""
+        """Mapping that the controller sent to this worker; empty in the controller."""
         given: Mapping[str, Any] = getattr(self.config, "workerinput", {})
         return given
 
     @property
     def evidence_directory(self) -> Path:
-        """Where the evidence goes: the controller's place, also in a worker."""
+        """Directory of the evidence: the controller's, also in a worker."""
         given = self.worker_input.get("dura_evidence")
         return self.options.evidence if given is None else Path(given)
 
     @property
     def cassette(self) -> Path | None:
-        """The cassette, where the mode has one: the controller's, also in a worker."""
+        """Cassette, where the mode has one: the controller's, also in a worker."""
         given = self.worker_input.get("dura_cassette")
         return self.options.cassette if given is None else Path(given)
 
-    def reach_project(self) -> None:
-        """Let ``planner:MyPlanner`` be imported from where pytest was started, and from the root.
+    def extend_import_path(self) -> None:
+        """Make ``planner:MyPlanner`` importable from where pytest was started, and from the root.
 
         ``python -m pytest`` finds it there, ``pytest`` does not. At the end of the path it hides
         nothing that is installed; processes that simulate take the path over.
@@ -102,7 +102,7 @@ class SessionContext(ABC):
                 sys.path.append(str(folder))
 
     def library(self) -> Library:
-        """All scenarios and requirements, read at the first call.
+        """Load all scenarios and requirements, at the first call.
 
         Raises:
             ConfigurationError: For files that cannot be used; the same one at every call.
@@ -110,7 +110,7 @@ class SessionContext(ABC):
         if self._library is None:
             from pytest_dura.library.loading import load_library
 
-            self.reach_project()
+            self.extend_import_path()
             try:
                 self._library = load_library(self.options.paths)
             except ConfigurationError as error:
@@ -120,7 +120,7 @@ class SessionContext(ABC):
         return self._library
 
     def redact(self, value: Any) -> Any:
-        """Plain data without the secrets that this process knows of by now."""
+        """Copy plain data without the secrets that this process knows of by now."""
         from pytest_dura.evidence.redaction import Redactor
 
         if self._redactor is None:
@@ -130,24 +130,24 @@ class SessionContext(ABC):
 
     @property
     def unused(self) -> Mapping[str, str]:
-        """Requirements that neither a scenario nor a collected test uses, and their places.
+        """Requirements that neither a scenario nor a collected test uses: name to place.
 
         Empty where nothing needed the requirement files, or they cannot be used.
         """
         if self._library is None or isinstance(self._library, ConfigurationError):
             return {}
-        found = self._library.unused
-        return {name: found[name] for name in found if name not in self.named_requirements}
+        unused = self._library.unused
+        return {name: unused[name] for name in unused if name not in self.named_requirements}
 
     @cached_property
     def resolver(self) -> ParameterResolver:
-        """Resolves the parameters of roles, each class once a session."""
+        """Resolver of the parameters of roles, each class once a session."""
         from pytest_dura.library.roles import ParameterResolver
 
         return ParameterResolver()
 
-    def take_case(self, case: Case) -> None:
-        """Take in a case that is to be run; the record tells cases apart by their ids.
+    def register_case(self, case: Case) -> None:
+        """Register a case that is to be run; the record tells cases apart by their ids.
 
         Raises:
             ConfigurationError: If another test runs other faults under the same id.
@@ -163,7 +163,7 @@ class SessionContext(ABC):
 
 
 def replay_command(context: SessionContext, episode: str, evidence: Path | None = None) -> str:
-    """The command that runs one episode of the evidence again, or of another evidence."""
+    """Return the command that runs an episode of this evidence, or of another one, again."""
     options = [f"--dura-replay={episode}"]
     if evidence is not None:
         here = context.config.invocation_params.dir
@@ -181,10 +181,10 @@ def replay_command(context: SessionContext, episode: str, evidence: Path | None 
 
 
 def rerun_command(context: SessionContext, item: str) -> str:
-    """The command that runs one item again."""
+    """Return the command that runs one item again."""
     # Test functions name their faults themselves, and without scenario cases the option is refused.
     test = item.partition("::")[0].endswith(".py")
-    given = [one for one in context.options.given if not (test and one[0] == "--dura-faults")]
+    given = [item for item in context.options.given if not (test and item[0] == "--dura-faults")]
     return _pytest_command(context, [item, *(f"{name}={value}" for name, value in given)])
 
 

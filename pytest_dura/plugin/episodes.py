@@ -42,7 +42,7 @@ _SIMULATED_HERE_KEY = "dura_simulated_here"
 
 
 class SessionExecutor:
-    """Who simulates the episodes of this process.
+    """Simulates the episodes of this process, itself or through an executor.
 
     Args:
         context: The session's context.
@@ -51,10 +51,10 @@ class SessionExecutor:
     def __init__(self, context: SessionContext) -> None:
         self.context = context
         self._execution: Execution | ConfigurationError | None = None
-        self._noted: Counter[tuple[str, str]] = Counter()
+        self._simulated_here: Counter[tuple[str, str]] = Counter()
 
     def execution(self) -> Execution:
-        """What simulates, made at the first call.
+        """Return what simulates, made at the first call.
 
         Raises:
             ConfigurationError: If it cannot be used; the same one at every call.
@@ -72,7 +72,7 @@ class SessionExecutor:
         return self._execution
 
     def connect(self) -> None:
-        """Find out before anything is collected or written whether a cluster is there.
+        """Check that a cluster is reachable, before anything is collected or written.
 
         Raises:
             ConfigurationError: If it is not.
@@ -82,37 +82,40 @@ class SessionExecutor:
             choice.connect()
 
     def start(self) -> None:
-        """Have what simulates, once all is collected: processes find what is imported by then.
+        """Start the executor once all is collected: processes inherit what is imported by then.
 
         Raises:
             ConfigurationError: If it cannot be used.
         """
-        idle = self.context.is_worker or self.context.config.option.collectonly
-        if self.context.options.executor is not None and not idle:
+        simulates_nothing = self.context.is_worker or self.context.config.option.collectonly
+        if self.context.options.executor is not None and not simulates_nothing:
             self.execution()
 
     @property
     def is_lost(self) -> bool:
-        """Whether whoever simulates is gone, so that no further test can tell anything."""
-        found = self._execution
-        return not (found is None or isinstance(found, ConfigurationError)) and found.is_lost
+        """Whether the executor is gone, so that no further test can come to a verdict."""
+        execution = self._execution
+        return (
+            not (execution is None or isinstance(execution, ConfigurationError))
+            and execution.is_lost
+        )
 
     def close(self) -> None:
-        """Give up what is under way, and end the processes that simulate."""
-        found, self._execution = self._execution, None
-        if found is not None and not isinstance(found, ConfigurationError):
-            self._noted += found.here
-            found.close()
+        """Cancel what is under way, and end the processes that simulate."""
+        execution, self._execution = self._execution, None
+        if execution is not None and not isinstance(execution, ConfigurationError):
+            self._simulated_here += execution.here
+            execution.close()
 
     def to_json(self) -> dict[str, Any]:
-        """What the record says of it."""
+        """The record's key ``execution``."""
         choice = self.context.options.executor
         if choice is None:
             return {"executor": "in-process", "processes": None}
         return {"executor": choice.kind, "processes": choice.processes}
 
     def header(self) -> list[str]:
-        """A line, if another process simulates."""
+        """Header line, if another process simulates."""
         choice = self.context.options.executor
         if choice is None:
             return []
@@ -121,29 +124,29 @@ class SessionExecutor:
         return [f"dura: episodes are simulated by Dask, scheduler at {choice.address}"]
 
     def notes(self) -> list[str]:
-        """Lines on episodes that were simulated here, though others were to simulate."""
+        """Lines on episodes that were simulated here although an executor was given."""
         return [
             f"{counted(number, 'episode')} of {component} simulated in pytest's own process: {why}"
             for (component, why), number in sorted(self._counts().items())
         ]
 
     def _counts(self) -> Counter[tuple[str, str]]:
-        """Of this process, and of the workers that are done."""
-        found = self._execution
-        if found is None or isinstance(found, ConfigurationError):
-            return self._noted
-        return self._noted + found.here
+        """Count the episodes simulated here, and by workers that have ended."""
+        execution = self._execution
+        if execution is None or isinstance(execution, ConfigurationError):
+            return self._simulated_here
+        return self._simulated_here + execution.here
 
     def send_to_controller(self, workeroutput: MutableMapping[str, Any]) -> None:
-        """Tell the controller what this worker has simulated itself."""
+        """Add to a worker's output what it has simulated itself."""
         workeroutput[_SIMULATED_HERE_KEY] = [
             [*key, number] for key, number in self._counts().items()
         ]
 
     def receive_from_worker(self, workeroutput: MutableMapping[str, Any]) -> None:
-        """Take in what a worker tells at its end."""
+        """Add the counts of a worker that has ended."""
         for component, why, number in workeroutput.get(_SIMULATED_HERE_KEY, ()):
-            self._noted[component, why] += number
+            self._simulated_here[component, why] += number
 
 
 EPISODES_FOLDER = ".episodes"  # as `KEPT` of pytest_dura.evidence.bundle
@@ -154,7 +157,7 @@ _LOST_KEY = "dura_lost"
 
 
 class SharedEpisodes:
-    """The episodes that all processes of a session share, and what is taken over from earlier ones.
+    """Shares episodes between the processes of a session, and with earlier sessions.
 
     Args:
         context: The session's context.
@@ -174,13 +177,13 @@ class SharedEpisodes:
 
     @cached_property
     def id(self) -> str:
-        """Of the session, the same in all of its processes."""
+        """Id of the session, the same in all of its processes."""
         given = self.context.worker_input.get(_SESSION_KEY)
         return str(given or uuid.uuid4().hex)
 
     @cached_property
     def cache(self) -> EpisodeCache:
-        """Where the episodes are."""
+        """Cache that holds the episodes."""
         from pytest_dura.execution.cache import EpisodeCache
 
         options = self.context.options
@@ -189,16 +192,16 @@ class SharedEpisodes:
 
     @property
     def mode(self) -> str:
-        """What is taken over: ``none``, ``resume`` or ``reuse``, as the record has it."""
+        """Whether episodes are taken over: ``none``, ``resume`` or ``reuse``, as in the record."""
         options = self.context.options
         return "resume" if options.resume else "none" if options.reuse is None else "reuse"
 
     def to_json(self) -> dict[str, Any]:
-        """What the record begins with; the rest follows from its episodes."""
+        """The record's key ``reuse`` at its beginning; the rest follows from its episodes."""
         return {"mode": self.mode, "session": self.id}
 
     def store(self) -> EpisodeStore:
-        """What the runner of this process asks for episodes."""
+        """Make the store from which the runner of this process takes episodes."""
         from pytest_dura.execution.store import EpisodeStore
 
         self._store = EpisodeStore(self.cache, self._executor.execution())
@@ -210,19 +213,19 @@ class SharedEpisodes:
         return self._store is not None and self._store.is_broken
 
     def take_problems(self) -> list[str]:
-        """Why episodes could not be shared, as far as it was not told yet."""
-        known = [] if self._store is None else self._store.problems
-        found, self._problems_reported = known[self._problems_reported :], len(known)
-        return found
+        """Return why episodes could not be shared, as far as not returned yet."""
+        problems = [] if self._store is None else self._store.problems
+        new, self._problems_reported = problems[self._problems_reported :], len(problems)
+        return new
 
     def take_searched(self) -> list[dict[str, Any]]:
-        """The origins of what searches used since the last call."""
+        """Return the origins of the runs that searches used since the last call."""
         if self._store is None:
             return []
         earlier = self._store.earlier
-        found = list(islice(earlier.searched, self._searches_reported, None))
-        self._searches_reported += len(found)
-        return [{"run": f"{key[0]} {key[1]}", "origin": earlier.origin(key)} for key in found]
+        searched = list(islice(earlier.searched, self._searches_reported, None))
+        self._searches_reported += len(searched)
+        return [{"run": f"{key[0]} {key[1]}", "origin": earlier.origin(key)} for key in searched]
 
     def first_to_repeat(self, case: str, component: str) -> bool:
         """Whether this process is the first of the session that repeats an episode of a case."""
@@ -230,24 +233,24 @@ class SharedEpisodes:
             return True
         name = hashlib.sha256(f"{case}\n{component}".encode()).hexdigest()
         with suppress(OSError):
-            self._marks.mkdir(mode=0o700, exist_ok=True)
+            self._repetition_marks.mkdir(mode=0o700, exist_ok=True)
             try:
-                (self._marks / name).touch(exist_ok=False)
+                (self._repetition_marks / name).touch(exist_ok=False)
             except FileExistsError:
                 return False
         return True
 
     @property
-    def _marks(self) -> Path:
-        """Where workers note what they repeat, as long as the session runs."""
+    def _repetition_marks(self) -> Path:
+        """Folder in which workers mark what they repeat, as long as the session runs."""
         return Path(tempfile.gettempdir()) / f"pytest-dura-{self.id}"
 
     def send_to_worker(self, workerinput: MutableMapping[str, Any]) -> None:
-        """Tell a worker which session it is of."""
+        """Add the session's id to a worker's input."""
         workerinput[_SESSION_KEY] = self.id
 
     def begin(self) -> None:
-        """Keep the episodes of the session that is resumed; or remove what an earlier one left.
+        """Keep the episodes of the session that is resumed, or remove what an earlier one left.
 
         To be called by the controller, before the record of the earlier session is replaced.
 
@@ -255,22 +258,22 @@ class SharedEpisodes:
             ConfigurationError: If there is nothing to resume, or something cannot be removed.
         """
         options = self.context.options
-        left = self.cache.count()
-        kept = f"{left} episode{'' if left == 1 else 's'}"
+        count = self.cache.count()
+        kept = f"{count} episode{'' if count == 1 else 's'}"
         # Removed once a session is whole, so that a session which was not has left it.
-        begun = self.cache.directory.is_dir()
+        unfinished = self.cache.directory.is_dir()
         if options.reuse is not None:
             place = typed_path(options.reuse, self.context.config.invocation_params.dir)
             self.lines = [f"reusing: {kept} of earlier sessions in {place}"]
             return
         # Reading a great record takes its time, and after most sessions there is nothing left.
-        earlier = self._unfinished(begun=begun) if options.resume or left else None
+        earlier = self._unfinished(left_episodes=unfinished) if options.resume or count else None
         if options.resume:
             self.lines = [f"resuming: {kept} of {earlier}"]
             return
         if earlier is not None:
-            what = f"dropped: {kept} of {earlier}"
-            self.lines = [f"{what}; --dura-resume would have taken them over"]
+            dropped = f"dropped: {kept} of {earlier}"
+            self.lines = [f"{dropped}; --dura-resume would have taken them over"]
         self._clear()
 
     @property
@@ -278,21 +281,25 @@ class SharedEpisodes:
         return self._store is not None and self._store.lost
 
     def send_to_controller(self, workeroutput: MutableMapping[str, Any]) -> None:
-        """Tell the controller whether this worker lost an episode with whoever simulated it."""
+        """Add to a worker's output whether it lost an episode with its executor."""
         workeroutput[_LOST_KEY] = self._lost_here
 
-    def receive_from_worker(self, workeroutput: Mapping[str, Any], error: object) -> None:
-        """Take in what a worker tells at its end, and whether it came to its end at all."""
-        self._lost |= bool(error) or bool(workeroutput.get(_LOST_KEY))
+    def receive_from_worker(self, workeroutput: Mapping[str, Any]) -> None:
+        """Note whether a worker lost an episode."""
+        self._lost |= bool(workeroutput.get(_LOST_KEY))
+
+    def worker_ended(self, error: object) -> None:
+        """Note that a worker ended, with an error if it did not come to its end."""
+        self._lost |= bool(error)
 
     def end(self, record: SessionRecord, *, written: bool) -> None:
-        """Remove the episodes of a session that is whole; another one can be resumed.
+        """Remove the episodes of a session that is whole; any other session can be resumed.
 
         Args:
             record: Of the session.
             written: Whether all of its evidence could be written.
         """
-        shutil.rmtree(self._marks, ignore_errors=True)
+        shutil.rmtree(self._repetition_marks, ignore_errors=True)
         lost = self._lost or self._lost_here or record["totals"]["missing"]
         self.is_whole = written and record["status"] == "complete" and not lost
         if self.context.options.reuse is not None:
@@ -316,11 +323,11 @@ class SharedEpisodes:
                 remedy="remove it, or choose another directory",
             ) from None
 
-    def _unfinished(self, *, begun: bool) -> str | None:
-        """The session that the evidence is of, in words, unless it was whole.
+    def _unfinished(self, *, left_episodes: bool) -> str | None:
+        """Describe the session that the evidence is of, unless it was whole.
 
         Args:
-            begun: Whether it left the directory of its episodes.
+            left_episodes: Whether it left the directory of its episodes.
 
         Raises:
             ConfigurationError: If it is to be resumed, and there is none that can be.
@@ -329,7 +336,7 @@ class SharedEpisodes:
 
         options = self.context.options
         file = options.evidence / RECORD_FILE
-        if begun and not file.exists():
+        if left_episodes and not file.exists():
             return "a session that was interrupted before it wrote a record"
         try:
             record = read_session_record(options.evidence)
@@ -339,7 +346,7 @@ class SharedEpisodes:
             return None
         if record["status"] != "complete":
             return f"the interrupted session of {record['created']}"
-        if begun:
+        if left_episodes:
             return f"the session of {record['created']}, which was not whole"
         if options.resume:
             raise ConfigurationError(
@@ -361,7 +368,7 @@ class _DueRepetition:
 
     task: EpisodeTask
     digest: str
-    why_not: str | None
+    skip_reason: str | None
     """Why it cannot be, if so."""
 
 
@@ -391,7 +398,7 @@ class Repeats:
         self._done: set[tuple[str, str]] = set()
 
     def episode_used(self, case: Case, episode: JudgedEpisode) -> None:
-        """An item looked at a planned episode of a case."""
+        """Note that an item looked at a planned episode of a case."""
         key = case.id, episode.spec.component
         if key in self._due or key in self._done or episode.failure is not None:
             return
@@ -400,8 +407,8 @@ class Repeats:
         task = self.context.runner.task(case, episode.spec.run)
         answers = model_answers(task)
         live = answers is not None and not answers.startswith("replay ")
-        why_not = "a live language model answers" if live else None
-        self._due[key] = _DueRepetition(task, episode.digest, why_not)
+        skip_reason = "a live language model answers" if live else None
+        self._due[key] = _DueRepetition(task, episode.digest, skip_reason)
 
     def item_ends(
         self, item: pytest.Item, nextitem: pytest.Item | None
@@ -419,36 +426,40 @@ class Repeats:
         ):
             return
         for (case, component), due in list(self._due.items()):
-            found = self._repeated(due)
+            repeated = self._repeated(due)
             self._done.add((case, component))
-            if found is not None:
-                told = {"case": case, "component": component, "episode": due.task.spec.id}
-                yield {**told, "digest": due.digest, **found}
+            if repeated is not None:
+                about = {"case": case, "component": component, "episode": due.task.spec.id}
+                yield {**about, "digest": due.digest, **repeated}
         self._due.clear()
 
     def _repeated(self, due: _DueRepetition) -> Mapping[str, Any] | None:
-        """What came of it; ``None`` if another process finds that out."""
-        if due.why_not is not None:
-            return {"result": "skipped", "repeated_digest": None, "detail": due.why_not}
+        """Repeat an episode; ``None`` if another process does."""
+        if due.skip_reason is not None:
+            return {"result": "skipped", "repeated_digest": None, "detail": due.skip_reason}
         if not self._shared.first_to_repeat(due.task.spec.case, due.task.spec.component):
             return None
         try:
             with self._models.uncounted():
-                again = self.context.runner.store.repeat(due.task)
+                repetition = self.context.runner.store.repeat(due.task)
         except Exception as error:  # whatever user code raises: the first time it did not
             return {
                 "result": "failed",
                 "repeated_digest": None,
                 "detail": f"infrastructure: {describe_error(error)}",
             }
-        result = "equal" if again.digest == due.digest else "different"
-        if again.failure is not None:
+        result = "equal" if repetition.digest == due.digest else "different"
+        if repetition.failure is not None:
             result = "failed"
-        return {"result": result, "repeated_digest": again.digest, "detail": again.failure or ""}
+        return {
+            "result": result,
+            "repeated_digest": repetition.digest,
+            "detail": repetition.failure or "",
+        }
 
 
 def _case_id_of(item: pytest.Item) -> str:
-    """Id of the case that an item looks at; empty for one that chooses its episodes itself."""
+    """Id of the case that an item looks at; empty where it chooses its episodes itself."""
     planned = getattr(item, "planned", None)
     for value in getattr(getattr(item, "callspec", None), "params", {}).values():
         if hasattr(value, "planned") and hasattr(value, "case"):
@@ -457,7 +468,7 @@ def _case_id_of(item: pytest.Item) -> str:
 
 
 def show_repeats(terminal: Any, record: SessionRecord, objections: Collection[str]) -> None:
-    """The cases that are not repeatable, unless the gate says so anyway."""
+    """Show the cases that are not repeatable, unless they are among the objections."""
     from pytest_dura.evidence.gate import not_repeatable_lines
 
     for line in not_repeatable_lines(record["cases"]):

@@ -35,13 +35,13 @@ if TYPE_CHECKING:
     from pytest_dura.plugin.context import SessionContext
     from pytest_dura.plugin.episodes import SessionExecutor, SharedEpisodes
     from pytest_dura.plugin.inputs import SessionInputs
+    from pytest_dura.plugin.items import Selection, ShardHooks
     from pytest_dura.plugin.language_models import LanguageModels
     from pytest_dura.plugin.property_tests import PropertyTests
     from pytest_dura.plugin.roles import SessionRoles
-    from pytest_dura.plugin.shards import Selection, ShardHooks
 
 
-REGULAR_EXIT_CODES = (
+_REGULAR_EXIT_CODES = (
     pytest.ExitCode.OK,
     pytest.ExitCode.TESTS_FAILED,
     pytest.ExitCode.NO_TESTS_COLLECTED,
@@ -49,8 +49,8 @@ REGULAR_EXIT_CODES = (
 """Exit codes of sessions that ran to their end."""
 
 
-def waiver_of(report: pytest.TestReport) -> tuple[str, str] | None:
-    """What excuses the item of a report, and why; ``None`` if nothing does."""
+def _waiver_of(report: pytest.TestReport) -> tuple[str, str] | None:
+    """Return the kind of waiver and its reason, if a report has one."""
     reason = getattr(report, "wasxfail", None)
     if reason is not None:
         return "xfail", reason
@@ -63,7 +63,7 @@ def waiver_of(report: pytest.TestReport) -> tuple[str, str] | None:
 
 
 class GivenFiles:
-    """Read once, by the controller.
+    """Baseline and argument that the user gives, read once by the controller.
 
     Args:
         context: The session's context.
@@ -72,28 +72,29 @@ class GivenFiles:
     def __init__(self, context: SessionContext) -> None:
         self.context = context
         self.baseline: Baseline | None = None
-        """What the session is compared with."""
+        """The earlier evidence that the session is compared with."""
         self.argument: dict[str, Any] | None = None
         """Over which the assurance case is built; as the record has it."""
 
     def read(self) -> None:
-        """Read both, before the session's own record takes the place of an earlier one.
+        """Read both, before the session's own record replaces an earlier one.
 
         Raises:
             ConfigurationError: If one cannot be used.
         """
-        if not self.context.is_worker:
-            self._read_baseline()
-            self._read_argument()
+        options, config = self.context.options, self.context.config
+        if self.context.is_worker:
+            return
+        if options.baseline is not None:
+            from pytest_dura.evidence.baseline import Baseline
 
-    def _read_argument(self) -> None:
-        given = self.context.options.argument
-        if given is not None:
+            self.baseline = Baseline.read(options.baseline, config.invocation_params.dir)
+        if options.argument is not None:
             from pytest_dura.provenance import recorded_path
             from pytest_dura.reports.gsn.user_argument import read_user_argument
 
-            name = recorded_path(given, self.context.config.rootpath)
-            self.argument = {**read_user_argument(given), "path": name}
+            name = recorded_path(options.argument, config.rootpath)
+            self.argument = {**read_user_argument(options.argument), "path": name}
 
     def check_argument(self) -> None:
         """Check that the requirements to which the user's argument refers are in the session.
@@ -112,21 +113,14 @@ class GivenFiles:
             known.update(self.context.library().requirements)
         check_requirements(self.argument, known - {""})
 
-    def _read_baseline(self) -> None:
-        given = self.context.options.baseline
-        if given is not None:
-            from pytest_dura.evidence.baseline import Baseline
-
-            self.baseline = Baseline.read(given, self.context.config.invocation_params.dir)
-
-    def compared(self, record: SessionRecord) -> SessionRecord:
-        """The record beside the baseline."""
+    def with_baseline(self, record: SessionRecord) -> SessionRecord:
+        """Add the comparison with the baseline to a record."""
         finished = None if record["status"] == "running" else record
         baseline = None if self.baseline is None else self.baseline.to_json(finished)
         return replace(record, head={**record.head, "baseline": baseline})
 
-    def worse(self, record: SessionRecord) -> list[str]:
-        """What ``--dura-baseline-worse=fail`` does not let pass."""
+    def regressions(self, record: SessionRecord) -> list[str]:
+        """List what ``--dura-baseline-worse=fail`` does not let pass."""
         if not self.context.options.fail_worse:
             return []
         from pytest_dura.evidence.baseline import regression_objections
@@ -137,10 +131,10 @@ class GivenFiles:
 Expected = tuple[str, dict[str, Any], dict[str, Any]]
 
 
-def expected_items(
+def _expected_items(
     context: SessionContext, roles: SessionRoles, chosen: Iterable[str]
 ) -> list[Expected]:
-    """Node id, requirement and case of each chosen scenario item, as the evidence holds them.
+    """Return node id, requirement and case of each chosen scenario item, as recorded.
 
     There may be tens of thousands of cases: what many of them share is looked up once.
 
@@ -151,25 +145,25 @@ def expected_items(
     """
     if not context.plan:
         return []
-    wanted, requirements = set(chosen), context.library().requirements
+    chosen_ids, requirements = set(chosen), context.library().requirements
     names = {name for planned in context.plan for name in planned.requirements}
-    told = {name: requirements[name].to_json() for name in sorted(names)}
+    recorded = {name: requirements[name].to_json() for name in sorted(names)}
     component_of = _Components(context, roles)
-    found: list[Expected] = []
+    expected: list[Expected] = []
     for planned in context.plan:
         case = planned.case
-        items = [(f"{case.id}::{name}", told[name]) for name in planned.requirements]
-        items = [one for one in items if one[0] in wanted]
+        items = [(f"{case.id}::{name}", recorded[name]) for name in planned.requirements]
+        items = [item for item in items if item[0] in chosen_ids]
         if items:
             runs = context.options.runs or case.scenario.planned
             off = case.roles_off(roles.chosen())
             record = case_record(case, component_of(case), runs, context.options.runs, off)
-            found += [(item, requirement, record) for item, requirement in items]
-    return found
+            expected += [(item, requirement, record) for item, requirement in items]
+    return expected
 
 
 class _Components:
-    """The names of the components under test, as far as they are known before anything runs."""
+    """Names of the components under test, as far as known before anything runs."""
 
     def __init__(self, context: SessionContext, roles: SessionRoles) -> None:
         self._overrides = roles.chosen()
@@ -177,7 +171,7 @@ class _Components:
         self._known: dict[tuple[str, tuple[str, ...]], str] = {}
 
     def __call__(self, case: Case) -> str:
-        """That of a case; its faults make no difference."""
+        """Name the component of a case; its faults make no difference."""
         if self._in_conftest:
             from pytest_dura.evidence.gather import UNKNOWN_COMPONENT
 
@@ -225,12 +219,12 @@ class SessionEvidence:
         self.objections: list[str] = []
         """What the terminal says against the session beside its verdicts."""
         self._lock: DirectoryLock | None = None
-        self._begun = perf_counter()
-        self._spent = 0.0
+        self._started = perf_counter()
+        self._seconds_spent = 0.0
         self.interrupted = False
         """Whether a key or ``pytest.exit`` ended it, whatever the exit code."""
         self._any_report = False
-        self._due: set[str] = set()
+        self._unreported: set[str] = set()
         """Items of ours that have not reported yet, where this process runs them."""
         self._claiming: set[str] = set()
         self._failed: set[str] = set()
@@ -238,7 +232,7 @@ class SessionEvidence:
         self._expected: list[str] = []
 
     def start(self, *, late: bool = False) -> None:
-        """Begin the record. What a killed session leaves behind says that it was running.
+        """Begin the record, which says that the session runs until it is finished.
 
         Args:
             late: Whether workers may have written traces already.
@@ -291,55 +285,56 @@ class SessionEvidence:
             return
 
         self._expected = items
-        expected = expected_items(self.context, self._roles, items)
-        for one in self.context.redact(expected):  # as the items themselves will tell it
-            self.record.expect(*one)
+        expected = _expected_items(self.context, self._roles, items)
+        for item in self.context.redact(expected):  # as the items themselves will tell it
+            self.record.expect(*item)
 
-    def read_from(self, items: list[str], claiming: Iterable[str] = ()) -> None:
-        """Note the tests that will run, and their files, as near as can be to when they were read.
+    def note_tests(self, items: list[str], claiming: Iterable[str] = ()) -> None:
+        """Note the tests that will run, and hash their files close to when they were read.
 
         Args:
             items: Node ids of tests that use the runner.
             claiming: Those of them whose reports carry what they are to decide.
         """
         if self.record is not None:
-            self._due.update(items)
+            self._unreported.update(items)
             self._claiming.update(claiming)
             for item in items:
-                self._sources().item(item)
+                self._sources().add_item(item)
 
     def gather(self, report: pytest.TestReport) -> None:
-        """Take in what an item told."""
+        """Take what an item recorded out of its report, and into the session's record."""
         if self.context.is_worker:
             return
-        begun, self._any_report = perf_counter(), True
+        started, self._any_report = perf_counter(), True
         # Terminal and others keep the reports of all items.
-        told = vars(report).pop(REPORT_ATTRIBUTE, None)
-        if told is not None or report.nodeid not in self._claiming:
-            self._due.discard(report.nodeid)
+        item_report = vars(report).pop(REPORT_ATTRIBUTE, None)
+        if item_report is not None or report.nodeid not in self._claiming:
+            self._unreported.discard(report.nodeid)
         if report.failed:
             self._failed.add(report.nodeid)
-        if told is not None:
-            self._add(json.loads(told))
-        if self.record is not None:
-            self._waive(report)
-        self._spent += perf_counter() - begun
+        if item_report is not None:
+            self._add(json.loads(item_report))
+        waiver = _waiver_of(report)
+        if self.record is not None and waiver is not None:
+            self.record.waive(*self.context.redact([report.nodeid, *waiver]))
+        self._seconds_spent += perf_counter() - started
 
     def take(self, part: str) -> None:
-        """Take in episodes of the item that is running in this process; see ItemReport."""
+        """Add episodes of the item that runs in this process; see ItemReport."""
         from pytest_dura.evidence.episodes import unpack_report
 
-        begun = perf_counter()
+        started = perf_counter()
         self._add(unpack_report(part))
-        self._spent += perf_counter() - begun
+        self._seconds_spent += perf_counter() - started
 
-    def _add(self, told: dict[str, Any]) -> None:
+    def _add(self, item_report: dict[str, Any]) -> None:
         self.start(late=True)
         if self.record is None:
             return
         try:
-            self.record.add(told)
-            self._sources().add_report(told)
+            self.record.add(item_report)
+            self._sources().add_report(item_report)
         except ConfigurationError as error:
             # Without its episodes there is nothing that the session could still show.
             pytest.exit(error_text(error))
@@ -367,8 +362,8 @@ class SessionEvidence:
         finally:
             self._unlock()
 
-    def insist(self, session: pytest.Session) -> None:
-        """Let no plugin that comes later turn the exit code of a failed session into a success."""
+    def enforce_exit_code(self, session: pytest.Session) -> None:
+        """Keep later plugins from turning the exit code of a failed session into a success."""
         if self.record is None or session.exitstatus != pytest.ExitCode.OK:
             return
         code = int(pytest.ExitCode.INTERNAL_ERROR)  # the evidence was never written
@@ -382,7 +377,7 @@ class SessionEvidence:
             session.exitstatus = code
 
     def _missing_reports(self, session: pytest.Session) -> list[str]:
-        """What other plugins kept from running, in a session that they let end as a success."""
+        """List what other plugins kept from running in a session that ends as a success."""
         shard = self._shard()
         if shard is not None and shard.lost is not None:
             return [shard.lost]
@@ -390,14 +385,14 @@ class SessionEvidence:
             return []
         if session.exitstatus == pytest.ExitCode.OK and not self._any_report:
             return ["no test was run"]
-        return [f"{name} never told what it came to" for name in sorted(self._due)]
+        return [f"{name} never told what it came to" for name in sorted(self._unreported)]
 
     def _judged(self, session: pytest.Session) -> tuple[Gate, SessionRecord]:
-        """What the session comes to, and its record."""
+        """Judge the session; returns the gate and the concluded record."""
         assert self.record is not None
-        begun = perf_counter()
+        started = perf_counter()
         stopped = self.interrupted or bool(session.shouldstop or session.shouldfail)
-        interrupted = stopped or session.exitstatus not in REGULAR_EXIT_CODES
+        interrupted = stopped or session.exitstatus not in _REGULAR_EXIT_CODES
         status: Status = "interrupted" if interrupted else "complete"
         warn_undecided = self.context.options.warn_undecided
         header = {
@@ -405,10 +400,10 @@ class SessionEvidence:
             "selection": self._selection.to_json(),
             "shard": self._shard_json(),
         }
-        self.record.header = self._properties.described(header)
-        record = self.given.compared(self.record.record(status))
-        told = [*self.record.problems, *self.record.objections]
-        self.objections = [*told, *self.given.worse(record)]
+        self.record.header = self._properties.with_profile(header)
+        record = self.given.with_baseline(self.record.record(status))
+        recorded = [*self.record.problems, *self.record.objections]
+        self.objections = [*recorded, *self.given.regressions(record)]
         if self.context.options.require_repeatable:
             from pytest_dura.evidence.gate import repeat_objections
 
@@ -427,24 +422,24 @@ class SessionEvidence:
         if session.exitstatus == pytest.ExitCode.OK and not interrupted:
             # Of runs that `-k` left out, or a violation that a test caught.
             self.objections += [
-                f"the gate fails: {one}, though every test passed"
-                for one in verdict_objections(
+                f"the gate fails: {objection}, though every test passed"
+                for objection in verdict_objections(
                     record["verdicts"], record["searches"], warn_undecided=warn_undecided
                 )
             ]
         concluded = self._concluded(status, gate, record)
-        self._spent += perf_counter() - begun
+        self._seconds_spent += perf_counter() - started
         return gate, concluded
 
     def _concluded(
         self, status: Status, gate: Gate, record: SessionRecord | None = None
     ) -> SessionRecord:
-        """The record with everything that follows from it."""
+        """Return the record with everything that follows from it."""
         assert self.record is not None
         from pytest_dura.evidence.conclude import conclude_record
 
         if record is None:
-            record = self.given.compared(self.record.record(status))
+            record = self.given.with_baseline(self.record.record(status))
         if status != "running":
             record = self._models.completed(record, self._sources())
         return conclude_record(
@@ -452,8 +447,8 @@ class SessionEvidence:
             finished=None if status == "running" else _now(),
             gate=gate.to_json(),
             inputs=self._sources().to_json(),
-            wall_seconds=perf_counter() - self._begun,
-            evidence_seconds=self._spent,
+            wall_seconds=perf_counter() - self._started,
+            evidence_seconds=self._seconds_spent,
             redact=self.context.redact,
         )
 
@@ -467,19 +462,13 @@ class SessionEvidence:
             self._lock = None
 
     def _sources(self) -> SessionInputs:
-        """The files that the session is run from, as far as it is known by now."""
+        """Return the files that the session is run from, as far as known by now."""
         if self._inputs is None:
             from pytest_dura.plugin.inputs import SessionInputs
 
             self._inputs = SessionInputs(self.context, self.given.baseline)
             self._inputs.begin()
         return self._inputs
-
-    def _waive(self, report: pytest.TestReport) -> None:
-        assert self.record is not None
-        waiver = waiver_of(report)
-        if waiver is not None:
-            self.record.waive(*self.context.redact([report.nodeid, *waiver]))
 
 
 def _now() -> str:

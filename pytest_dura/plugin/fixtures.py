@@ -131,14 +131,13 @@ def episode(
 
     target = _target(request)
     try:
-        found = orchestrator.episode(target.case, target.run, planned=target.planned)
-        return ObservedEpisode.of(found)
+        simulated = orchestrator.episode(target.case, target.run, planned=target.planned)
+        return ObservedEpisode.of(simulated)
     except ConfigurationError as error:
         raise pytest.fail.Exception(str(error), pytrace=False) from None
 
 
 def _target(request: pytest.FixtureRequest) -> Target:
-    """What the marker ``dura`` made of this test."""
     target: Target | None = getattr(request, "param", None)
     if target is None:
         error = ConfigurationError(

@@ -21,7 +21,7 @@ BUILTIN = "pytest_dura/scenarios"
 
 
 class SessionInputs:
-    """The inputs of one session; for the controller.
+    """Input files of one session; used by the controller.
 
     Args:
         context: The session's context.
@@ -33,11 +33,11 @@ class SessionInputs:
 
         self.context = context
         self.inputs = InputFiles(context.config.rootpath, dict.fromkeys(builtin_paths(), BUILTIN))
-        self._compared = baseline
+        self._baseline = baseline
         self._seen: set[tuple[str, str]] = set()
 
     def begin(self) -> None:
-        """What options and settings name, and what the planned scenarios rest on."""
+        """Add what options and settings name, and what the planned scenarios rest on."""
         config, options = self.context.config, self.context.options
         here = config.invocation_params.dir
         if config.inipath is not None:
@@ -49,89 +49,85 @@ class SessionInputs:
             self.inputs.add("argument", options.argument)
         if options.llm == "replay" and options.cassette is not None:
             self.inputs.add("cassette", options.cassette)
-        self._baseline(here)
-        for planned in self.context.plan:
-            self._scenario(planned.case.scenario.name)
-            for requirement in planned.requirements:
-                self._requirement(requirement)
+        if self._baseline is not None:
+            from pytest_dura.evidence.bundle import RECORD_FILE
 
-    def item(self, item: str) -> None:
-        """The test module of a node id, with the ``conftest.py`` files that it sees."""
-        path = item.partition("::")[0]
-        if not path.endswith(".py") or not self._new("item", path):
+            file = here / self._baseline.path
+            file = file / RECORD_FILE if file.is_dir() else file
+            self.inputs.add("baseline", file, self._baseline.sha256)
+        for planned in self.context.plan:
+            self._add_scenario(planned.case.scenario.name)
+            for requirement in planned.requirements:
+                self._add_requirement(requirement)
+
+    def add_item(self, node_id: str) -> None:
+        """Add the test module of a node id, with the ``conftest.py`` files that it sees."""
+        path = node_id.partition("::")[0]
+        if not path.endswith(".py") or not self._is_new("item", path):
             # A scenario item sees the root's alone.
-            self._conftests(self.context.config.rootpath)
+            self._add_conftests(self.context.config.rootpath)
             return
         file = self.context.config.rootpath / path
         self.inputs.add("test", file)
-        self._conftests(file.parent)
+        self._add_conftests(file.parent)
 
     def add_report(self, report: Data) -> None:
-        """What an item told, of :class:`pytest_dura.evidence.gather.ItemReport`."""
-        self.item(report["item"])
+        """Add what a report of :class:`pytest_dura.evidence.gather.ItemReport` names."""
+        self.add_item(report["item"])
         for component in report["components"]:
             self.inputs.add_reported("component", component["files"])
-            self._imported("component", component["path"])
+            self._add_imports("component", component["path"])
         for case in (*report["cases"], *(claim["case"] for claim in report["claims"])):
-            self._scenario(case["scenario"])
+            self._add_scenario(case["scenario"])
         for requirement in report["requirements"]:
-            self._requirement(requirement["id"], requirement)
+            self._add_requirement(requirement["id"], requirement)
         for episode in report["episodes"]:
             spec = episode["spec"]
             roles = {name: role["path"] for name, role in spec["roles"].items()}
-            self._roles(spec["simulator"]["path"], roles)
+            self._add_roles(spec["simulator"]["path"], roles)
         for search in report["searches"]:
-            self._scenario(search["scenario"])
-            self._roles(search["simulator"], search["roles"])
+            self._add_scenario(search["scenario"])
+            self._add_roles(search["simulator"], search["roles"])
 
-    def _roles(self, simulator: str, roles: Mapping[str, str]) -> None:
-        """The simulator and the roles, the component under test apart, by their import paths."""
-        self._module("role", simulator)
-        self._imported("role", simulator)
+    def _add_roles(self, simulator: str, roles: Mapping[str, str]) -> None:
+        """Add simulator and roles by their import paths, without the component under test."""
+        self._add_module("role", simulator)
+        self._add_imports("role", simulator)
         for name, path in roles.items():
             if name != "generator":
-                self._module("role", path)
-                self._imported("role", path)
+                self._add_module("role", path)
+                self._add_imports("role", path)
 
     def to_json(self) -> list[dict[str, Any]]:
         """The record's key ``inputs``, with the files as they are at the end."""
         return self.inputs.to_json()
 
-    def _baseline(self, here: Path) -> None:
-        baseline = self._compared
-        if baseline is not None:
-            from pytest_dura.evidence.bundle import RECORD_FILE
-
-            file = here / baseline.path
-            file = file / RECORD_FILE if file.is_dir() else file
-            self.inputs.add("baseline", file, baseline.sha256)
-
-    def _scenario(self, name: str) -> None:
-        if self._new("scenario", name):
+    def _add_scenario(self, name: str) -> None:
+        if self._is_new("scenario", name):
             scenario = self.context.library().scenarios.get(name)
             if scenario is not None and scenario.file:
                 self.inputs.add("scenario", Path(scenario.file))
                 for requirement in scenario.requirements:
-                    self._requirement(requirement)
+                    self._add_requirement(requirement)
 
-    def _requirement(self, name: str, told: Data | None = None) -> None:
-        if not self._new("requirement", name):
+    def _add_requirement(self, name: str, definition: Data | None = None) -> None:
+        if not self._is_new("requirement", name):
             return
         library = self.context.library()
         file = library.defined_in.get(name)
         if file is not None:
             self.inputs.add("requirements", Path(file))
-            told = library.requirements[name].to_json()
-        if told is not None:
-            self._module("check", told["check"])
-            self._module("check", (told["paired"] or {}).get("measure", ""))
+            definition = library.requirements[name].to_json()
+        if definition is not None:
+            self._add_module("check", definition["check"])
+            self._add_module("check", (definition["paired"] or {}).get("measure", ""))
 
-    def _module(self, kind: InputKind, path: str) -> None:
-        """The user's own file behind ``package.module:name`` or ``tests/conftest.py:name``."""
+    def _add_module(self, kind: InputKind, path: str) -> None:
+        """Add the user's own file behind ``package.module:name`` or ``tests/conftest.py:name``."""
         from pytest_dura.requirements.checks import is_function_path
 
         module, _, _ = path.strip().rpartition(":")
-        if module.startswith("pytest_dura.") or not module or not self._new(kind, module):
+        if module.startswith("pytest_dura.") or not module or not self._is_new(kind, module):
             return
         if module.endswith(".py"):
             self.inputs.add(kind, self.context.config.rootpath / module)
@@ -140,10 +136,10 @@ class SessionInputs:
             if file is not None and not is_installed(file):
                 self.inputs.add(kind, file)
 
-    def _imported(self, kind: InputKind, path: str) -> None:
-        """The user's own files beside the one behind a path: its package, and what they import."""
+    def _add_imports(self, kind: InputKind, path: str) -> None:
+        """Add the user's own files beside the one behind a path: package and imports."""
         module = path.strip().rpartition(":")[0]
-        if not self._new(f"{kind} imports", module) or module.startswith("pytest_dura."):
+        if not self._is_new(f"{kind} imports", module) or module.startswith("pytest_dura."):
             return
         if module.endswith(".py"):
             file: Path | None = self.context.config.rootpath / module
@@ -153,20 +149,21 @@ class SessionInputs:
         if file is None or is_installed(file):
             return
         code = user_code(file, module)
-        for one in code.files if code is not None and len(code.files) <= MAX_LISTED_FILES else ():
-            self.inputs.add(kind, one)
+        if code is not None and len(code.files) <= MAX_LISTED_FILES:
+            for source in code.files:
+                self.inputs.add(kind, source)
 
-    def _conftests(self, folder: Path) -> None:
-        if not self._new("folder", str(folder)):
+    def _add_conftests(self, folder: Path) -> None:
+        if not self._is_new("folder", str(folder)):
             return
         root = self.context.config.rootpath
-        for one in (folder, *folder.parents):
-            if not one.is_relative_to(root):
+        for parent in (folder, *folder.parents):
+            if not parent.is_relative_to(root):
                 break
-            if self._new("conftest", str(one)) and (one / "conftest.py").is_file():
-                self.inputs.add("conftest", one / "conftest.py")
+            if self._is_new("conftest", str(parent)) and (parent / "conftest.py").is_file():
+                self.inputs.add("conftest", parent / "conftest.py")
 
-    def _new(self, kind: str, name: str) -> bool:
+    def _is_new(self, kind: str, name: str) -> bool:
         if (kind, name) in self._seen:
             return False
         self._seen.add((kind, name))
@@ -174,7 +171,7 @@ class SessionInputs:
 
 
 def _file_of(module: str) -> Path | None:
-    """The source of a module, imported or not; importing it is not our business."""
+    """Source file of a module, which is not imported for that."""
     from importlib.util import find_spec
 
     loaded = sys.modules.get(module)

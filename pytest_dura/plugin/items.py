@@ -1,8 +1,15 @@
-"""Scenario items, one per case and requirement, such as ``intersection/nominal::SAF-1``."""
+"""The items of a session: scenario items, what ``-k`` and the like left of all, and shards.
+
+A scenario item is a case and a requirement, such as ``intersection/nominal::SAF-1``.
+``--dura-shard=2/5`` runs the second of five parts of a session, for jobs of a CI. It is split
+into units: items that share episodes, and so run in one shard.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import json
+from collections import Counter, defaultdict
+from collections.abc import Generator, Iterable, Iterator, Mapping, MutableMapping, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -14,16 +21,21 @@ from pytest_dura.plugin.context import replay_command, rerun_command
 if TYPE_CHECKING:
     import os
 
+    from xdist.workermanage import WorkerController
+
+    from pytest_dura.evidence.sessions import ShardUnit
+    from pytest_dura.library.cases import Case
     from pytest_dura.plugin.context import Planned, SessionContext
+    from pytest_dura.plugin.options import Shard
     from pytest_dura.runner import Runner
 
 
-COLLECTOR = "::scenarios"
+_COLLECTOR = "::scenarios"
 """The node that collects all cases; no path is called so, whose conftest would apply."""
 
 
 class ScenarioCases(pytest.Collector):
-    """Collects the items of all planned cases at once: a report for each would take its time.
+    """Collector of the items of all planned cases at once: each collector takes a report.
 
     It is no file: ``--lf`` would pass over it.
     """
@@ -31,7 +43,7 @@ class ScenarioCases(pytest.Collector):
     context: SessionContext
 
     def collect(self) -> Iterator[pytest.Item]:
-        """The items of each case in the order of the plan."""
+        """Yield the items of each case in the order of the plan."""
         for planned in self.context.plan:
             name = planned.case.id
             # The root's path lets the root conftest apply, wherever the scenario file lies.
@@ -43,26 +55,26 @@ class ScenarioCases(pytest.Collector):
 
     @cached_property
     def fixtures(self) -> Any:
-        """The fixtures of all items, which are the same: those of plugins and the root conftest."""
+        """Fixtures of all items, which are the same: of plugins and the root conftest."""
         first = pytest.Function.from_parent(self, name="fixtures", callobj=_judge)
         return first._fixtureinfo  # noqa: SLF001 - it is what `Function` takes as `fixtureinfo`
 
     @cached_property
     def markers(self) -> dict[str, pytest.MarkDecorator]:
-        """The markers of the items, by their requirement."""
+        """Markers of the items, by their requirement."""
         known = self.context.library().requirements
         names = {name for planned in self.context.plan for name in planned.requirements}
         return {name: pytest.mark.requirement(name, text=known[name].text) for name in names}
 
 
 class ScenarioCase(pytest.Collector):
-    """The parent of the items of one case."""
+    """Collector of the items of one case."""
 
     planned: Planned
     cases: ScenarioCases
 
     def collect(self) -> Iterator[pytest.Item]:
-        """One item per requirement."""
+        """Yield one item per requirement."""
         for name in self.planned.requirements:
             item = ScenarioItem.from_parent(
                 self, name=name, callobj=_judge, fixtureinfo=self.cases.fixtures
@@ -73,31 +85,31 @@ class ScenarioCase(pytest.Collector):
 
 
 class ScenarioItem(pytest.Function):
-    """Judges one requirement on all episodes of a case."""
+    """Item that judges one requirement on all episodes of a case."""
 
     context: SessionContext
     planned: Planned
 
     def reportinfo(self) -> tuple[os.PathLike[str] | str, int | None, str]:
-        """Where the scenario stands."""
+        """Return the place of the scenario."""
         scenario = self.planned.case.scenario
         line = scenario.line_of("requirements") or 1
         return scenario.file, line - 1, self.nodeid
 
 
 def scenario_items(context: SessionContext, root: pytest.Session) -> list[pytest.Item]:
-    """The items of all planned cases."""
+    """Collect the items of all planned cases."""
     cases = ScenarioCases.from_parent(
-        root, name=COLLECTOR, nodeid=COLLECTOR, path=context.config.rootpath
+        root, name=_COLLECTOR, nodeid=_COLLECTOR, path=context.config.rootpath
     )
     cases.context = context
     return list(root.genitems(cases))
 
 
 def _judge(request: pytest.FixtureRequest, _dura_roles: None, orchestrator: Runner) -> None:
-    """What each item runs, whose case and requirement it is that it asks for."""
+    """Judge the requirement of the item on its case: the function that each item runs."""
     from pytest_dura.campaign.reporting import explain_verdict
-    from pytest_dura.plugin.junit import ending_events
+    from pytest_dura.plugin.item_reports import ending_events
     from pytest_dura.plugin.outcomes import ItemResult
 
     context, planned = request.node.context, request.node.planned
@@ -112,11 +124,339 @@ def _judge(request: pytest.FixtureRequest, _dura_roles: None, orchestrator: Runn
         return
     lines = explain_verdict(verdict, requirement, campaign.failures)
     if verdict.counterexamples:
-        found = ItemResult(requirement, planned.case, verdict=verdict.to_json())
-        lines += [f"event:    {line}" for line in ending_events(context, found)]
+        item_result = ItemResult(requirement, planned.case, verdict=verdict.to_json())
+        lines += [f"event:    {line}" for line in ending_events(context, item_result)]
         lines.append("replay:   " + replay_command(context, verdict.counterexamples[0].episode))
     lines.append("rerun:    " + rerun_command(context, f"{planned.case.id}::{requirement.id}"))
     message = "\n".join(lines)
     if verdict.verdict == "undecided" and context.options.warn_undecided:
         pytest.skip(message)
     pytest.fail(message, pytrace=False)
+
+
+_MOST_LISTED = 20
+"""Verdicts that are named of those that were left out."""
+_SELECTION_KEY = "dura_selection"
+"""Key of what a worker of pytest-xdist tells the controller, which collects nothing."""
+
+
+class Selection:
+    """Counts what ``-k``, ``--deselect``, a conftest and ``--dura-runs`` leave of the plan.
+
+    The plan is what the arguments name: every verdict that the collected tests and scenario items
+    would come to.
+
+    Args:
+        context: The session's context.
+    """
+
+    def __init__(self, context: SessionContext) -> None:
+        self.context = context
+        self._planned: dict[str, int] = {}
+        """Runs that are declared for each verdict."""
+        self._selected: dict[str, Any] = {
+            "planned": 0, "asked": 0, "left_out": [], "runs": None, "declared_runs": [],
+        }  # fmt: skip
+
+    def plan(self, items: Sequence[pytest.Item]) -> None:
+        """Note the verdicts of all items that were collected."""
+        self._planned = dict(self._verdicts(items))
+
+    def select(self, items: Sequence[pytest.Item]) -> None:
+        """Note the verdicts of those items that are left."""
+        selected = dict(self._verdicts(items))
+        left_out = [name for name in self._planned if name not in selected]
+        runs = self.context.options.runs
+        fewer = {declared for declared in selected.values() if runs is not None and runs < declared}
+        self._selected = {
+            "planned": len(self._planned | selected),
+            "asked": len(selected),
+            "left_out": sorted(left_out)[:_MOST_LISTED],
+            "runs": runs if fewer else None,
+            "declared_runs": [min(fewer), max(fewer)] if fewer else [],
+        }
+
+    def to_json(self) -> dict[str, Any]:
+        """The record's key ``selection``."""
+        return self._selected
+
+    def send_to_controller(self, workeroutput: MutableMapping[str, Any]) -> None:
+        """Add to a worker's output what it collected."""
+        workeroutput[_SELECTION_KEY] = json.dumps(self._selected)
+
+    def receive_from_worker(self, workeroutput: Mapping[str, Any]) -> None:
+        """Take over what a worker collected; each collects the same."""
+        if _SELECTION_KEY in workeroutput:
+            self._selected = json.loads(workeroutput[_SELECTION_KEY])
+
+    def _verdicts(self, items: Sequence[pytest.Item]) -> Iterator[tuple[str, int]]:
+        """Yield the verdicts that items would come to, each with its declared runs."""
+        from pytest_dura.plugin.outcomes import target_of
+
+        known: dict[tuple[str, str], list[str]] = {}
+        for item in items:
+            target = target_of(item)
+            if hasattr(item, "planned"):
+                yield item.nodeid, target.case.scenario.planned
+            elif target is not None:
+                key = item.nodeid.partition("[")[0], target.case.id
+                if key not in known:
+                    known[key] = self._decided_by(item, *key)
+                for name in known[key]:
+                    yield name, target.declared
+
+    def _decided_by(self, item: pytest.Item, test: str, case: str) -> list[str]:
+        """List the verdicts of a test on a case: one per requirement, or its own."""
+        from pytest_dura.plugin.markers import decides_nothing, marked_requirements
+
+        if decides_nothing(item):
+            return []
+        try:
+            names = [requirement.id for requirement in marked_requirements(self.context, item)]
+        except ConfigurationError:  # the test's own error says so
+            names = []
+        return [f"{name} on {case} by {test}" for name in dict.fromkeys(names)] or [
+            f"{test} on {case}"
+        ]
+
+
+_SHARD_KEY = "dura_shard"
+"""Key of what a worker tells the controller, which does not collect."""
+_LOST_ITEMS_KEY = "dura_shard_lost"
+_MAY_DIFFER = frozenset(
+    f"dura_{name}"
+    for name in (
+        "scenarios", "path", "select", "list", "seed", "evidence", "evidence_level", "replay",
+        "reduce", "undecided", "baseline", "baseline_worse", "argument", "cassette", "shard",
+        "resume", "reuse", "executor",
+    )
+)  # fmt: skip
+"""Options that may differ between shards, or that stand in the record by themselves. Any other
+one is compared when shards are merged, so that a new option does not escape by being new."""
+
+_COMPARED_OPTIONS_OF_OTHERS = ("override_ini", "runxfail", "reruns", "only_rerun", "rerun_except")
+"""Options of others by which a failure may be none, or another configuration is read."""
+_DISPLAY_SETTINGS = (
+    "junit_",
+    "log_",
+    "console_",
+    "cache_",
+    "tmp_path_",
+    "faulthandler_",
+    "dura_progress",
+)
+"""How settings begin that ``-o`` may change in one shard alone."""
+
+
+class ShardHooks:
+    """Keeps the items of one shard, after every other plugin has chosen among them.
+
+    The session is split into what it would run as a whole: after ``-k``, ``-m``, ``--deselect``,
+    ``--lf``. Shards whose choice differed have different plans, and are never merged.
+
+    Args:
+        context: The session's context.
+        shard: Which part it is to run.
+    """
+
+    def __init__(self, context: SessionContext, shard: Shard) -> None:
+        self.context, self.shard = context, shard
+        self._split: dict[str, Any] | None = None
+        """Plan, units and what this shard holds, once items were collected."""
+        self.lost: str | None = None
+        """What stands against the shard: items that it holds and that do not run."""
+        self._own_items: list[pytest.Item] = []
+
+    def to_json(self) -> dict[str, Any]:
+        """The record's key ``shard``."""
+        split = self._split or {"plan": None, "units": None, "holds": []}
+        return {**vars(self.shard), "options": _compared_options(self.context.config), **split}
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether the session has units, and this shard rightly holds none of them."""
+        return self._split is not None and self._split["units"] > 0 and not self._split["holds"]
+
+    @pytest.hookimpl(wrapper=True, tryfirst=True)
+    def pytest_collection_modifyitems(
+        self, config: pytest.Config, items: list[pytest.Item]
+    ) -> Generator[None, Any, Any]:
+        """Deselect the items of other shards."""
+        from pytest_dura.evidence.sessions import plan_digest, split_units
+
+        result = yield
+        units = _units_of(self.context, items)
+        holds = split_units(units, self.shard.count)[self.shard.index - 1]
+        kept = {id(item) for unit in holds for item in units[unit]}
+        deselected = [item for item in items if id(item) not in kept]
+        self._own_items = items[:] = [item for item in items if id(item) in kept]
+        if deselected:
+            config.hook.pytest_deselected(items=deselected)
+        self._split = {
+            "plan": plan_digest(units),
+            "units": len(units),
+            "holds": [unit.to_json() for unit in holds],
+        }
+        if self.context.is_worker:
+            config.workeroutput[_SHARD_KEY] = json.dumps(self._split)  # type: ignore[attr-defined]
+        return result
+
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_runtestloop(self, session: pytest.Session) -> None:
+        """Check that all items which this shard holds will run: no other shard runs them."""
+        present = set(map(id, session.items))
+        lost = [item.nodeid for item in self._own_items if id(item) not in present]
+        if lost:
+            self.lost = (
+                f"a plugin took out {len(lost)} of {len(self._own_items)} items after the session "
+                f"was split, the first of them {lost[0]}: no shard runs them; let it choose in "
+                "pytest_collection_modifyitems"
+            )
+        if self.context.is_worker:
+            session.config.workeroutput[_LOST_ITEMS_KEY] = self.lost  # type: ignore[attr-defined]
+
+    def pytest_report_collectionfinish(self) -> list[str]:
+        """Report what this shard holds."""
+        if self._split is None:
+            return []
+        held = self._split["holds"]
+        episodes, items = (sum(unit[key] for unit in held) for key in ("episodes", "items"))
+        text = f"{len(held)} of {self._split['units']} units, {items} items, {episodes} episodes"
+        return [f"dura: {self.shard} holds {text}"]
+
+    @pytest.hookimpl(optionalhook=True)
+    def pytest_testnodedown(self, node: WorkerController) -> None:
+        """Take over what a worker collected."""
+        split = getattr(node, "workeroutput", {}).get(_SHARD_KEY)
+        if split is not None:
+            self._split = json.loads(split)
+        self.lost = getattr(node, "workeroutput", {}).get(_LOST_ITEMS_KEY) or self.lost
+
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_sessionfinish(self, session: pytest.Session) -> None:
+        """Let a shard without items succeed, before its evidence is written."""
+        if self.is_empty and session.exitstatus == pytest.ExitCode.NO_TESTS_COLLECTED:
+            session.exitstatus = pytest.ExitCode.OK
+
+
+def _compared_options(config: pytest.Config) -> dict[str, str]:
+    """Return the options on which results depend, with their values as JSON."""
+    options = vars(config.option)
+    names = [name for name in options if name.startswith("dura_") and name not in _MAY_DIFFER]
+    given = {
+        name: options[name] for name in (*names, *_COMPARED_OPTIONS_OF_OTHERS) if name in options
+    }
+    settings = given.get("override_ini") or []
+    given["override_ini"] = sorted(
+        setting for setting in settings if not setting.startswith(_DISPLAY_SETTINGS)
+    )
+    return {
+        f"--{name.replace('_', '-')}": json.dumps(value, default=str)
+        for name, value in sorted(given.items())
+        if value not in (None, False) and value != []
+    }
+
+
+def _units_of(
+    context: SessionContext, items: Sequence[pytest.Item]
+) -> dict[ShardUnit, list[pytest.Item]]:
+    """Split the items into units: all items of a case, and of cases that share episodes.
+
+    A campaign that is compared with runs without faults runs those of another case, so that both
+    are one unit. What a test asks of a runner itself is not known before it runs: an episode that
+    two shards ran that way is told by both, and has to be the same one.
+
+    Args:
+        context: The session's context.
+        items: Those that the whole session would run.
+    """
+    from pytest_dura.evidence.sessions import ShardUnit
+
+    groups = _Groups()
+    tests: dict[str, list[pytest.Item]] = defaultdict(list)
+    of_cases: list[tuple[str, pytest.Item]] = []
+    for item in items:
+        planned_case = _planned_case_of(context, item)
+        if planned_case is None:
+            tests[item.nodeid].append(item)
+            continue
+        case, planned, faults_left_out = planned_case
+        groups.add(case.id, planned)
+        if faults_left_out:
+            twin = case.without_faults().id
+            groups.add(twin, planned)
+            groups.join(case.id, twin)
+        of_cases.append((case.id, item))
+    members: dict[str, list[pytest.Item]] = defaultdict(list)
+    names: dict[str, str] = {}
+    for name, item in of_cases:
+        root = groups.root(name)
+        members[root].append(item)
+        names[root] = min(names.get(root, name), name)
+    episodes = groups.episodes()
+    units: dict[ShardUnit, list[pytest.Item]] = {}
+    for root, own_items in members.items():
+        ids = [item.nodeid for item in own_items]
+        units[ShardUnit.of("case", names[root], ids, episodes[root])] = own_items
+    for name, own_items in tests.items():
+        # One that chooses its episodes itself has at least one, for all that is known.
+        runs = any("dura_metrics" in getattr(item, "fixturenames", ()) for item in own_items)
+        units[ShardUnit.of("test", name, [name] * len(own_items), int(runs))] = own_items
+    return units
+
+
+def _planned_case_of(context: SessionContext, item: pytest.Item) -> tuple[Case, int, bool] | None:
+    """Return an item's case, its planned runs, and whether it pairs them with fault-free runs."""
+    from pytest_dura.plugin.markers import Target
+
+    if isinstance(item, ScenarioItem):
+        case, names = item.planned.case, item.planned.requirements
+        runs = context.options.runs or case.scenario.planned
+        return case, runs, _pairs(context, case, names)
+    parameters = getattr(getattr(item, "callspec", None), "params", {})
+    for fixture in ("episode", "campaign"):
+        target = parameters.get(fixture)
+        if isinstance(target, Target):
+            requirements = () if target.requirement is None else (target.requirement.id,)
+            return target.case, target.planned, _pairs(context, target.case, requirements)
+    return None
+
+
+def _pairs(context: SessionContext, case: Case, names: Iterable[str]) -> bool:
+    """Whether one of these requirements compares runs with their fault-free twins."""
+    from pytest_dura.requirements.model import FAULTS
+
+    known = context.library().requirements
+    paired = [known[name].paired for name in names if name in known]
+    return bool(case.faults) and any(
+        pairing is not None and pairing.without == FAULTS for pairing in paired
+    )
+
+
+class _Groups:
+    """Cases that share episodes, as disjoint sets, and the episodes of each set."""
+
+    def __init__(self) -> None:
+        self._above: dict[str, str] = {}
+        self._planned: dict[str, int] = {}
+
+    def add(self, case: str, planned: int) -> None:
+        self._above.setdefault(case, case)
+        self._planned[case] = max(planned, self._planned.get(case, 0))
+
+    def root(self, case: str) -> str:
+        while self._above[case] != case:
+            self._above[case] = self._above[self._above[case]]
+            case = self._above[case]
+        return case
+
+    def join(self, case: str, other: str) -> None:
+        first, second = sorted((self.root(case), self.root(other)))
+        self._above[second] = first
+
+    def episodes(self) -> Counter[str]:
+        """Episodes of each group, by its root."""
+        counter: Counter[str] = Counter()
+        for case, planned in self._planned.items():
+            counter[self.root(case)] += planned
+        return counter

@@ -26,14 +26,14 @@ if TYPE_CHECKING:
 
 
 Data = dict[str, Any]
-MOST_MODELS = 3
+_MOST_MODELS = 3
 """So many models of a cassette are named in the header."""
-DEEDS = ("asked", "reused", "injected", "missed")
-_SESSIONS = "pytest_dura.llm.session"
+_OUTCOMES = ("asked", "reused", "injected", "missed")
+_SESSION_MODULE = "pytest_dura.llm.session"
 
 
 class LanguageModels:
-    """What one process knows of language models.
+    """Language models that the components of one process ask.
 
     Args:
         context: The session's context.
@@ -43,49 +43,51 @@ class LanguageModels:
     def __init__(self, context: SessionContext, roles: SessionRoles) -> None:
         self.context = context
         self._roles = roles
-        self._begun = False
-        self._before: ModelSession | None = None
+        self._has_begun = False
+        self._previous: ModelSession | None = None
         self._used: dict[tuple[Any, ...], Data] = {}
         self._latest: dict[tuple[str, str], tuple[Any, ...]] = {}
         self._counted: Counter[tuple[str, str, str]] = Counter()
         self._unsent: set[tuple[Any, ...]] = set()
         self._replayed: list[ModelDescription] = []
 
-    def send_to_worker(self, told: dict[str, Any]) -> None:
+    def send_to_worker(self, workerinput: dict[str, Any]) -> None:
         """Add what a worker has to know to its input."""
         if self.context.cassette is not None:
-            told["dura_cassette"] = str(self.context.cassette.absolute())
-            told["dura_llm_session"] = self._name
-        elif self._in_use is not None:
+            workerinput["dura_cassette"] = str(self.context.cassette.absolute())
+            workerinput["dura_llm_session"] = self._name
+        elif self._active is not None:
             # Each worker's own probe might come to something else, and so to another component.
-            told["dura_llm_described"] = [one.to_json() for one in self._in_use.descriptions]
+            workerinput["dura_llm_described"] = [
+                description.to_json() for description in self._active.descriptions
+            ]
 
     def begin(self) -> None:
-        """Let nothing of an earlier session of this process answer, and open the cassette.
+        """Open the cassette, and let nothing of an earlier session of this process answer.
 
         Raises:
             ConfigurationError: If the cassette cannot be used.
         """
-        if self._begun:
+        if self._has_begun:
             return
-        self._begun = True
-        self._before = self._put_to_use(None)
+        self._has_begun = True
+        self._previous = self._activate(None)
         self._name = self.context.worker_input.get("dura_llm_session") or os.urandom(8).hex()
         options = self.context.options
         if options.llm != "live":
             from pytest_dura.llm.session import ModelSession
 
-            made = ModelSession(
+            session = ModelSession(
                 options.llm, self.context.cassette, session=self._name, scrub=self.context.redact
             )
-            self._replayed = made.replayed
-            self._put_to_use(made)
+            self._replayed = session.replayed
+            self._activate(session)
         elif self.context.worker_input.get("dura_llm_described"):
             from pytest_dura.llm.session import ModelSession
 
-            made = ModelSession(session=self._name)
-            made.know(self.context.worker_input["dura_llm_described"])
-            self._put_to_use(made)
+            session = ModelSession(session=self._name)
+            session.know(self.context.worker_input["dura_llm_described"])
+            self._activate(session)
 
     def __enter__(self) -> None:
         """See :meth:`begin`."""
@@ -96,29 +98,29 @@ class LanguageModels:
         self.end()
 
     def end(self) -> None:
-        """Put everything back as it was before the session."""
-        if not self._begun:
+        """Restore the model session that was in use before."""
+        if not self._has_begun:
             return
-        self._begun = False
-        own = self._put_to_use(self._before)
-        if own is not None:
-            own.close()
+        self._has_begun = False
+        session = self._activate(self._previous)
+        if session is not None:
+            session.close()
 
-    def _put_to_use(self, session: ModelSession | None) -> ModelSession | None:
-        """See :func:`pytest_dura.llm.session.use`."""
-        module = sys.modules.get(_SESSIONS)
+    def _activate(self, session: ModelSession | None) -> ModelSession | None:
+        """Put a model session to use; returns the one that was in use."""
+        module = sys.modules.get(_SESSION_MODULE)
         before: ModelSession | None = None if module is None else module.use(session)
         return before
 
     @property
-    def _in_use(self) -> ModelSession | None:
-        """The session that is in use by now, if any is."""
-        module = sys.modules.get(_SESSIONS)
-        found: ModelSession | None = None if module is None else module.in_use()
-        return found
+    def _active(self) -> ModelSession | None:
+        """Model session that is in use by now, if any is."""
+        module = sys.modules.get(_SESSION_MODULE)
+        in_use: ModelSession | None = None if module is None else module.in_use()
+        return in_use
 
     def resolve_parameters(self) -> None:
-        """Settle the components that are known before anything runs, so that it fails here or not.
+        """Resolve the components that are known before anything runs, to fail early.
 
         Raises:
             ConfigurationError: If one cannot be settled, such as for a server that does not answer.
@@ -135,46 +137,46 @@ class LanguageModels:
             return [self._roles.default("generator")]
         if not context.plan or root_conftest_with(context.config, "generator") is not None:
             return []
-        found: list[RoleSpec] = []
+        role_specs: list[RoleSpec] = []
         for planned in context.plan:
             spec = planned.case.roles({})["generator"]
-            if spec not in found:
-                found.append(spec)
-        return found
+            if spec not in role_specs:
+                role_specs.append(spec)
+        return role_specs
 
     def replayed(self) -> list[str]:
-        """A line on who spoke, where a cassette answers, whatever component will ask it."""
+        """Header line on the recorded models, where a cassette answers."""
         if self.context.cassette is None or not self._replayed:
             return []
         from pytest_dura.provenance import recorded_path
 
-        spoke = [f"{each.spoken_of}, recorded {each.created[:10]}" for each in self._replayed]
-        if len(spoke) > MOST_MODELS:
-            spoke[MOST_MODELS:] = [f"and {len(spoke) - MOST_MODELS} more models"]
+        models = [f"{model.spoken_of}, recorded {model.created[:10]}" for model in self._replayed]
+        if len(models) > _MOST_MODELS:
+            models[_MOST_MODELS:] = [f"and {len(models) - _MOST_MODELS} more models"]
         file = recorded_path(self.context.cassette, self.context.config.rootpath)
-        return [f"dura: answers replayed from {file}: {'; '.join(spoke)}"]
+        return [f"dura: answers replayed from {file}: {'; '.join(models)}"]
 
     def header(self) -> list[str]:
-        """A line for each model that is known by now."""
-        session = self._in_use
+        """Header line for each model that is known by now."""
+        session = self._active
         lines = []
-        for one in [] if session is None else session.descriptions:
-            found = one.capabilities
-            kept = " (enforced)" if found.get("enforced") else " (not enforced)"
-            level = str(found.get("structured", "unknown"))
+        for description in [] if session is None else session.descriptions:
+            capabilities = description.capabilities
+            enforcement = " (enforced)" if capabilities.get("enforced") else " (not enforced)"
+            level = str(capabilities.get("structured", "unknown"))
             abilities = ", ".join(
-                f"{name} {'yes' if found.get(name) else 'no'}" for name in ("vision", "seed")
+                f"{name} {'yes' if capabilities.get(name) else 'no'}" for name in ("vision", "seed")
             )
             lines.append(
-                f"dura: language model {one.model} at {one.base_url} "
+                f"dura: language model {description.model} at {description.base_url} "
                 f"({self.context.options.llm}), structured output {level}"
-                f"{'' if level == 'none' else kept}, {abilities}"
-                f"{f'; {one.about}' if one.about else ''}"
+                f"{'' if level == 'none' else enforcement}, {abilities}"
+                f"{f'; {description.about}' if description.about else ''}"
             )
         return lines
 
     def prepare(self, spec: EpisodeSpec) -> None:
-        """Find the servers of an episode that is run again, before the component's time runs.
+        """Probe the servers of an episode that is run again, outside the component's time.
 
         Raises:
             ConfigurationError: If one does not answer.
@@ -189,17 +191,17 @@ class LanguageModels:
                 current().describe(model)
 
     def replay_warning(self) -> list[str]:
-        """A line, if a server was asked in this process, that its answers may be others now."""
-        session = self._in_use
+        """Warning, if a server was asked in this process, that its answers may differ."""
+        session = self._active
         counts = {} if session is None else session.counts
-        if not any(count for (*_, deed), count in counts.items() if deed == "asked"):
+        if not any(count for (*_, outcome), count in counts.items() if outcome == "asked"):
             return []
         advice = "--dura-llm=replay repeats what --dura-llm=record kept"
         return [f"  a language model was asked anew and may have answered otherwise; {advice}"]
 
     def used(self, spec: EpisodeSpec) -> None:
-        """An item looked at an episode: note the models that its settled specs state."""
-        if _SESSIONS not in sys.modules:
+        """Note the models that the resolved specs of a used episode state."""
+        if _SESSION_MODULE not in sys.modules:
             return
         from pytest_dura.execution.task import stated_model
 
@@ -207,42 +209,42 @@ class LanguageModels:
             stated = stated_model(role)
             if stated is not None:
                 key = (role.label, *stated, role.params.get("prompts"))
-                self._note(key)
+                self._register(key)
                 self._latest[stated] = key
 
     def take(self) -> list[Data]:
-        """What is new of the models that were used: how often they were asked so far, above all.
+        """Return the models that are new or were asked since the last call, with the counts so far.
 
         Returns:
             Entries for :class:`pytest_dura.evidence.episodes.ItemReport`.
         """
-        session = self._in_use
+        session = self._active
         if session is None:
             return []
-        now = Counter(session.counts)
-        for (model, fingerprint, deed), count in (now - self._counted).items():
+        counts = Counter(session.counts)
+        for (model, fingerprint, outcome), count in (counts - self._counted).items():
             key = self._latest.get((model, fingerprint), (None, model, fingerprint, None))
-            self._note(key)
-            self._used[key][deed] += count
+            self._register(key)
+            self._used[key][outcome] += count
             self._unsent.add(key)
-        self._counted = now
-        found = [self._entry(session, key) for key in sorted(self._unsent, key=str)]
+        self._counted = counts
+        entries = [self._entry(session, key) for key in sorted(self._unsent, key=str)]
         self._unsent.clear()
-        return found
+        return entries
 
     @contextmanager
     def uncounted(self) -> Iterator[None]:
-        """Context of a repetition, which is part of no count: nor is what it asks a model."""
-        before = Counter({} if self._in_use is None else self._in_use.counts)
+        """Context of a repetition, whose requests enter no count."""
+        before = Counter({} if self._active is None else self._active.counts)
         try:
             yield
         finally:
-            after = Counter({} if self._in_use is None else self._in_use.counts)
+            after = Counter({} if self._active is None else self._active.counts)
             self._counted += after - before
 
-    def _note(self, key: tuple[Any, ...]) -> None:
+    def _register(self, key: tuple[Any, ...]) -> None:
         if key not in self._used:
-            self._used[key] = dict.fromkeys(DEEDS, 0)
+            self._used[key] = dict.fromkeys(_OUTCOMES, 0)
             self._unsent.add(key)
 
     def _entry(self, session: ModelSession, key: tuple[Any, ...]) -> Data:
@@ -262,8 +264,8 @@ class LanguageModels:
         }
 
     def completed(self, record: SessionRecord, inputs: SessionInputs) -> SessionRecord:
-        """The record of a session that is over, with the cassette as it is now."""
-        session, file = self._in_use, self.context.cassette
+        """Return the record of a finished session with the cassette as it is now."""
+        session, file = self._active, self.context.cassette
         if file is None or session is None or session.cassette is None:
             return record
         from pytest_dura.evidence.files import sha256_of
@@ -278,5 +280,5 @@ class LanguageModels:
             "sha256": sha256,
             "exchanges": len(session.cassette),
         }
-        models = [{**one, "cassette": cassette} for one in record["models"]]
+        models = [{**model, "cassette": cassette} for model in record["models"]]
         return replace(record, head={**record.head, "models": models})

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 def marked_requirements(context: SessionContext, node: pytest.Item) -> list[Requirement]:
-    """The requirements that a test's markers name, the closest first.
+    """Return the requirements that a test's markers name, the closest first.
 
     Raises:
         ConfigurationError: For a marker that cannot be used, and a requirement without a text.
@@ -34,7 +34,7 @@ def _requirement(context: SessionContext, marker: pytest.Mark) -> Requirement:
     from pytest_dura.core.errors import did_you_mean
     from pytest_dura.requirements.model import Kind, Requirement
 
-    given = marker_arguments(marker, _requirement_marker)
+    given = _marker_arguments(marker, _requirement_marker)
     name = given["id"]
     if not isinstance(name, str) or not name:
         raise ConfigurationError(
@@ -82,11 +82,11 @@ def _check_same(known: Requirement, given: Mapping[str, Any]) -> None:
             raise _conflicting_meaning(known.id, "a requirement file", own, value)
 
 
-def _conflicting_meaning(name: str, where: str, before: str, found: Any) -> ConfigurationError:
+def _conflicting_meaning(name: str, where: str, before: str, given: Any) -> ConfigurationError:
     return ConfigurationError(
         f"the marker gives the requirement {name!r} another meaning than {where}",
         key="pytest.mark.requirement",
-        found=found,
+        found=given,
         expected=before,
         remedy=f'name it alone, requirement("{name}"), or give the test an id of its own',
     )
@@ -98,11 +98,11 @@ def _requirement_marker(
     kind: Any = None,
     source: Any = None,
 ) -> None:
-    """The signature of the marker ``requirement``."""
+    """Signature of the marker ``requirement``."""
 
 
-def marker_arguments(marker: pytest.Mark, signature: Any) -> dict[str, Any]:
-    """The marker's arguments by name, defaults filled in."""
+def _marker_arguments(marker: pytest.Mark, signature: Any) -> dict[str, Any]:
+    """Return the marker's arguments by name, defaults filled in."""
     known = inspect.signature(signature)
     try:
         bound = known.bind(*marker.args, **marker.kwargs)
@@ -122,38 +122,38 @@ def marker_arguments(marker: pytest.Mark, signature: Any) -> dict[str, Any]:
     return dict(bound.arguments)
 
 
-FALSIFY = "falsify"
+_FALSIFY = "falsify"
 
 
-def check_falsify(context: SessionContext, definition: pytest.Item) -> None:
+def _check_falsify(context: SessionContext, definition: pytest.Item) -> None:
     """Refuse a marker that would search nothing, or cannot be read.
 
     Raises:
         ConfigurationError: For a test that has no campaign, several markers, and a formula that
             cannot be used.
     """
-    markers = list(definition.iter_markers(FALSIFY))
+    markers = list(definition.iter_markers(_FALSIFY))
     if not markers:
         return
     fixtures = getattr(definition, "fixturenames", ())
     if definition.get_closest_marker("dura") is None or "campaign" not in fixtures:
         raise ConfigurationError(
-            f"the marker {FALSIFY} searches nothing, since the test looks at no campaign",
-            key=f"pytest.mark.{FALSIFY}",
+            f"the marker {_FALSIFY} searches nothing, since the test looks at no campaign",
+            key=f"pytest.mark.{_FALSIFY}",
             found="no marker `dura` with the fixture `campaign`",
             expected="both of them, which say what is searched",
             remedy='add @pytest.mark.dura(scenario="...") and the argument `campaign`',
         )
     if len(markers) > 1:
         raise ConfigurationError(
-            f"the test has several markers {FALSIFY}, of which one alone would count",
-            key=f"pytest.mark.{FALSIFY}",
+            f"the test has several markers {_FALSIFY}, of which one alone would count",
+            key=f"pytest.mark.{_FALSIFY}",
             found=f"{len(markers)} markers",
             expected="one marker",
-            remedy=f'name all requirements in one: {FALSIFY}(["SAF-1", "SAF-2"])',
+            remedy=f'name all requirements in one: {_FALSIFY}(["SAF-1", "SAF-2"])',
         )
-    wanted = marker_arguments(markers[0], _falsify_marker)["requirement"]
-    for text in wanted if isinstance(wanted, (list, tuple)) else [wanted]:
+    requirements = _marker_arguments(markers[0], _falsify_marker)["requirement"]
+    for text in requirements if isinstance(requirements, (list, tuple)) else [requirements]:
         if isinstance(text, str) and text not in context.library().requirements:
             _check_formula(text)
 
@@ -167,16 +167,19 @@ def _check_formula(text: str) -> None:
 
 
 def run_marked_search(item: pytest.Function) -> None:
-    """Search as the test's marker says, if it has one, and fail the test by what is found."""
+    """Run the search of the test's marker, if it has one, and fail the test by its result."""
     __tracebackhide__ = True
-    marker = item.get_closest_marker(FALSIFY)
+    marker = item.get_closest_marker(_FALSIFY)
     if marker is None:
         return
-    given = marker_arguments(marker, _falsify_marker)
+    given = _marker_arguments(marker, _falsify_marker)
     campaign: Any = item.funcargs["campaign"]
-    wanted = given.pop("requirement")
+    requirement = given.pop("requirement")
     try:
-        campaign.falsify(wanted, **{key: one for key, one in given.items() if one is not None})
+        campaign.falsify(
+            requirement,
+            **{key: value for key, value in given.items() if value is not None},
+        )
     except DuraError as error:
         # No line of the test has run, so that there is none to show.
         pytest.fail(str(error), pytrace=False)
@@ -191,15 +194,15 @@ def _falsify_marker(
     shrink: Any = None,
     seed: Any = None,
 ) -> None:
-    """The signature of the marker ``falsify``."""
+    """Signature of the marker ``falsify``."""
 
 
-OUR_MARKERS = ("dura", "falsify", "requirement")
+_OUR_MARKERS = ("dura", "falsify", "requirement")
 
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """What a parametrized test looks at: a case, and a run where it looks at one episode."""
+    """Case that a parametrized test looks at, and the run where it looks at one episode."""
 
     case: Case
     run: int
@@ -210,7 +213,7 @@ class Target:
     """Runs of the marker or the scenario, whatever ``--dura-runs`` says."""
 
     def __repr__(self) -> str:
-        """The episode's id. Reports show it, and Allure tells tests apart by it."""
+        """Return the episode's id, which reports show and by which Allure tells tests apart."""
         return f"{self.case.id}#{self.run}"
 
 
@@ -224,7 +227,7 @@ def parametrize(context: SessionContext, metafunc: pytest.Metafunc, marker: pyte
     definition = metafunc.definition
     with _errors_at(definition):
         _check_use(definition, looked_at)
-        check_falsify(context, definition)
+        _check_falsify(context, definition)
         requirements = marked_requirements(context, definition)
         _check_decidable(requirements, each_run="episode" in looked_at)
         if not looked_at and names_no_scenario(marker):
@@ -240,18 +243,18 @@ def parametrize(context: SessionContext, metafunc: pytest.Metafunc, marker: pyte
 
 
 def check_markers(context: SessionContext, definition: pytest.Item) -> None:
-    """Check the requirements that a test names which chooses its episodes itself.
+    """Check the markers of a test that chooses its episodes itself.
 
     Raises:
         pytest.Collector.CollectError: For one that does not exist, at the test's place.
     """
     with _errors_at(definition):
-        check_falsify(context, definition)
+        _check_falsify(context, definition)
         marked_requirements(context, definition)
 
 
 def check_spelling(definition: pytest.Item) -> None:
-    """Refuse a marker that is nearly one of ours: without ``--strict-markers`` it does nothing.
+    """Refuse a marker that nearly has the name of ours, and would have no effect.
 
     Raises:
         pytest.Collector.CollectError: For one that no ini file registers, at the test's place.
@@ -260,7 +263,7 @@ def check_spelling(definition: pytest.Item) -> None:
         re.split(r"[(:]", line)[0].strip() for line in definition.config.getini("markers")
     }
     for marker in definition.iter_markers():
-        near = get_close_matches(marker.name, OUR_MARKERS, n=1, cutoff=0.75)
+        near = get_close_matches(marker.name, _OUR_MARKERS, n=1, cutoff=0.75)
         if not near or marker.name in registered:
             continue
         with _errors_at(definition):
@@ -268,7 +271,7 @@ def check_spelling(definition: pytest.Item) -> None:
                 f"there is no marker {marker.name!r}, so that it would do nothing",
                 key=f"pytest.mark.{marker.name}",
                 found=marker.name,
-                expected="one of " + ", ".join(OUR_MARKERS),
+                expected="one of " + ", ".join(_OUR_MARKERS),
                 remedy=f"did you mean {near[0]!r}? A marker of your own is registered in the ini "
                 "setting `markers`",
             )
@@ -276,26 +279,28 @@ def check_spelling(definition: pytest.Item) -> None:
 
 @contextmanager
 def _errors_at(definition: pytest.Item) -> Iterator[None]:
-    """Errors are told at the place of a test, unless it is another file that has to be mended."""
+    """Context that reports errors at a test's place, unless another file is at fault."""
     try:
         yield
     except ConfigurationError as error:
         from pytest_dura.core.errors import error_at
 
         file, line, _ = definition.location
-        found = error
+        located = error
         if error.file is None:
-            found = error_at(error, file=file, line=None if line is None else line + 1)
-        raise pytest.Collector.CollectError(error_text(found)) from None
+            located = error_at(error, file=file, line=None if line is None else line + 1)
+        raise pytest.Collector.CollectError(error_text(located)) from None
 
 
 def _check_use(definition: pytest.Item, looked_at: Sequence[str]) -> None:
-    """A marker that would run nothing must not read as a pass."""
+    """Refuse a marker that would run nothing, which must not read as a pass."""
     own = [marker for marker in definition.own_markers if marker.name == "dura"]
-    quiet = [one.kwargs["verdict"] for one in own if one.kwargs.get("verdict", True) is not True]
-    if quiet and quiet[0] is not False:
-        raise _unusable("verdict", quiet[0], "False, for a test that decides nothing")
-    if quiet and looked_at and definition.get_closest_marker("requirement") is not None:
+    verdicts = [
+        marker.kwargs["verdict"] for marker in own if marker.kwargs.get("verdict", True) is not True
+    ]
+    if verdicts and verdicts[0] is not False:
+        raise _unusable("verdict", verdicts[0], "False, for a test that decides nothing")
+    if verdicts and looked_at and definition.get_closest_marker("requirement") is not None:
         raise ConfigurationError(
             "the test names a requirement, and says that it decides nothing",
             key="pytest.mark.dura(verdict=)",
@@ -322,10 +327,10 @@ def _check_use(definition: pytest.Item, looked_at: Sequence[str]) -> None:
 
 
 def _check_decidable(requirements: Sequence[Requirement], *, each_run: bool) -> None:
-    """What the test does not decide must not read as decided."""
-    names = list(dict.fromkeys(one.id for one in requirements))
+    """Refuse requirements that the test cannot decide, which must not read as decided."""
+    names = list(dict.fromkeys(requirement.id for requirement in requirements))
     if each_run:
-        paired = [one.id for one in requirements if one.paired is not None]
+        paired = [requirement.id for requirement in requirements if requirement.paired is not None]
         if paired:
             raise ConfigurationError(
                 f"the requirement {paired[0]!r} is about pairs of runs, and the test looks at one",
@@ -347,12 +352,12 @@ def _check_decidable(requirements: Sequence[Requirement], *, each_run: bool) -> 
 def _targets(
     context: SessionContext, marker: pytest.Mark, requirements: list[Requirement], *, each_run: bool
 ) -> list[tuple[Target, str]]:
-    given = marker_arguments(marker, _dura_marker)
+    given = _marker_arguments(marker, _dura_marker)
     cases = _cases(context, given["scenario"], given["faults"])
     requirement = requirements[0] if requirements else None
     targets = []
     for case in cases:
-        context.take_case(case)
+        context.register_case(case)
         declared, until_decided = _runs(given["runs"], case)
         planned = context.options.runs or declared
         if each_run and until_decided:
@@ -383,18 +388,21 @@ def _cases(context: SessionContext, scenario: Any, faults: Any) -> list[Case]:
 
 
 def _are_campaigns(faults: Any) -> bool:
-    """Whether each entry is a fault, or a list of them, and there is one at all."""
+    """Whether each entry is a fault or a list of faults, and there is at least one."""
     if not isinstance(faults, Sequence) or not faults:
         return False
     return all(
-        isinstance(one, (str, Mapping))
-        or (isinstance(one, Sequence) and all(isinstance(fault, (str, Mapping)) for fault in one))
-        for one in faults
+        isinstance(campaign, (str, Mapping))
+        or (
+            isinstance(campaign, Sequence)
+            and all(isinstance(fault, (str, Mapping)) for fault in campaign)
+        )
+        for campaign in faults
     )
 
 
 def _runs(value: Any, case: Case) -> tuple[int, bool]:
-    """How many runs there are at most, and whether they end once the requirement is decided."""
+    """Return the number of runs at most, and whether they end once the requirement is decided."""
     if value is None:
         return case.scenario.planned, case.scenario.until_decided
     budget = isinstance(value, Mapping)
@@ -406,11 +414,11 @@ def _runs(value: Any, case: Case) -> tuple[int, bool]:
     return number, budget
 
 
-def _unusable(key: str, found: Any, expected: str) -> ConfigurationError:
+def _unusable(key: str, value: Any, expected: str) -> ConfigurationError:
     return ConfigurationError(
         f"the marker dura cannot be used: wrong `{key}`",
         key=f"pytest.mark.dura({key}=)",
-        found=found,
+        found=value,
         expected=expected,
         remedy=f"correct `{key}`",
     )
@@ -419,7 +427,7 @@ def _unusable(key: str, found: Any, expected: str) -> ConfigurationError:
 def _dura_marker(
     scenario: Any = None, faults: Any = None, runs: Any = None, verdict: Any = True
 ) -> None:
-    """The signature of the marker ``dura``."""
+    """Signature of the marker ``dura``."""
 
 
 def names_no_scenario(marker: pytest.Mark) -> bool:

@@ -14,7 +14,7 @@ from pytest_dura.plugin.options import DEFAULT_EVIDENCE
 
 
 def sibling_directory(evidence: Path, what: str) -> Path:
-    """A directory of its own beside the evidence, whose manifest lists all that is in it.
+    """Name a directory beside the evidence, whose manifest lists all that is in it.
 
     Args:
         evidence: The evidence directory.
@@ -25,7 +25,7 @@ def sibling_directory(evidence: Path, what: str) -> Path:
 
 
 def typed_path(file: Path, here: Path) -> str:
-    """The path of a file as the user would type it.
+    """Return the path of a file as the user would type it.
 
     Args:
         file: The file, or folder.
@@ -38,7 +38,7 @@ def typed_path(file: Path, here: Path) -> str:
 
 
 def apply_code_places(config: pytest.Config) -> None:
-    """Let files and records name code of the project, and none that lies beside a stranger's files.
+    """Let files name code of the project, and none that lies beside a stranger's files.
 
     Strange are a bundle that is replayed or reduced, and files outside of pytest's root directory
     that the command line names. What was in force before comes back when the session ends.
@@ -50,10 +50,10 @@ def apply_code_places(config: pytest.Config) -> None:
 
     get, here = config.getoption, config.invocation_params.dir
     files = [here / path for path in get("dura_path")]
-    files += [here / one for one in get("dura_faults") if one.endswith((".yaml", ".yml"))]
+    files += [here / path for path in get("dura_faults") if path.endswith((".yaml", ".yml"))]
     foreign = [path if path.is_dir() else path.parent for path in files]
     foreign = [
-        one for one in foreign if not one.resolve().is_relative_to(config.rootpath.resolve())
+        path for path in foreign if not path.resolve().is_relative_to(config.rootpath.resolve())
     ]
     if get("dura_replay") is not None or get("dura_reduce") is not None:
         given = get("dura_evidence")
@@ -67,60 +67,60 @@ def apply_code_places(config: pytest.Config) -> None:
     config.add_cleanup(restore)
 
 
-LONGEST_MESSAGE = 20_000
+_LONGEST_MESSAGE = 20_000
 """Characters of a message of our own."""
-LONGEST_LINE = 5000
+_LONGEST_LINE = 5000
 """Characters of a line in the terminal."""
-LONGEST_USER_TEXT = 200_000
+_LONGEST_USER_TEXT = 200_000
 """Characters of a message of the user's own."""
 
 
 def escape_error(error: BaseException) -> None:
-    """Change the texts of an error, and of those that led to it, so that no terminal acts on them.
+    """Escape the texts of an error and of its causes, so that no terminal acts on them.
 
     Tests quote what components say, in messages of their own. A lone surrogate in a single one
     ends a session under xdist, and one that Allure reports.
     """
     from pytest_dura.evidence.text import visible
 
-    for one in _error_chain(error):
-        if isinstance(one, (pytest.fail.Exception, pytest.skip.Exception)):
-            one.msg = visible(str(one.msg), LONGEST_MESSAGE)
-            one.args = (one.msg,)
-        elif any(isinstance(text, str) and not text.isprintable() for text in one.args):
-            one.args = tuple(
-                visible(text, LONGEST_USER_TEXT) if isinstance(text, str) else text
-                for text in one.args
+    for link in _error_chain(error):
+        if isinstance(link, (pytest.fail.Exception, pytest.skip.Exception)):
+            link.msg = visible(str(link.msg), _LONGEST_MESSAGE)
+            link.args = (link.msg,)
+        elif any(isinstance(text, str) and not text.isprintable() for text in link.args):
+            link.args = tuple(
+                visible(text, _LONGEST_USER_TEXT) if isinstance(text, str) else text
+                for text in link.args
             )
 
 
 def _error_chain(error: BaseException) -> Iterator[BaseException]:
-    """The error, what it was raised from, what was being handled, and so on."""
+    """Yield the error, its causes and its contexts, each once."""
     seen: set[int] = set()
-    left: list[BaseException | None] = [error]
-    while left:
-        one = left.pop()
-        if one is not None and id(one) not in seen:
-            seen.add(id(one))
-            yield one
-            left += [one.__cause__, one.__context__]
+    pending: list[BaseException | None] = [error]
+    while pending:
+        link = pending.pop()
+        if link is not None and id(link) not in seen:
+            seen.add(id(link))
+            yield link
+            pending += [link.__cause__, link.__context__]
 
 
 def escape_reason(marker: pytest.Mark) -> None:
-    """Change the reason that a marker gives, likewise."""
+    """Escape the reason that a marker gives."""
     from pytest_dura.evidence.text import visible
 
     reason = marker.kwargs.get("reason")
     if isinstance(reason, str):
         # The dictionary is the marker's own, whatever its type says.
-        marker.kwargs["reason"] = visible(reason, LONGEST_MESSAGE)  # type: ignore[index]
+        marker.kwargs["reason"] = visible(reason, _LONGEST_MESSAGE)  # type: ignore[index]
 
 
 def error_text(error: Exception) -> str:
-    """The message of one of our own errors, on which no terminal acts."""
+    """Return the message of one of our own errors, escaped for terminals."""
     from pytest_dura.evidence.text import visible
 
-    return visible(str(error), LONGEST_MESSAGE)
+    return visible(str(error), _LONGEST_MESSAGE)
 
 
 class usage_errors:  # noqa: N801 - reads like a statement
@@ -136,36 +136,36 @@ class usage_errors:  # noqa: N801 - reads like a statement
 
 
 def safe_lines(text: str) -> Iterator[str]:
-    """A text for a terminal, on which nothing in it acts; only its first line is not indented.
+    """Yield the lines of a text, escaped for terminals; all but the first are indented.
 
     So nothing that a component says reads as a line of ours.
     """
     from pytest_dura.evidence.text import visible
 
-    first, *rest = visible(text, LONGEST_LINE).split("\n")
+    first, *rest = visible(text, _LONGEST_LINE).split("\n")
     yield first
     yield from (f"    {line}" for line in rest)
 
 
 def indent_if_reserved(text: str) -> str:
-    """A text that begins with a name of a user's, which must not read as a line of ours."""
+    """Indent a text that begins with a user's name and would read as a line of ours."""
     return f" {text}" if text.startswith(("|", "#", "gate:")) else text
 
 
 def counted(number: int, noun: str) -> str:
-    """``1 run``, ``2 runs``."""
+    """Return ``1 run``, ``2 runs``."""
     return f"{number} {noun}" + ("" if number == 1 else "s")
 
 
 def print_lines(lines: Iterable[str]) -> None:
-    """Print these lines."""
+    """Print lines, escaped for terminals."""
     for line in lines:
-        for one in safe_lines(line):
-            print(one)  # noqa: T201 - it is what a command was asked for
+        for safe_line in safe_lines(line):
+            print(safe_line)  # noqa: T201 - it is what a command was asked for
 
 
 class SafeTerminal:
-    """pytest's terminal, on which no text of a file or component acts.
+    """pytest's terminal, which escapes every text that is written.
 
     Args:
         terminal: pytest's own.
@@ -176,8 +176,8 @@ class SafeTerminal:
 
     def line(self, text: str, **colour: bool) -> None:
         """Write a line."""
-        for one in safe_lines(text):
-            self._terminal.line(one, **colour)
+        for safe_line in safe_lines(text):
+            self._terminal.line(safe_line, **colour)
 
     def write(self, text: str, **colour: bool) -> None:
         """Write the beginning of a line."""

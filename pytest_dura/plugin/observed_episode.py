@@ -1,4 +1,4 @@
-"""ObservedEpisode: the episode that a test is given, which notes what the test looks at."""
+"""ObservedEpisode: the episode that a test is given, which notes what the test reads of it."""
 
 from __future__ import annotations
 
@@ -22,120 +22,129 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
 
-MOST = 50
+_MOST_NAMES = 50
 """Names that are noted of a test and an episode."""
-IDENTITY = frozenset({"id", "spec", "digest", "searched"})
-"""Attributes that tell which episode it is, and nothing of what happened in it."""
-_ASKING = frozenset({"robustness", "satisfies", "signal", "ever", "of"})
-"""Methods, which note themselves what they are asked for."""
+_IDENTIFYING = frozenset({"id", "spec", "digest", "searched"})
+"""Attributes that identify the episode, and say nothing of what happened in it."""
+_NOTING_METHODS = frozenset({"robustness", "satisfies", "signal", "ever", "of"})
+"""Methods that note by themselves what they are called with."""
 
 
 class Observations:
-    """What a test has looked at: attributes, signals and checks of an episode, each by its name."""
+    """What a test has read of an episode: names of attributes, signals and checks."""
 
     def __init__(self) -> None:
         self.false: dict[str, None] = {}
-        """Checks that the test asked for and that did not hold."""
+        """Checks that the test evaluated and that did not hold."""
         self._seen: dict[str, None] = {}
-        self._closed = 0
+        self._pauses = 0
 
     @property
     def names(self) -> list[str]:
-        """The names, sorted; the table of signals goes without saying where one of them is."""
+        """Sorted names, without a table such as ``signals`` where one of its columns is named."""
         tables = {name.partition(".")[0] for name in self._seen if "." in name}
         return sorted(name for name in self._seen if name not in tables)
 
     @property
-    def closed(self) -> bool:
-        """Whether what is read now is not noted."""
-        return self._closed > 0
+    def is_paused(self) -> bool:
+        """Whether reads are not noted at present."""
+        return self._pauses > 0
 
     def note(self, name: str) -> None:
-        """The test looks at what has this name."""
-        if not self.closed and len(self._seen) < MOST:
+        """Note a name that the test reads."""
+        if not self.is_paused and len(self._seen) < _MOST_NAMES:
             self._seen[one_line(name, 200)] = None
 
     def checked(self, check: str, *, holds: bool) -> None:
-        """The test asks whether a check holds."""
+        """Note a check that the test evaluates."""
         self.note(check)
-        if not holds and not self.closed and len(self.false) < MOST:
+        if not holds and not self.is_paused and len(self.false) < _MOST_NAMES:
             self.false[one_line(check, 200)] = None
 
     @contextmanager
     def pause(self) -> Iterator[None]:
-        """Within it, our own code reads the episode."""
-        self._closed += 1
+        """Context in which nothing is noted, since code of this package reads the episode."""
+        self._pauses += 1
         try:
             yield
         finally:
-            self._closed -= 1
+            self._pauses -= 1
 
     def end(self) -> None:
-        """The test has ended; whoever reads the episode from now on is not the test."""
-        self._closed += 1
+        """Note nothing any more: the test has ended."""
+        self._pauses += 1
 
 
 class _NotedColumns(SealedColumns):
-    def __init__(self, columns: Mapping[str, NDArray[Any]], name: str, looks: Observations) -> None:
+    def __init__(
+        self, columns: Mapping[str, NDArray[Any]], name: str, observations: Observations
+    ) -> None:
         super().__init__(columns)
-        self._name, self._looks = name, looks
+        self._name, self._observations = name, observations
 
     def __getitem__(self, key: str) -> NDArray[Any]:
-        self._looks.note(f"{self._name}.{key}")
+        self._observations.note(f"{self._name}.{key}")
         return super().__getitem__(key)
 
     def get(self, key: str, default: Any = None) -> Any:
-        self._looks.note(f"{self._name}.{key}")
+        self._observations.note(f"{self._name}.{key}")
         return super().get(key, default)
 
 
 class ObservedEpisode(JudgedEpisode):
-    """An episode that answers to formulas, and notes what it is asked for in ``_looks``."""
+    """An episode that evaluates formulas, and notes in ``_observations`` what is read of it."""
 
-    _looks: Observations
+    _observations: Observations
 
     @classmethod
     def of(cls, episode: Episode) -> Self:
-        """The same episode, of which nothing was looked at yet."""
-        made = super().of(episode)
-        own, looks = vars(made), Observations()
+        """Copy an episode, with nothing noted yet."""
+        observed = super().of(episode)
+        own, observations = vars(observed), Observations()
         for name in ("signals", "decisions"):
-            own[name] = _NotedColumns(own[name], name, looks)
+            own[name] = _NotedColumns(own[name], name, observations)
         own["digest"] = episode.digest  # computed once for all that look at the episode
-        own["_looks"] = looks
-        return made
+        own["_observations"] = observations
+        return observed
 
     def __getattribute__(self, name: str) -> Any:
-        """Note what is asked for; what answering it reads is not noted."""
-        looks = object.__getattribute__(self, "__dict__").get("_looks")
-        if looks is None or looks.closed or name.startswith("_") or name in _ASKING:
+        """Note the name that is read, and nothing that computing its value reads."""
+        observations = object.__getattribute__(self, "__dict__").get("_observations")
+        if (
+            observations is None
+            or observations.is_paused
+            or name.startswith("_")
+            or name in _NOTING_METHODS
+        ):
             return super().__getattribute__(name)
-        if name not in IDENTITY:
-            looks.note(name)
-        with looks.pause():
+        if name not in _IDENTIFYING:
+            observations.note(name)
+        with observations.pause():
             return super().__getattribute__(name)
 
     def __repr__(self) -> str:
-        """Short: pytest shows the arguments of a test that fails."""
+        """Describe the episode in a line: pytest shows the arguments of a test that fails."""
         own = vars(self)
         return f"<episode {self.id}, {own['termination']} after {len(own['time'])} ticks>"
 
     def robustness(self, formula: str) -> float:
         """See :meth:`JudgedEpisode.robustness`."""
-        with self._looks.pause():
-            found, _ = evaluate_episode(read_formula(formula), self)
-        self._looks.checked(formula, holds=found is not None and found.status != "violated")
-        return -math.inf if found is None else found.robustness
+        with self._observations.pause():
+            evaluation, _ = evaluate_episode(read_formula(formula), self)
+        self._observations.checked(
+            formula, holds=evaluation is not None and evaluation.status != "violated"
+        )
+        return -math.inf if evaluation is None else evaluation.robustness
 
     def satisfies(self, check: Check) -> bool:
         """See :meth:`JudgedEpisode.satisfies`."""
-        with self._looks.pause():
+        with self._observations.pause():
             holds = judged(check, self)[0] == "satisfied"
-        self._looks.checked(check_name(check), holds=holds)
+        self._observations.checked(check_name(check), holds=holds)
         return holds
 
 
 def observations_of(episode: JudgedEpisode) -> Observations:
-    """What a test has looked at of the episode that it was given."""
-    found: Observations | None = vars(episode).get("_looks")
-    return Observations() if found is None else found
+    """Return what a test has read of the episode that it was given."""
+    observations: Observations | None = vars(episode).get("_observations")
+    return Observations() if observations is None else observations

@@ -16,12 +16,12 @@ if TYPE_CHECKING:
     from pytest_dura.llm.session import Mode
 
 
-DEFAULT_SEED = 0
+_DEFAULT_SEED = 0
 DEFAULT_EVIDENCE = "dura-evidence"
-DEFAULT_LEVEL = "violations"
-DEFAULT_PROGRESS_INTERVAL = "30"
-DEFAULT_ROLE_TIMEOUT = 60.0
-DEFAULT_CASSETTE = "dura-cassette.sqlite"
+_DEFAULT_LEVEL = "violations"
+_DEFAULT_PROGRESS_INTERVAL = "30"
+_DEFAULT_ROLE_TIMEOUT = 60.0
+_DEFAULT_CASSETTE = "dura-cassette.sqlite"
 
 Level = Literal["summary", "violations", "all"]
 """Which episodes leave a trace in the evidence."""
@@ -72,7 +72,7 @@ def add_options(parser: pytest.Parser) -> None:
     add(
         "--dura-seed",
         metavar="N",
-        help=f"base seed, from which every episode's seed follows (default: {DEFAULT_SEED})",
+        help=f"base seed, from which every episode's seed follows (default: {_DEFAULT_SEED})",
     )
     add(
         "--dura-time-budget",
@@ -89,7 +89,7 @@ def add_options(parser: pytest.Parser) -> None:
         "--dura-role-timeout",
         metavar="SECONDS",
         help="what the simulator, and each role but the component, has for one call before its "
-        f"episode is given up (default: {DEFAULT_ROLE_TIMEOUT:g})",
+        f"episode is given up (default: {_DEFAULT_ROLE_TIMEOUT:g})",
     )
     add(
         "--dura-episode-timeout",
@@ -132,7 +132,7 @@ def add_options(parser: pytest.Parser) -> None:
         choices=("summary", "violations", "all"),
         default=None,
         help="which episodes leave a trace in the evidence: none, those that violate a requirement "
-        f"and samples, or all (default: {DEFAULT_LEVEL})",
+        f"and samples, or all (default: {_DEFAULT_LEVEL})",
     )
     add(
         "--dura-replay",
@@ -188,13 +188,13 @@ def add_options(parser: pytest.Parser) -> None:
         "--dura-cassette",
         metavar="FILE",
         help="where exchanges with language models are recorded, and replayed from (default: "
-        f"{DEFAULT_CASSETTE} in pytest's root directory)",
+        f"{_DEFAULT_CASSETTE} in pytest's root directory)",
     )
     parser.addini(
         "dura_progress_interval",
         "seconds, at least, between lines on the progress of campaigns where there is no terminal, "
-        f"or `never` (default: {DEFAULT_PROGRESS_INTERVAL})",
-        default=DEFAULT_PROGRESS_INTERVAL,
+        f"or `never` (default: {_DEFAULT_PROGRESS_INTERVAL})",
+        default=_DEFAULT_PROGRESS_INTERVAL,
     )
     parser.addini(
         "dura_secrets",
@@ -224,7 +224,7 @@ _REPEATED = ("evidence", "evidence-level", "llm", "cassette")
 
 @dataclass(frozen=True)
 class Options:
-    """The options as the session uses them.
+    """Checked options, as the session uses them.
 
     ``given`` are the options that a command for the same again must repeat.
     """
@@ -267,7 +267,7 @@ class Options:
 
     @classmethod
     def of(cls, config: pytest.Config) -> Options:
-        """The options of a session.
+        """Read the options of a session.
 
         Raises:
             ConfigurationError: For a value that cannot be used.
@@ -318,13 +318,13 @@ class Options:
             generator=get("dura_generator"),
             faults=_fault_campaigns(faults, config.invocation_params.dir),
             runs=runs,
-            seed=DEFAULT_SEED if seed is None else seed,
+            seed=_DEFAULT_SEED if seed is None else seed,
             time_budget=_seconds("--dura-time-budget", get("dura_time_budget")),
             role_timeout=_seconds("--dura-role-timeout", get("dura_role_timeout"))
-            or DEFAULT_ROLE_TIMEOUT,
+            or _DEFAULT_ROLE_TIMEOUT,
             end_when_decided=_ENDS[get("dura_end")],
             evidence=_evidence(config),
-            evidence_level=cast("Level", get("dura_evidence_level") or DEFAULT_LEVEL),
+            evidence_level=cast("Level", get("dura_evidence_level") or _DEFAULT_LEVEL),
             replay=get("dura_replay"),
             reduce=get("dura_reduce"),
             resume=bool(get("dura_resume")),
@@ -337,8 +337,8 @@ class Options:
             fail_worse=fail_worse,
             llm=cast("Mode", get("dura_llm") or "live"),
             cassette=_cassette(config),
-            shard=shard_of(config),
-            executor=executor_choice(
+            shard=_shard_of(config),
+            executor=_executor_choice(
                 config, _seconds("--dura-episode-timeout", get("dura_episode_timeout"))
             ),
             progress_interval=_interval(config.getini("dura_progress_interval")),
@@ -351,25 +351,25 @@ class Options:
 
 
 def _fault_campaigns(given: tuple[str, ...], here: Path) -> tuple[Any, ...] | None:
-    """The campaigns of all ``--dura-faults``, in their order; ``None`` without any."""
+    """List the campaigns of all ``--dura-faults``, in their order; ``None`` without any."""
     if not given:
         return None
-    found: list[Any] = []
+    campaigns: list[Any] = []
     for text in given:
         if text.endswith((".yaml", ".yml")):
             from pytest_dura.library.fault_campaigns import read_campaigns
 
-            found += read_campaigns(here / text)
+            campaigns += read_campaigns(here / text)
         else:
-            found += [one.strip() for one in text.split(",")]
-    if not all(found):
+            campaigns += [part.strip() for part in text.split(",")]
+    if not all(campaigns):
         raise ConfigurationError(
             "a fault campaign of --dura-faults has no name",
             key="--dura-faults",
             found=", ".join(given),
             expected="for example --dura-faults=none,ghost-obstacle",
         )
-    return tuple(found)
+    return tuple(campaigns)
 
 
 def _whole_number(option: str, text: Any, *, at_least: int) -> int | None:
@@ -409,13 +409,13 @@ def _seconds(option: str, text: Any) -> float | None:
 
 
 def _interval(text: str) -> float:
-    """Seconds between lines of a log; infinite for never."""
+    """Read the seconds between lines of a log; infinite for ``never``."""
     seconds = None if text == "never" else _seconds("dura_progress_interval", text)
     return math.inf if seconds is None else seconds
 
 
 def _paths(config: pytest.Config) -> tuple[Path, ...]:
-    """Where scenario files are, the built-in ones apart: ini setting, then ``--dura-path``."""
+    """List the places of scenario files but the built-in: ini setting, then ``--dura-path``."""
     ini = "ini dura_scenario_paths"
     chosen = [(ini, Path(path)) for path in config.getini("dura_scenario_paths")]
     default = config.rootpath / "scenarios"
@@ -440,10 +440,14 @@ def _evidence(config: pytest.Config) -> Path:
     folder = config.rootpath / DEFAULT_EVIDENCE
     if given:
         folder = config.invocation_params.dir / given
+    return _checked_folder(folder, "--dura-evidence", "the evidence goes into a directory")
+
+
+def _checked_folder(folder: Path, option: str, use: str) -> Path:
     if folder.exists() and not folder.is_dir():
         raise ConfigurationError(
-            "the evidence goes into a directory, and this is a file",
-            key="--dura-evidence",
+            f"{use}, and this is a file",
+            key=option,
             found=str(folder),
             expected="a directory, which is made if it does not exist",
             remedy="choose another path",
@@ -452,7 +456,7 @@ def _evidence(config: pytest.Config) -> Path:
 
 
 def _reuse(config: pytest.Config) -> Path | None:
-    """Where episodes are kept from session to session, if they are."""
+    """Return the directory in which episodes are kept from session to session, if given."""
     given = config.getoption("dura_reuse")
     if not given:
         return None
@@ -466,19 +470,11 @@ def _reuse(config: pytest.Config) -> Path | None:
             "anyway",
         )
     folder: Path = config.invocation_params.dir / given
-    if folder.exists() and not folder.is_dir():
-        raise ConfigurationError(
-            "episodes are kept in a directory, and this is a file",
-            key="--dura-reuse",
-            found=str(folder),
-            expected="a directory, which is made if it does not exist",
-            remedy="choose another path",
-        )
-    return folder
+    return _checked_folder(folder, "--dura-reuse", "episodes are kept in a directory")
 
 
 def _cassette(config: pytest.Config) -> Path | None:
-    """The cassette, where the mode has one."""
+    """Return the cassette, where the mode has one."""
     given, mode = config.getoption("dura_cassette"), config.getoption("dura_llm") or "live"
     if mode == "live" and given is not None:
         raise ConfigurationError(
@@ -489,15 +485,15 @@ def _cassette(config: pytest.Config) -> Path | None:
         )
     if mode == "live":
         return None
-    return config.invocation_params.dir / given if given else config.rootpath / DEFAULT_CASSETTE
+    return config.invocation_params.dir / given if given else config.rootpath / _DEFAULT_CASSETTE
 
 
-EXECUTOR_OPTION = "--dura-executor"
-TIMEOUT_OPTION = "--dura-episode-timeout"
+_EXECUTOR_OPTION = "--dura-executor"
+_TIMEOUT_OPTION = "--dura-episode-timeout"
 
 
-def executor_choice(config: pytest.Config, seconds: float | None) -> ExecutorChoice | None:
-    """The executor that the options name; ``None`` for this process.
+def _executor_choice(config: pytest.Config, seconds: float | None) -> ExecutorChoice | None:
+    """Return the executor that the options name; ``None`` for this process.
 
     Args:
         config: The session's configuration.
@@ -510,14 +506,13 @@ def executor_choice(config: pytest.Config, seconds: float | None) -> ExecutorCho
     if text in (None, "in-process"):
         if seconds is not None:
             raise ConfigurationError(
-                f"{TIMEOUT_OPTION} is held by ending the process that simulates, and that is"
+                f"{_TIMEOUT_OPTION} is held by ending the process that simulates, and that is"
                 " pytest's own",
-                key=TIMEOUT_OPTION,
+                key=_TIMEOUT_OPTION,
                 found=f"{seconds:g} without another executor",
-                expected=f"{EXECUTOR_OPTION}=processes, or a Dask cluster",
-                remedy=f"add {EXECUTOR_OPTION}=processes, or leave out {TIMEOUT_OPTION}; each call"
-                " into a role has"
-                " --dura-role-timeout",
+                expected=f"{_EXECUTOR_OPTION}=processes, or a Dask cluster",
+                remedy=f"add {_EXECUTOR_OPTION}=processes, or leave out"
+                f" {_TIMEOUT_OPTION}; each call into a role has --dura-role-timeout",
             )
         return None
     from pytest_dura.execution.executors import ExecutorChoice
@@ -528,32 +523,32 @@ def executor_choice(config: pytest.Config, seconds: float | None) -> ExecutorCho
     if choice.kind == "processes" and config.getoption("numprocesses", None):
         raise ConfigurationError(
             "the workers of pytest-xdist would each start processes of their own",
-            key=EXECUTOR_OPTION,
+            key=_EXECUTOR_OPTION,
             found=f"{text} beside -n {config.getoption('numprocesses')}",
             expected="one of them",
-            remedy=f"leave out -n, and give {EXECUTOR_OPTION}=processes:N the cores; or leave out"
-            f" {EXECUTOR_OPTION}",
+            remedy=f"leave out -n, and give {_EXECUTOR_OPTION}=processes:N the cores; or leave out"
+            f" {_EXECUTOR_OPTION}",
         )
     mode = config.getoption("dura_llm")
     if mode in ("record", "replay"):
         raise ConfigurationError(
             "a cassette is of this process, and the episodes would be simulated in others",
-            key=EXECUTOR_OPTION,
+            key=_EXECUTOR_OPTION,
             found=f"{text} beside --dura-llm={mode}",
             expected="one of them",
-            remedy=f"leave out {EXECUTOR_OPTION}, or use -n, whose workers share the cassette",
+            remedy=f"leave out {_EXECUTOR_OPTION}, or use -n, whose workers share the cassette",
         )
     return choice
 
 
-SHARD_OPTION = "--dura-shard"
-MOST_SHARDS = 10_000
-_LONGEST = len(f"{MOST_SHARDS}/{MOST_SHARDS}")
+_SHARD_OPTION = "--dura-shard"
+_MOST_SHARDS = 10_000
+_LONGEST = len(f"{_MOST_SHARDS}/{_MOST_SHARDS}")
 
 
 @dataclass(frozen=True)
 class Shard:
-    """Which part of a session this is.
+    """Part of a session.
 
     Args:
         index: Its number, from 1.
@@ -565,7 +560,7 @@ class Shard:
 
     @classmethod
     def read(cls, text: str | None) -> Shard | None:
-        """From the option's value, such as ``2/5``; ``None`` without one.
+        """Read the option's value, such as ``2/5``; ``None`` without one.
 
         Raises:
             ConfigurationError: If it is none.
@@ -575,15 +570,15 @@ class Shard:
         first, _, last = text.partition("/")
         digits = f"{first}{last}"
         if first and last and digits.isascii() and digits.isdecimal() and len(text) <= _LONGEST:
-            found = cls(int(first), int(last))
-            if 1 <= found.index <= found.count <= MOST_SHARDS:
-                return found
+            shard = cls(int(first), int(last))
+            if 1 <= shard.index <= shard.count <= _MOST_SHARDS:
+                return shard
         raise ConfigurationError(
-            f"{SHARD_OPTION} takes the number of a shard and how many there are",
-            key=SHARD_OPTION,
+            f"{_SHARD_OPTION} takes the number of a shard and how many there are",
+            key=_SHARD_OPTION,
             found=text,
-            expected=f"K/N with 1 <= K <= N <= {MOST_SHARDS}",
-            remedy=f"for example {SHARD_OPTION}=2/5 for the second of five shards",
+            expected=f"K/N with 1 <= K <= N <= {_MOST_SHARDS}",
+            remedy=f"for example {_SHARD_OPTION}=2/5 for the second of five shards",
         )
 
     def __str__(self) -> str:
@@ -599,14 +594,14 @@ _EXCLUDED_OPTIONS = {
 """What makes no sense with a part of a session, and why."""
 
 
-def shard_of(config: pytest.Config) -> Shard | None:
-    """The shard that the options name, if they do.
+def _shard_of(config: pytest.Config) -> Shard | None:
+    """Return the shard that the options name, if they do.
 
     Raises:
         ConfigurationError: For one that cannot be used, and options that exclude it.
     """
-    found = Shard.read(config.getoption("dura_shard"))
-    if found is None:
+    shard = Shard.read(config.getoption("dura_shard"))
+    if shard is None:
         return None
     conflicts = [(name, why) for name, why in _EXCLUDED_OPTIONS.items() if config.getoption(name)]
     if config.getoption("dura_llm") == "record":
@@ -614,10 +609,10 @@ def shard_of(config: pytest.Config) -> Shard | None:
     for name, why in conflicts:
         other = f"--{name.replace('_', '-')}"
         raise ConfigurationError(
-            f"{SHARD_OPTION} and {other} exclude each other: {why}",
-            key=SHARD_OPTION,
-            found=f"{found.index}/{found.count}",
-            expected=f"one of {SHARD_OPTION} and {other}",
-            remedy=f"leave one of them out; {SHARD_OPTION} is for the jobs of a CI",
+            f"{_SHARD_OPTION} and {other} exclude each other: {why}",
+            key=_SHARD_OPTION,
+            found=f"{shard.index}/{shard.count}",
+            expected=f"one of {_SHARD_OPTION} and {other}",
+            remedy=f"leave one of them out; {_SHARD_OPTION} is for the jobs of a CI",
         )
-    return found
+    return shard

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 class UsedEpisodes:
-    """The episodes of one case that an item looked at. They may be many, and none is kept.
+    """Facts about the episodes of one case that an item looked at; no episode is kept.
 
     Args:
         case: The case.
@@ -40,32 +40,34 @@ class UsedEpisodes:
         self.case = case
         self.failure = ""
         """The first infrastructure error among them."""
-        self.cut = ""
+        self.early_end = ""
         """The first that ended once all was decided, in words, if one did."""
         self._seeds: dict[str, int] = {}
         self._invalid: dict[str, str] = {}
 
     def add(self, episode: JudgedEpisode) -> None:
-        """The item looked at an episode."""
+        """Note an episode that the item looked at."""
         name = episode.id
         self._seeds[name] = episode.spec.seed
         self._invalid.pop(name, None)
         if episode.validity == "invalid":
             self._invalid[name] = str(episode.invalid_reason)
-        if episode.termination == "decided" and not self.cut:
-            self.cut = f"{name} ended at {episode.time[-1]:g} s, once its requirements were decided"
+        if episode.termination == "decided" and not self.early_end:
+            self.early_end = (
+                f"{name} ended at {episode.time[-1]:g} s, once its requirements were decided"
+            )
         if episode.failure is not None:
             self.failure = self.failure or f"{episode.failure} (in {name})"
 
-    def again(self, runner: Runner, name: str) -> JudgedEpisode | None:
-        """The episode of this id that the item looked at last, if it looked at one."""
+    def episode(self, runner: Runner, name: str) -> JudgedEpisode | None:
+        """Return the episode of this id that the item looked at last, if any."""
         if name not in self._seeds:
             return None
         return runner.fetch(self.case, int(name.rpartition("#")[2]), self._seeds[name])
 
     @property
-    def doubt(self) -> str | None:
-        """Why they leave a campaign undecided that no verdict was asked of, if they do."""
+    def undecided_reason(self) -> str | None:
+        """Why they leave a campaign without a verdict undecided, if they do."""
         from pytest_dura.requirements.campaign_judge import MAX_INVALID_SHARE
 
         if len(self._invalid) <= MAX_INVALID_SHARE * len(self._seeds):
@@ -78,7 +80,7 @@ class UsedEpisodes:
 
 @dataclass(frozen=True)
 class ItemResult:
-    """What an item came to for one requirement.
+    """Result of an item for one requirement.
 
     Args:
         requirement: The requirement.
@@ -95,23 +97,23 @@ class ItemResult:
     episode: JudgedEpisode | None = None
 
     @property
-    def word(self) -> str | None:
-        """The verdict in one word, if there is one."""
-        found = self.verdict or self.outcome
-        return None if found is None else str(found["verdict"])
+    def status(self) -> str | None:
+        """Verdict, if there is one: ``supported``, ``violated`` and so on."""
+        verdict = self.verdict or self.outcome
+        return None if verdict is None else str(verdict["verdict"])
 
     @property
     def component(self) -> str | None:
         """Name of the component under test, if it is known."""
-        found = self.verdict or self.outcome
-        return None if found is None else str(found["component"])
+        verdict = self.verdict or self.outcome
+        return None if verdict is None else str(verdict["component"])
 
     @property
     def question(self) -> tuple[Any, ...]:
-        """What was asked: equal for several attempts of a test, and for them alone."""
-        found = self.verdict or self.outcome or {}
-        bound = found.get("bound") or {}
-        names = (found.get(name) for name in ("case", "component", "check"))
+        """Key of what is decided: equal for several attempts of a test, and for them alone."""
+        verdict = self.verdict or self.outcome or {}
+        bound = verdict.get("bound") or {}
+        names = (verdict.get(name) for name in ("case", "component", "check"))
         return self.requirement.id, *names, bound.get("at_most"), bound.get("confidence")
 
 
@@ -119,52 +121,60 @@ _EARLIER_RESULTS = pytest.StashKey[list[ItemResult]]()
 
 
 def item_results(
-    context: SessionContext, item: pytest.Item, told: ItemReport | None
+    context: SessionContext, item: pytest.Item, report: ItemReport | None
 ) -> list[ItemResult]:
-    """What an item came to, once it has run or could not be set up.
+    """Return the results of an item that has run or could not be set up.
 
     Args:
         context: The session's context.
         item: An item that uses the runner.
-        told: What it told when it ran.
+        report: What it told when it ran.
 
     Returns:
         The results in the order of their requirements in the item's markers. What was to be
         decided on a campaign and was not is undecided. Of several attempts a violation counts
         before anything else, as in the record.
     """
-    from pytest_dura.plugin.markers import marked_requirements
-
-    claimed = {one.id: one for one in marked_requirements(context, item)}
-    found = _decided_results(context, item, told, claimed)
-    heard = {one.requirement.id for one in found}
-    if told is not None:
+    claimed = {requirement.id: requirement for requirement in marked_requirements(context, item)}
+    results = _decided_results(context, item, report, claimed)
+    answered = {verdict.requirement.id for verdict in results}
+    if report is not None:
         # Of what a test searches it asks for no verdict.
-        heard |= {one["requirement"] for search in told.searches for one in search["outcomes"]}
+        answered |= {
+            outcome["requirement"] for search in report.searches for outcome in search["outcomes"]
+        }
     target = target_of(item)
     for name, requirement in claimed.items():
-        if name not in heard:
-            found.append(_undecided_result(context, item, requirement, target))
+        if name not in answered:
+            results.append(_undecided_result(context, item, requirement, target))
     violated = {
-        one.question: one for one in item.stash.get(_EARLIER_RESULTS, []) if one.word == "violated"
+        item.question: item
+        for item in item.stash.get(_EARLIER_RESULTS, [])
+        if item.status == "violated"
     }
-    found = [violated.get(one.question, one) for one in found]
-    item.stash[_EARLIER_RESULTS] = found
-    return found
+    results = [violated.get(item.question, item) for item in results]
+    item.stash[_EARLIER_RESULTS] = results
+    return results
+
+
+def parameters_of(item: pytest.Item) -> Mapping[str, Any]:
+    """Return the parameters of an item, by their names."""
+    parameters: Mapping[str, Any] = getattr(getattr(item, "callspec", None), "params", {})
+    return parameters
 
 
 def target_of(item: pytest.Item) -> Any:
-    """What the item looks at, with its ``case``: a planned case, or a parametrized target."""
+    """Return the planned case or the parametrized target of an item, which has a ``case``."""
     planned = getattr(item, "planned", None)
     if planned is not None:
         return planned
-    parameters = getattr(getattr(item, "callspec", None), "params", {})
+    parameters = parameters_of(item)
     targets = (parameters.get(name) for name in ("episode", "campaign"))
-    return next((one for one in targets if hasattr(one, "case")), None)
+    return next((target for target in targets if hasattr(target, "case")), None)
 
 
 def episode_of(item: pytest.Item) -> JudgedEpisode | None:
-    """The episode that the item looks at, if it looks at one and there is one."""
+    """Return the episode that the item looks at, if there is one."""
     from pytest_dura.requirements.episode_verdicts import JudgedEpisode
 
     episode = getattr(item, "funcargs", {}).get("episode")
@@ -174,46 +184,51 @@ def episode_of(item: pytest.Item) -> JudgedEpisode | None:
 def _decided_results(
     context: SessionContext,
     item: pytest.Item,
-    told: ItemReport | None,
+    report: ItemReport | None,
     claimed: Mapping[str, Requirement],
 ) -> list[ItemResult]:
-    if told is None:
+    if report is None:
         return []
     from pytest_dura.requirements.model import Requirement
 
-    known = {one["id"]: Requirement.from_json(one) for one in told.requirements}
+    known = {
+        requirement["id"]: Requirement.from_json(requirement) for requirement in report.requirements
+    }
     known.update(claimed)
     results = [
         ItemResult(
-            known[one["requirement"]], _case_of_result(context, item, one["case"]), verdict=one
+            known[verdict["requirement"]],
+            _case_of_result(context, item, verdict["case"]),
+            verdict=verdict,
         )
-        for one in told.verdicts
+        for verdict in report.verdicts
     ]
     episode = episode_of(item)
     results += [
         ItemResult(
-            known[one["requirement"]],
-            _case_of_result(context, item, one["case"]),
-            outcome=one,
+            known[outcome["requirement"]],
+            _case_of_result(context, item, outcome["case"]),
+            outcome=outcome,
             episode=episode,
         )
-        for one in told.outcomes
+        for outcome in report.outcomes
     ]
     order = list(claimed)
     last = len(order)
     return sorted(
         results,
-        key=lambda one: order.index(one.requirement.id) if one.requirement.id in claimed else last,
+        key=lambda result: (
+            order.index(result.requirement.id) if result.requirement.id in claimed else last
+        ),
     )
 
 
 def _undecided_result(
     context: SessionContext, item: pytest.Item, requirement: Requirement, target: Any
 ) -> ItemResult:
-    """A requirement that the item was to decide, and did not."""
+    """Make the result of a requirement that the item was to decide, and did not."""
     case = None if target is None else target.case
-    parameters = getattr(getattr(item, "callspec", None), "params", {})
-    if case is None or "episode" in parameters:
+    if case is None or "episode" in parameters_of(item):
         return ItemResult(requirement, case, episode=episode_of(item))
     from pytest_dura.requirements.campaign_judge import judge_campaign
 
@@ -225,12 +240,12 @@ def _undecided_result(
         planned=context.options.runs or getattr(target, "planned", case.scenario.planned),
         component=getattr(campaign, "component", None),
     ).to_json()
-    told = {"reason": "the test ended without a verdict on it", "check": "", "paired": None}
-    return ItemResult(requirement, case, verdict=verdict | told)
+    undecided = {"reason": "the test ended without a verdict on it", "check": "", "paired": None}
+    return ItemResult(requirement, case, verdict=verdict | undecided)
 
 
 def _case_of_result(context: SessionContext, item: pytest.Item, name: str) -> Case | None:
-    """The case of this id; ``None`` for one that a test made by itself."""
+    """Return the case of this id; ``None`` for one that a test made by itself."""
     target = target_of(item)
     if target is not None and target.case.id == name:
         case: Case = target.case
@@ -248,7 +263,7 @@ def outcome_of_test(
     error: BaseException | None,
     failed: str = "",
 ) -> dict[str, Any]:
-    """The verdict of a test on an episode: by its outcome, and by the requirement's own check.
+    """Judge a test on an episode: by its outcome, and by the requirement's own check.
 
     Args:
         requirement: What the test decides.
@@ -260,22 +275,22 @@ def outcome_of_test(
     from pytest_dura.plugin.observed_episode import observations_of
     from pytest_dura.requirements.episode_verdicts import EARLY_ENDS, is_unseen_crash
 
-    word, detail = status_of_test(episode, error)
-    failed = failed if word == "violated" else ""
+    status, detail = status_of_test(episode, error)
+    failed = failed if status == "violated" else ""
     detail = failed or detail
     margin = time = None
-    judged = judged_by_own_check(requirement, episode)
+    judged = _judged_by_own_check(requirement, episode)
     if judged is not None and judged.verdict == "violated":
-        word, margin, time = "violated", judged.margin, judged.time
+        status, margin, time = "violated", judged.margin, judged.time
         detail = detail or judged.detail
-    elif judged is not None and word == "satisfied" and judged.verdict != "satisfied":
-        word, detail = judged.verdict, judged.detail
-    vacuous = word == "satisfied" and judged is not None and judged.vacuous
+    elif judged is not None and status == "satisfied" and judged.verdict != "satisfied":
+        status, detail = judged.verdict, judged.detail
+    vacuous = status == "satisfied" and judged is not None and judged.vacuous
     return {
         "requirement": requirement.id,
         "episode": episode.id,
         "component": episode.spec.component,
-        "verdict": word,
+        "verdict": status,
         "margin": margin,
         "time": time,
         "detail": detail,
@@ -283,9 +298,9 @@ def outcome_of_test(
         "valid_proposals": episode.metrics.valid_proposals,
         "vacuous": vacuous,
         "idle": list(episode.not_manifested),
-        "without_effect": word == "violated" and episode.validity == "invalid",
+        "without_effect": status == "violated" and episode.validity == "invalid",
         "ended": episode.termination if episode.termination in EARLY_ENDS else "",
-        "unseen_crash": word != "violated" and is_unseen_crash(episode, requirements),
+        "unseen_crash": status != "violated" and is_unseen_crash(episode, requirements),
         "assertion": {
             "alone": judged is None,
             "by_check": judged is not None and judged.verdict == "violated",
@@ -296,24 +311,24 @@ def outcome_of_test(
     }
 
 
-def failed_assertion(item: pytest.Item, found: pytest.ExceptionInfo[BaseException]) -> str:
-    """What of a test failed: its message with what was compared, and the line in its file."""
+def failed_assertion(item: pytest.Item, excinfo: pytest.ExceptionInfo[BaseException]) -> str:
+    """Describe what failed in a test: message, what was compared, and the line in its file."""
     from pytest_dura.evidence.text import one_line
 
-    error = found.value
+    error = excinfo.value
     lines = [line for line in str(error).split("\n") if line.strip()]
     # Behind a message of the test's own stands what pytest makes of the comparison.
     compared = [line for line in lines[1:] if line.startswith("assert ")]
-    told = "; ".join([*lines[:1], *compared[:1]]) or type(error).__name__
-    own = [entry for entry in found.traceback if entry.path == item.path]
-    if not own:
-        return one_line(told, 500)
+    text = "; ".join([*lines[:1], *compared[:1]]) or type(error).__name__
+    own_entries = [entry for entry in excinfo.traceback if entry.path == item.path]
+    if not own_entries:
+        return one_line(text, 500)
     place = item.nodeid.partition("::")[0]
-    return f"{one_line(told, 500)} ({place}:{own[-1].lineno + 1})"
+    return f"{one_line(text, 500)} ({place}:{own_entries[-1].lineno + 1})"
 
 
-def judged_by_own_check(requirement: Requirement, episode: JudgedEpisode) -> EpisodeVerdict | None:
-    """What the requirement's own check says; ``None`` without one, and where none can be asked."""
+def _judged_by_own_check(requirement: Requirement, episode: JudgedEpisode) -> EpisodeVerdict | None:
+    """Judge by the requirement's own check; ``None`` where it has none that applies."""
     if not requirement.check or requirement.paired is not None:
         return None
     from pytest_dura.requirements.episode_verdicts import judge_episode
@@ -327,23 +342,23 @@ def judged_by_own_check(requirement: Requirement, episode: JudgedEpisode) -> Epi
 def status_of_test(
     episode: JudgedEpisode, error: BaseException | None
 ) -> tuple[EpisodeStatus, str]:
-    """What the outcome of a test says of the episode that it looked at, and why."""
-    first = str(error).partition("\n")[0] if error is not None else ""
+    """Return what the outcome of a test says of its episode, and why."""
+    message = str(error).partition("\n")[0] if error is not None else ""
     if episode.failure is not None:
         return "missing", episode.failure
     if error is None:
         return "satisfied", ""
-    spoilt = isinstance(error, pytest.fail.Exception) and first.startswith("invalid: ")
-    if spoilt or isinstance(error, pytest.skip.Exception):
-        return "invalid", first
+    says_invalid = isinstance(error, pytest.fail.Exception) and message.startswith("invalid: ")
+    if says_invalid or isinstance(error, pytest.skip.Exception):
+        return "invalid", message
     if isinstance(error.__context__, ConfigurationError):
-        return "missing", f"infrastructure: the test cannot be judged: {first}"
+        return "missing", f"infrastructure: the test cannot be judged: {message}"
     if isinstance(error, (AssertionError, pytest.fail.Exception)):
-        return "violated", first
-    return "missing", f"infrastructure: the test raised {type(error).__name__}: {first}"
+        return "violated", message
+    return "missing", f"infrastructure: the test raised {type(error).__name__}: {message}"
 
 
-OUR_FIXTURES = "pytest_dura.plugin.fixtures"
+_OUR_FIXTURES = "pytest_dura.plugin.fixtures"
 
 
 def check_passed(
@@ -352,7 +367,7 @@ def check_passed(
     used: Mapping[str, UsedEpisodes],
     decided: Collection[tuple[str, str]],
 ) -> None:
-    """Fail a test that passed if the episodes that it looked at do not carry that.
+    """Fail a test that passed if the episodes that it looked at do not support that.
 
     Args:
         context: The session's context.
@@ -363,17 +378,19 @@ def check_passed(
     from pytest_dura.campaign.campaign import Campaign
     from pytest_dura.requirements.episode_verdicts import JudgedEpisode
 
-    for one in used.values():
-        if one.failure:
-            pytest.fail(one.failure, pytrace=False)
+    for episode in used.values():
+        if episode.failure:
+            pytest.fail(episode.failure, pytrace=False)
     looked_at = item.funcargs.get("episode")
     if isinstance(looked_at, JudgedEpisode):
         _check_violations(context, item, looked_at)
-    for one in used.values():
-        if one.cut:
+    for episode in used.values():
+        if episode.early_end:
             # What else the test looked at might have come out otherwise.
-            told = f"invalid: {one.cut}: it shows a test nothing of what would have followed"
-            _fail_undecided(context, f"{told}; run such tests with --dura-end=complete")
+            text = (
+                f"invalid: {episode.early_end}: it shows a test nothing of what would have followed"
+            )
+            _fail_undecided(context, f"{text}; run such tests with --dura-end=complete")
     if isinstance(looked_at, JudgedEpisode):
         if looked_at.validity == "invalid":
             _fail_undecided(context, f"invalid: {looked_at.id}: {looked_at.invalid_reason}")
@@ -390,21 +407,21 @@ def check_passed(
 def without_verdict(
     context: SessionContext, item: pytest.Item, decided: Collection[tuple[str, str]]
 ) -> bool:
-    """Whether a test that asked for episodes came to no verdict, and does not say that it would.
+    """Whether a test that uses episodes came to no verdict, and does not declare that.
 
     Args:
         context: The session's context.
         item: The test, which has run.
         decided: Requirement and case of the verdicts that it asked for.
     """
-    asked_for = _episode_fixtures_of(item)
-    if not asked_for or decided or decides_nothing(item):
+    fixtures = _episode_fixtures_of(item)
+    if not fixtures or decided or decides_nothing(item):
         return False
-    return "episode" not in asked_for or not marked_requirements(context, item)
+    return "episode" not in fixtures or not marked_requirements(context, item)
 
 
 def _episode_fixtures_of(item: pytest.Item) -> list[str]:
-    """Those of our fixtures that give a test its episodes; others may have some of these names."""
+    """List those of our fixtures that give a test its episodes, by name and origin."""
     info = getattr(item, "_fixtureinfo", None)
     known = {} if info is None else info.name2fixturedefs
     return [
@@ -415,11 +432,11 @@ def _episode_fixtures_of(item: pytest.Item) -> list[str]:
 
 
 def _is_ours(name: str, definitions: Sequence[Any]) -> bool:
-    """Whether a fixture is ours, or overrides ours and asks for it."""
-    for one in reversed(definitions):
-        if one.func.__module__ == OUR_FIXTURES:
+    """Whether a fixture is ours, or overrides ours and requests it."""
+    for definition in reversed(definitions):
+        if definition.func.__module__ == _OUR_FIXTURES:
             return True
-        if name not in one.argnames:
+        if name not in definition.argnames:
             return False
     return False
 
@@ -436,12 +453,12 @@ def _remedy(item: pytest.Item) -> str:
 def _check_violations(
     context: SessionContext, item: pytest.Function, episode: JudgedEpisode
 ) -> None:
-    """A violation by what its requirements say in their files counts, whatever else is amiss.
+    """Fail a test whose episode violates the check of a requirement, whatever else happened.
 
     One that accepts a rate of violations is decided on all episodes, once they have run.
     """
     for requirement in marked_requirements(context, item):
-        judged = judged_by_own_check(requirement, episode)
+        judged = _judged_by_own_check(requirement, episode)
         if judged is not None and judged.verdict == "violated" and requirement.at_most is None:
             pytest.fail(f"violated: {_violation_text(requirement, judged)}", pytrace=False)
 
@@ -449,21 +466,21 @@ def _check_violations(
 def _check_decided_by_own(
     context: SessionContext, item: pytest.Function, episode: JudgedEpisode
 ) -> None:
-    """A test on an episode passes by what its requirements say in their files, or not at all."""
+    """Fail a test whose episode does not satisfy its requirements' own checks."""
     for requirement in marked_requirements(context, item):
-        judged = judged_by_own_check(requirement, episode)
+        judged = _judged_by_own_check(requirement, episode)
         if judged is not None and judged.verdict not in ("satisfied", "violated"):
             _fail_undecided(context, f"{judged.verdict}: {_violation_text(requirement, judged)}")
 
 
 def _check_looked(context: SessionContext, item: pytest.Function, episode: JudgedEpisode) -> None:
-    """A test supports by its assertions what it has looked at; of nothing it knows nothing."""
+    """Fail a test that read nothing of its episode, and so decides nothing by assertions."""
     from pytest_dura.plugin.observed_episode import observations_of
 
     alone = [
-        one.id
-        for one in marked_requirements(context, item)
-        if judged_by_own_check(one, episode) is None
+        requirement.id
+        for requirement in marked_requirements(context, item)
+        if _judged_by_own_check(requirement, episode) is None
     ]
     if alone and not observations_of(episode).names:
         _fail_undecided(
@@ -475,13 +492,17 @@ def _check_looked(context: SessionContext, item: pytest.Function, episode: Judge
 
 
 def _check_searched(context: SessionContext, used: Iterable[UsedEpisodes]) -> None:
-    """A property test passes by at least one case that a strategy chose and that is valid."""
+    """Fail a property test none of whose cases is valid."""
     from pytest_dura.library.cases import SearchedCase
 
-    doubts = [one.doubt for one in used if isinstance(one.case, SearchedCase)]
-    if doubts and all(doubts):
-        why = str(doubts[0]).partition("(")[2]
-        _fail_undecided(context, f"undecided: none of {len(doubts)} cases is valid ({why}")
+    reasons = [
+        used_episodes.undecided_reason
+        for used_episodes in used
+        if isinstance(used_episodes.case, SearchedCase)
+    ]
+    if reasons and all(reasons):
+        reason = str(reasons[0]).partition("(")[2]
+        _fail_undecided(context, f"undecided: none of {len(reasons)} cases is valid ({reason}")
 
 
 def _violation_text(requirement: Requirement, judged: EpisodeVerdict) -> str:
@@ -496,18 +517,18 @@ def _check_decided(
     used: Mapping[str, UsedEpisodes],
     decided: Collection[tuple[str, str]],
 ) -> None:
-    """A test on a campaign that claims to decide a requirement must ask for its verdict."""
-    used_here = used.get(campaign.case.id)
-    if used_here is not None and used_here.doubt is not None:
-        _fail_undecided(context, used_here.doubt)
+    """Fail a test on a campaign that asked for no verdict on a requirement of its markers."""
+    used_episodes = used.get(campaign.case.id)
+    if used_episodes is not None and used_episodes.undecided_reason is not None:
+        _fail_undecided(context, used_episodes.undecided_reason)
     if "episode" in item.funcargs:
         return  # it decides them
-    claimed = [one.id for one in marked_requirements(context, item)]
-    left = [name for name in claimed if (name, campaign.case.id) not in decided]
-    if left:
+    claimed = [requirement.id for requirement in marked_requirements(context, item)]
+    undecided = [name for name in claimed if (name, campaign.case.id) not in decided]
+    if undecided:
         _fail_undecided(
             context,
-            f"undecided: the test never asked for a verdict on {', '.join(left)}; "
+            f"undecided: the test never asked for a verdict on {', '.join(undecided)}; "
             "call campaign.require(check)",
         )
 

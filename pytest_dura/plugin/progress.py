@@ -46,7 +46,7 @@ LONGEST_BOUND_AGE = 10.0
 
 
 class Snapshots:
-    """Makes a new bound as seldom as its cost asks for.
+    """Snapshots of running campaigns, with new bounds only as often as their cost allows.
 
     Args:
         clock: Seconds.
@@ -57,21 +57,21 @@ class Snapshots:
         self.forget()
 
     def forget(self) -> None:
-        """The campaign has ended."""
+        """Forget the campaign, which has ended."""
         self._campaign: RunningCampaign | None = None
         self._bounded: CampaignProgress | None = None
         self._due = -1.0
 
     def of(self, running: RunningCampaign) -> CampaignProgress:
-        """How far a campaign is."""
+        """Return how far a campaign is."""
         if running is not self._campaign:
             self.forget()
             self._campaign = running
-        progress, begun = running.progress(), self._clock()
-        if begun >= self._due:
+        progress, started = running.progress(), self._clock()
+        if started >= self._due:
             self._bounded = running.bounded(progress)
             ended = self._clock()
-            self._due = ended + min((ended - begun) / BOUND_SHARE, LONGEST_BOUND_AGE)
+            self._due = ended + min((ended - started) / BOUND_SHARE, LONGEST_BOUND_AGE)
             return self._bounded
         known = self._bounded
         # From fewer runs with as many violations the bound is too great, and so it still holds.
@@ -84,12 +84,12 @@ PROGRESS_FOLDER = ".progress"
 WRITE_INTERVAL = 0.25
 """Seconds after which a worker tells again."""
 _FILE_NAME = re.compile(r"([0-9a-f]{16})\.([A-Za-z0-9_-]{1,32})\.(json|tmp)")
-_FIELDS = {one.name for one in fields(CampaignProgress)}
+_FIELDS = {field.name for field in fields(CampaignProgress)}
 _MOST_BYTES, _MOST_FILES, _LONGEST, _GREATEST = 4096, 256, 500, 10**9
 
 
 class WorkerFile:
-    """Where a worker tells how far its campaign is.
+    """File in which a worker writes how far its campaign is.
 
     Args:
         folder: Where all workers do.
@@ -109,12 +109,12 @@ class WorkerFile:
         self._usable = True
 
     def expect(self) -> None:
-        """Campaigns are to come: the folder is there from now on, by which the controller knows."""
+        """Make the folder, by which the controller knows that campaigns are to come."""
         with suppress(OSError):  # without it there is no progress, which nothing depends on
             self._folder.mkdir(parents=True, exist_ok=True)
 
-    def tell(self, running: RunningCampaign) -> None:
-        """Tell of a campaign that has run for a while; of one that has ended, no more."""
+    def write(self, running: RunningCampaign) -> None:
+        """Write the progress of a campaign that has run for a while; remove the file at its end."""
         if running.ended:
             self._end()
             return
@@ -123,9 +123,9 @@ class WorkerFile:
             self._due = now + WRITE_INTERVAL
         elif now >= self._due and self._usable:
             self._due = now + WRITE_INTERVAL
-            self._write(self._snapshots.of(running))
+            self._replace_file(self._snapshots.of(running))
 
-    def _write(self, progress: CampaignProgress) -> None:
+    def _replace_file(self, progress: CampaignProgress) -> None:
         data = json.dumps(asdict(progress)).encode()
         flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | getattr(os, "O_NOFOLLOW", 0)
         try:
@@ -150,14 +150,14 @@ class WorkerFile:
 
 
 def read_files(folder: Path, token: str) -> dict[str, CampaignProgress]:
-    """How far the campaign of each worker of a session is; what cannot be read is passed over."""
-    found = {}
+    """Read the progress of each worker's campaign; what cannot be read is left out."""
+    progress_of = {}
     for file, of_session, worker, end in _progress_files(folder):
         if of_session == token and end == "json":
             progress = _read_progress(file)
             if progress is not None:
-                found[worker] = progress
-    return found
+                progress_of[worker] = progress
+    return progress_of
 
 
 def remove_files(folder: Path, worker: str | None = None) -> None:
@@ -181,7 +181,7 @@ def remove_files(folder: Path, worker: str | None = None) -> None:
 
 
 def _progress_files(folder: Path) -> list[tuple[Path, str, str, str]]:
-    """Files by our names: path, token, worker, ending."""
+    """List our files: path, token, worker, ending."""
     try:
         with os.scandir(folder) as entries:
             named = [(entry, _FILE_NAME.fullmatch(entry.name)) for entry in entries]
@@ -205,20 +205,20 @@ def _read_progress(file: Path) -> CampaignProgress | None:
 
 
 def _checked_progress(data: Any) -> CampaignProgress | None:
-    """Plain data of which nothing is out of its range."""
+    """Make progress of plain data, if every value is in its range."""
     if not (isinstance(data, dict) and set(data) == _FIELDS):
         return None
     counts = [data[name] for name in ("taken_over", "done", "budget")]
-    counted = counts if data["violations"] is None else [*counts, data["violations"]]
+    numbers = counts if data["violations"] is None else [*counts, data["violations"]]
     shares = [data[name] for name in ("upper", "confidence") if data[name] is not None]
-    sound = (
+    is_valid = (
         all(_is_text(data[name]) for name in ("case", "subject"))
-        and all(type(number) is int and 0 <= number <= _GREATEST for number in counted)
+        and all(type(number) is int and 0 <= number <= _GREATEST for number in numbers)
         and counts == sorted(counts)
         and type(data["may_end_early"]) is bool
         and all(isinstance(share, float) and 0.0 <= share <= 1.0 for share in shares)
     )
-    return CampaignProgress(**data) if sound else None
+    return CampaignProgress(**data) if is_valid else None
 
 
 def _is_text(value: Any) -> bool:
@@ -226,15 +226,15 @@ def _is_text(value: Any) -> bool:
 
 
 class ProgressHooks:
-    """Shows the progress of this process, or as a controller that of its workers.
+    """Hooks that show this process's progress, or as a controller that of its workers.
 
     Args:
         context: The session's context.
-        way: How it is shown.
+        mode: How it is shown.
     """
 
-    def __init__(self, context: SessionContext, way: DisplayMode) -> None:
-        self._context, self._config, self._way = context, context.config, way
+    def __init__(self, context: SessionContext, mode: DisplayMode) -> None:
+        self._context, self._config, self._mode = context, context.config, mode
         self._reporter: Any = self._config.pluginmanager.getplugin("terminalreporter")
         self._distributed = self._config.pluginmanager.hasplugin("dsession")
         self._folder = context.evidence_directory / PROGRESS_FOLDER
@@ -244,43 +244,45 @@ class ProgressHooks:
         self._ticker: Ticker | None = None
         self._showing: ProgressView | None = None
         self._snapshots = Snapshots()
-        self._own: dict[str, CampaignProgress] = {}
-        self._looked_at, self._due = True, 0.0
+        self._own_progress: dict[str, CampaignProgress] = {}
+        self._was_shown, self._due = True, 0.0
         if self._distributed:
             remove_files(self._folder)  # of a session that was killed
 
-    def tell(self, running: RunningCampaign) -> None:
-        """Take in how far a campaign of this process is."""
+    def update(self, running: RunningCampaign) -> None:
+        """Take in the progress of a campaign of this process."""
         if running.ended:
-            self._own = {}
+            self._own_progress = {}
             self._snapshots.forget()
             if self._screen is not None:
                 self._screen.wipe()
-        elif self._way == "live":
-            if self._looked_at:
-                self._looked_at = False
-                self._own = {"": self._snapshots.of(running)}
+        elif self._mode == "live":
+            if self._was_shown:
+                self._was_shown = False
+                self._own_progress = {"": self._snapshots.of(running)}
                 self._begin()
         elif perf_counter() >= self._due:
             self._due = perf_counter() + progress_display.LINES_INTERVAL
-            self._own = {"": self._snapshots.of(running)}
+            self._own_progress = {"": self._snapshots.of(running)}
             # A log is written between two runs: another thread could not suspend the capture.
-            self._begin().look()
+            self._begin().refresh()
 
     def _begin(self) -> ProgressView:
         if self._showing is None:
-            surface = self._live() if self._way == "live" else self._log()
-            self._showing = ProgressView(surface, self._found)
-            if self._distributed or self._way == "live":
+            surface = self._live() if self._mode == "live" else self._log()
+            self._showing = ProgressView(surface, self._running_campaigns)
+            if self._distributed or self._mode == "live":
                 live, lines = progress_display.LIVE_INTERVAL, progress_display.LINES_INTERVAL
-                self._ticker = Ticker(self._showing.look, live if self._way == "live" else lines)
+                self._ticker = Ticker(
+                    self._showing.refresh, live if self._mode == "live" else lines
+                )
         return self._showing
 
-    def _found(self) -> Mapping[str, CampaignProgress]:
+    def _running_campaigns(self) -> Mapping[str, CampaignProgress]:
         if self._distributed:
             return read_files(self._folder, self._token)
-        self._looked_at = True
-        return self._own
+        self._was_shown = True
+        return self._own_progress
 
     def _live(self) -> LiveScreen:
         self._guard = TerminalGuard(self._config.get_terminal_writer())
@@ -288,7 +290,7 @@ class ProgressHooks:
         return self._screen
 
     def _log(self) -> ProgressLog:
-        interval, alone = (
+        interval, uncaptured = (
             self._context.options.progress_interval,
             partial(capture_disabled, self._config),
         )
@@ -296,37 +298,37 @@ class ProgressHooks:
             self._guard = TerminalGuard(self._config.get_terminal_writer())
             lock = self._guard.lock
             return ProgressLog(self._reporter, interval, perf_counter(), lambda: lock)
-        return ProgressLog(self._reporter, interval, perf_counter(), alone)
+        return ProgressLog(self._reporter, interval, perf_counter(), uncaptured)
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_configure_node(self, node: WorkerController) -> None:
-        """Let a worker tell."""
+        """Let a worker write its progress."""
         node.workerinput["dura_progress"] = self._token
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_xdist_node_collection_finished(self) -> None:
-        """Look at the workers if campaigns are among what they are to run."""
+        """Begin to read progress if workers are to run campaigns."""
         if self._folder.is_dir():
             self._begin()
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_testnodedown(self, node: WorkerController) -> None:
-        """Forget a worker, also one that was killed."""
+        """Remove the file of a worker, also of one that was killed."""
         remove_files(self._folder, node.gateway.id)
 
     @pytest.hookimpl(wrapper=True, tryfirst=True)
     def pytest_runtest_logstart(self) -> Generator[None, Any, Any]:
-        """Let pytest write as a whole what it writes in pieces."""
+        """Let pytest write whole lines, which it writes in pieces."""
         return (yield from self._undisturbed())
 
     @pytest.hookimpl(wrapper=True, tryfirst=True)
     def pytest_runtest_logreport(self) -> Generator[None, Any, Any]:
-        """As above."""
+        """Let pytest write whole lines."""
         return (yield from self._undisturbed())
 
     @pytest.hookimpl(wrapper=True, tryfirst=True)
     def pytest_runtest_logfinish(self) -> Generator[None, Any, Any]:
-        """As above."""
+        """Let pytest write whole lines."""
         return (yield from self._undisturbed())
 
     def _undisturbed(self) -> Generator[None, Any, Any]:
@@ -341,13 +343,13 @@ class ProgressHooks:
             self._screen.pause()
 
     def pytest_leave_pdb(self) -> None:
-        """Take it back."""
+        """Take the terminal back."""
         if self._screen is not None:
             self._screen.resume()
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_sessionfinish(self) -> None:
-        """Show nothing any more."""
+        """End the display."""
         if self._ticker is not None:
             self._ticker.close()
         if self._screen is not None:
@@ -357,6 +359,6 @@ class ProgressHooks:
 
     @pytest.hookimpl(trylast=True)
     def pytest_unconfigure(self) -> None:
-        """Remove what workers left, which are gone by now."""
+        """Remove what workers left, which have ended by now."""
         if self._distributed:
             remove_files(self._folder)

@@ -22,12 +22,12 @@ if TYPE_CHECKING:
 
 PACE_WINDOW = 10.0
 """Seconds that are looked back."""
-LEAST_LOOKS = 6
+LEAST_SAMPLES = 6
 """Looks at which there was something new that are kept however long ago they were."""
 
 
 class Pace:
-    """How fast one campaign gets on.
+    """Pace of one campaign: samples of its progress over time.
 
     Runs that were at hand when the campaign began say nothing of those that are simulated, and do
     not count.
@@ -39,40 +39,40 @@ class Pace:
 
     def __init__(self, progress: CampaignProgress, now: float) -> None:
         self._campaign = progress.case, progress.subject
-        self._looks = deque([(now, progress.done)])
+        self._samples = deque([(now, progress.done)])
 
     def is_of(self, progress: CampaignProgress) -> bool:
         """Whether this is the same campaign, further on."""
         same = self._campaign == (progress.case, progress.subject)
-        return same and progress.done >= self._looks[-1][1]
+        return same and progress.done >= self._samples[-1][1]
 
-    def look(self, progress: CampaignProgress, now: float) -> None:
-        """Take in how far the campaign is now."""
-        looks = self._looks
+    def add(self, progress: CampaignProgress, now: float) -> None:
+        """Add a sample of the progress."""
+        samples = self._samples
         if 0 < progress.done <= progress.taken_over:
-            looks.clear()
-        if not looks or progress.done > looks[-1][1]:
-            looks.append((now, progress.done))
-        while len(looks) > LEAST_LOOKS and now - looks[1][0] > PACE_WINDOW:
-            looks.popleft()
+            samples.clear()
+        if not samples or progress.done > samples[-1][1]:
+            samples.append((now, progress.done))
+        while len(samples) > LEAST_SAMPLES and now - samples[1][0] > PACE_WINDOW:
+            samples.popleft()
 
     def rate(self, now: float) -> float | None:
-        """Runs per second; ``None`` before a run has ended that was begun under these eyes.
+        """Runs per second; ``None`` until a run has ended that began after the first sample.
 
         The run that is under way may take as long as one took lately before it slows the rate.
         """
-        (begun, first), (latest, last) = self._looks[0], self._looks[-1]
+        (begun, first), (latest, last) = self._samples[0], self._samples[-1]
         if last == first or latest <= begun:
             return None
         usual = (latest - begun) / (last - first)
         return (last - first) / (max(latest, now - usual) - begun)
 
     def left(self, remaining: int, now: float) -> float | None:
-        """Seconds for so many runs, the one that is under way among them; ``None`` as above."""
+        """Seconds for so many runs, including the one under way; ``None`` as above."""
         rate = self.rate(now)
         if rate is None:
             return None
-        under_way = min(1.0, rate * (now - self._looks[-1][0]))
+        under_way = min(1.0, rate * (now - self._samples[-1][0]))
         return max(0.0, remaining - under_way) / rate
 
 
@@ -85,7 +85,7 @@ SLOW, FAST = 0.1, 10.0
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """A campaign that runs.
+    """Progress of a campaign that runs, as it is shown.
 
     Args:
         place: The worker that runs it; empty for this process.
@@ -101,37 +101,37 @@ class Row:
 
 
 def log_line(row: Row) -> str:
-    """Everything, as in a log."""
-    progress, found = row.progress, [_runs(row.progress)]
+    """Write all figures, as in a log."""
+    progress, parts = row.progress, [_runs(row.progress)]
     if progress.violations is not None:
-        found.append(_violations(progress.violations))
+        parts.append(_violations(progress.violations))
     if progress.upper is not None and progress.confidence is not None:
-        found.append(f"rate <= {_percent(progress.upper)} ({100 * progress.confidence:g} %)")
+        parts.append(f"rate <= {_percent(progress.upper)} ({100 * progress.confidence:g} %)")
     if row.rate is not None:
-        found.append(_speed(row.rate, " runs"))
+        parts.append(_speed(row.rate, " runs"))
     if row.left is not None:
         most = "at most " if progress.may_end_early else ""
-        found.append(f"{most}{duration(row.left)} left")
-    return f"{_campaign_name(progress)}: {', '.join(found)}"
+        parts.append(f"{most}{duration(row.left)} left")
+    return f"{_campaign_name(progress)}: {', '.join(parts)}"
 
 
 def short_line(row: Row) -> str:
-    """The same figures in fewer characters."""
+    """Write the same figures in fewer characters."""
     progress = row.progress
-    found = [f"{progress.done}/{progress.budget}"]
+    parts = [f"{progress.done}/{progress.budget}"]
     if progress.violations is not None:
-        found.append(_violations(progress.violations))
+        parts.append(_violations(progress.violations))
     if progress.upper is not None:
-        found.append(f"<= {_percent(progress.upper)}")
+        parts.append(f"<= {_percent(progress.upper)}")
     if row.rate is not None:
-        found.append(_speed(row.rate, ""))
+        parts.append(_speed(row.rate, ""))
     if row.left is not None:
-        found.append(f"{'<= ' if progress.may_end_early else ''}{duration(row.left)} left")
-    return f"{_campaign_name(progress)} {', '.join(found)}"
+        parts.append(f"{'<= ' if progress.may_end_early else ''}{duration(row.left)} left")
+    return f"{_campaign_name(progress)} {', '.join(parts)}"
 
 
 def terminal_line(row: Row, width: int) -> str:
-    """As much as goes into so many columns of a terminal."""
+    """Write as much as fits into so many columns of a terminal."""
     place = f"{row.place} " if row.place else ""
     text = place + log_line(row)
     # In between, a figure more or less would make the line jump from one form to the other.
@@ -141,7 +141,7 @@ def terminal_line(row: Row, width: int) -> str:
 
 
 def duration(seconds: float) -> str:
-    """In the two largest units."""
+    """Write a duration in its two largest units."""
     whole = max(1, round(seconds))
     if whole < MINUTE:
         return f"{whole} s"
@@ -151,7 +151,7 @@ def duration(seconds: float) -> str:
 
 
 def columns(text: str) -> int:
-    """The columns that a terminal needs for a text."""
+    """Count the columns that a terminal needs for a text."""
     return sum(map(_columns, text))
 
 
@@ -174,7 +174,7 @@ def _cut(text: str, width: int) -> str:
 def _campaign_name(progress: CampaignProgress) -> str:
     # A name with an escape sequence in it would write to the terminal what it likes.
     name = f"{progress.case} {progress.subject}".rstrip()
-    return "".join(one if one.isprintable() else "?" for one in name)
+    return "".join(character if character.isprintable() else "?" for character in name)
 
 
 def _runs(progress: CampaignProgress) -> str:
@@ -200,22 +200,24 @@ def _percent(share: float) -> str:
 
 
 class Board:
-    """Rows of what is found to run, look after look."""
+    """Rows of the running campaigns, whose pace it follows."""
 
     def __init__(self) -> None:
         self._paces: dict[str, Pace] = {}
 
-    def rows(self, found: Mapping[str, CampaignProgress], now: float) -> list[Row]:
-        """One row per place, in the order of their names.
+    def rows(self, campaigns: Mapping[str, CampaignProgress], now: float) -> list[Row]:
+        """Return a row per place, in the order of their names.
 
         Args:
-            found: The campaign that runs at each place.
+            campaigns: The campaign that runs at each place.
             now: Seconds of a clock that runs evenly.
         """
-        self._paces = {place: self._pace(place, progress, now) for place, progress in found.items()}
+        self._paces = {
+            place: self._pace(place, progress, now) for place, progress in campaigns.items()
+        }
         rows = []
-        for place in sorted(found, key=lambda place: (len(place), place)):  # gw2 before gw10
-            progress, pace = found[place], self._paces[place]
+        for place in sorted(campaigns, key=lambda place: (len(place), place)):  # gw2 before gw10
+            progress, pace = campaigns[place], self._paces[place]
             remaining = progress.budget - progress.done
             rows.append(Row(place, progress, pace.rate(now), pace.left(remaining, now)))
         return rows
@@ -224,16 +226,16 @@ class Board:
         pace = self._paces.get(place)
         if pace is None or not pace.is_of(progress):
             return Pace(progress, now)
-        pace.look(progress, now)
+        pace.add(progress, now)
         return pace
 
 
 def _wipe_nothing() -> None:
-    """What is to be done before pytest writes, as long as nobody draws."""
+    """Do nothing before pytest writes, as long as nothing is drawn."""
 
 
 class TerminalGuard:
-    """Lets pytest write once what must come before is done, and at once to the end.
+    """Guards pytest's terminal writer: wipes what is drawn before pytest writes, then flushes.
 
     Args:
         writer: Pytest's terminal writer, of which two methods are replaced.
@@ -258,17 +260,17 @@ class TerminalGuard:
         return guarded
 
     def remove(self) -> None:
-        """Let pytest write by itself again."""
+        """Restore pytest's own methods."""
         for name in ("write", "write_raw"):
             vars(self._writer).pop(name, None)
 
 
 SAVE, RESTORE = "\x1b7", "\x1b8"
-WIPE = "\x1b[J"
+_WIPE = "\x1b[J"
 """From the cursor to the end of the screen."""
-DOWN = "\x1bD"
+_DOWN = "\x1bD"
 """One line down in the same column; the screen scrolls where there is none."""
-UP = "\x1b[{}A"
+_UP = "\x1b[{}A"
 _USUAL_SIZE = os.terminal_size((80, 24))
 
 
@@ -302,12 +304,12 @@ class LiveScreen:
                 self._wipe()
 
     def wipe(self) -> None:
-        """Leave nothing behind."""
+        """Wipe what is drawn."""
         with self._guard.lock:
             self._wipe()
 
     def pause(self) -> None:
-        """Draw nothing, since somebody else writes: a debugger."""
+        """Wipe what is drawn and draw nothing, since a debugger writes."""
         with self._guard.lock:
             self._wipe()
             self._paused = True
@@ -317,21 +319,21 @@ class LiveScreen:
         self._paused = False
 
     def close(self) -> None:
-        """Leave nothing behind, and draw nothing any more."""
+        """Wipe what is drawn, and draw nothing any more."""
         self.pause()
         self._guard.remove()
         self._stream.close()
 
     def _draw(self, lines: list[str]) -> None:
         below = "".join(f"\r\n{line}" for line in lines)
-        room = DOWN * len(lines) + UP.format(len(lines))
-        self._write(f"{WIPE}{room}{SAVE}{below}{RESTORE}")
+        room = _DOWN * len(lines) + _UP.format(len(lines))
+        self._write(f"{_WIPE}{room}{SAVE}{below}{RESTORE}")
         self._drawn = lines
 
     def _wipe(self) -> None:
         if self._drawn:
             self._drawn = []
-            self._write(WIPE)
+            self._write(_WIPE)
 
     def _write(self, text: str) -> None:
         self._stream.write(text)
@@ -348,7 +350,7 @@ class LiveScreen:
         )
 
 
-SILENCE_SHARE = 0.1
+_SILENCE_SHARE = 0.1
 """The longer a session lasts, the longer until the next line: so much of what has passed."""
 LONGEST_SILENCE = 300.0
 """But no longer than that, or twice the interval: CI services end what is silent."""
@@ -361,7 +363,7 @@ class ProgressLog:
         reporter: Pytest's terminal reporter.
         interval: Seconds between lines, at least.
         begun: When the first campaign began.
-        alone: Context in which pytest's reporter reaches the log, and nobody else writes.
+        uncaptured: Context in which pytest's reporter reaches the log, and nobody else writes.
     """
 
     def __init__(
@@ -369,23 +371,23 @@ class ProgressLog:
         reporter: Any,
         interval: float,
         begun: float,
-        alone: Callable[[], AbstractContextManager[Any]],
+        uncaptured: Callable[[], AbstractContextManager[Any]],
     ) -> None:
         self._reporter, self._interval, self._begun = reporter, interval, begun
-        self._alone = alone
+        self._uncaptured = uncaptured
         self._due = begun + interval
 
     def show(self, rows: Sequence[Row], now: float) -> None:
-        """Write the rows, if it is time to."""
+        """Write the rows, if a line is due."""
         if now < self._due or not rows:
             return
         longest = max(LONGEST_SILENCE, 2 * self._interval)
-        self._due = now + max(self._interval, min(SILENCE_SHARE * (now - self._begun), longest))
-        with self._alone():
+        self._due = now + max(self._interval, min(_SILENCE_SHARE * (now - self._begun), longest))
+        with self._uncaptured():
             self._write([f"dura: {log_line(row)}" for row in rows])
 
     def _write(self, lines: Sequence[str]) -> None:
-        """Whole lines on a line of their own."""
+        """Write lines on lines of their own."""
         reporter = self._reporter
         writer, at = reporter.config.get_terminal_writer(), reporter.currentfspath
         if writer.width_of_current_line:
@@ -400,13 +402,13 @@ class ProgressLog:
 DisplayMode = Literal["live", "lines"]
 
 LIVE_INTERVAL = 0.2
-"""Seconds between two looks where each is shown."""
+"""Seconds between two refreshes of a terminal."""
 LINES_INTERVAL = 0.5
-"""Seconds between two looks of which few are shown."""
+"""Seconds between two refreshes of a log, few of which write a line."""
 
 
 def display_mode(config: pytest.Config) -> DisplayMode | None:
-    """How this process shows progress; ``None`` if it does not, as under ``-q``."""
+    """Return how this process shows progress; ``None`` if it does not, as under ``-q``."""
     reporter = config.pluginmanager.getplugin("terminalreporter")
     if reporter is None or hasattr(config, "workerinput") or config.getoption("verbose") < 0:
         return None
@@ -422,46 +424,46 @@ def display_mode(config: pytest.Config) -> DisplayMode | None:
 
 
 class Surface(Protocol):
-    """Whatever shows rows."""
+    """Display that shows rows."""
 
     def show(self, rows: Sequence[Row], now: float) -> None:
-        """Show these rows, or wait."""
+        """Show these rows, or wait until a line is due."""
 
 
 class ProgressView:
-    """Looks at what runs, and shows it.
+    """Shows the running campaigns on a surface, at each refresh.
 
     Args:
         surface: Shows it.
-        found: The campaigns that run, by the place where they do.
+        campaigns: The campaigns that run, by the place where they do.
         clock: Seconds.
     """
 
     def __init__(
         self,
         surface: Surface,
-        found: Callable[[], Mapping[str, CampaignProgress]],
+        campaigns: Callable[[], Mapping[str, CampaignProgress]],
         clock: Callable[[], float] = perf_counter,
     ) -> None:
-        self._surface, self._found, self._clock = surface, found, clock
+        self._surface, self._campaigns, self._clock = surface, campaigns, clock
         self._board = Board()
 
-    def look(self) -> None:
-        """Look once."""
+    def refresh(self) -> None:
+        """Show the present progress."""
         now = self._clock()
-        self._surface.show(self._board.rows(self._found(), now), now)
+        self._surface.show(self._board.rows(self._campaigns(), now), now)
 
 
 class Ticker:
-    """Looks again and again, in a thread that ends with the session.
+    """Calls a function at intervals, in a thread that ends with the session.
 
     Args:
-        look: Called each time; an error of the operating system ends it.
+        refresh: Called each time; an error of the operating system ends it.
         interval: Seconds in between.
     """
 
-    def __init__(self, look: Callable[[], None], interval: float) -> None:
-        self._look, self._interval = look, interval
+    def __init__(self, refresh: Callable[[], None], interval: float) -> None:
+        self._refresh, self._interval = refresh, interval
         self._over = Event()
         self._thread = Thread(target=self._run, name="dura-progress", daemon=True)
         self._thread.start()
@@ -470,10 +472,10 @@ class Ticker:
         # If the terminal is gone, pytest itself tells whoever still listens.
         with suppress(OSError):
             while not self._over.wait(self._interval):
-                self._look()
+                self._refresh()
 
     def close(self) -> None:
-        """Look no more."""
+        """End the thread."""
         self._over.set()
         self._thread.join()
 
@@ -481,14 +483,14 @@ class Ticker:
 def capture_disabled(config: pytest.Config) -> AbstractContextManager[Any]:
     """Context in which standard output is that of the session."""
     capture = config.pluginmanager.getplugin("capturemanager")
-    found: AbstractContextManager[Any] = (
+    context: AbstractContextManager[Any] = (
         nullcontext() if capture is None else capture.global_and_fixture_disabled()
     )
-    return found
+    return context
 
 
 def open_terminal(config: pytest.Config) -> TextIO:
-    """The terminal by a way of its own, which no capture closes.
+    """Open the terminal again, past any capture.
 
     Raises:
         OSError: If standard output has no file beneath it.

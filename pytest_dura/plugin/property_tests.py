@@ -27,11 +27,11 @@ if TYPE_CHECKING:
     from pytest_dura.search.trials import Objective
 
 
-DEFAULT_FOLDER = "scenarios"
+_DEFAULT_FOLDER = "scenarios"
 
 
-def scenario_folder(context: SessionContext) -> Path:
-    """The first folder of ini ``dura_scenario_paths``; by default one that need not exist yet.
+def _scenario_folder(context: SessionContext) -> Path:
+    """Return the first folder of ini ``dura_scenario_paths``; the default need not exist yet.
 
     Raises:
         ConfigurationError: If the setting names files alone: what is kept elsewhere is run by none.
@@ -47,30 +47,30 @@ def scenario_folder(context: SessionContext) -> Path:
             expected="a folder among them",
             remedy="add a folder, such as scenarios",
         )
-    return folders[0] if folders else config.rootpath / DEFAULT_FOLDER
+    return folders[0] if folders else config.rootpath / _DEFAULT_FOLDER
 
 
 def counterexample_store(context: SessionContext) -> CounterexampleStore:
-    """What keeps a counterexample, and says where, as seen from the project's root."""
+    """Make what stores a counterexample, and returns its path relative to the project's root."""
 
-    def keep(
-        case: SearchedCase, asked: Objective, told: Sequence[str]
+    def store(
+        case: SearchedCase, objective: Objective, lines: Sequence[str]
     ) -> tuple[StoredCounterexample, str]:
         from pytest_dura.search.counterexamples import write_counterexample
 
         known = context.library().requirements
-        requirement = asked.requirement
-        kept = write_counterexample(
-            scenario_folder(context),
+        requirement = objective.requirement
+        stored = write_counterexample(
+            _scenario_folder(context),
             case,
             requirement,
-            asked.check,
+            objective.check,
             defined=known.get(requirement.id) == requirement,
-            heading=[str(context.redact(line)) for line in told],
+            heading=[str(context.redact(line)) for line in lines],
         )
-        return kept, os.path.relpath(kept.file, context.config.rootpath)
+        return stored, os.path.relpath(stored.file, context.config.rootpath)
 
-    return keep
+    return store
 
 
 PROFILE = "dura"
@@ -82,13 +82,13 @@ _MOST_FAILURES = 8
 
 
 def register_profile(config: pytest.Config) -> None:
-    """Have the profile ``dura`` where the command line asks Hypothesis for it."""
+    """Register the profile ``dura`` if the command line asks Hypothesis for it."""
     if config.getoption("--hypothesis-profile", None) == PROFILE:
         import pytest_dura.strategies  # noqa: F401 - importing it registers the profile
 
 
 class PropertyTests:
-    """The property tests of this process.
+    """Property tests of this process.
 
     Args:
         context: The session's context.
@@ -103,7 +103,7 @@ class PropertyTests:
         self._settings: dict[str, Any] | None = None
 
     def begin(self) -> Callable[[], None]:
-        """Let strategies know the session's scenarios; returns what undoes it."""
+        """Give strategies the session's scenarios; returns what undoes it."""
         from contextlib import ExitStack
 
         from pytest_dura.library.loading import use_library
@@ -112,13 +112,13 @@ class PropertyTests:
         stack.enter_context(use_library(self.context.library))
         return stack.close
 
-    def looked_at(self, case: SearchedCase) -> None:
-        """The current test looked at an episode of a case that a strategy chose."""
+    def case_used(self, case: SearchedCase) -> None:
+        """Note that the current test looked at an episode of a case that a strategy chose."""
         self._cases.append(case)
 
     @contextmanager
     def watching(self, item: pytest.Function) -> Iterator[None]:
-        """Within it, a property test runs; if it fails, its simplest failing case is kept."""
+        """Context of a property test; if it fails, its simplest failing case is stored."""
         handle: Any = getattr(item.obj, "hypothesis", None)
         if not hasattr(handle, "inner_test"):
             yield
@@ -127,8 +127,8 @@ class PropertyTests:
         try:
             yield
         except _FAILURES as error:
-            for case in self._of(error):
-                self._lines += self._kept(item, case)
+            for case in self._failing_cases(error):
+                self._lines += self._store_lines(item, case)
             raise
         finally:
             handle.inner_test = inner
@@ -136,31 +136,34 @@ class PropertyTests:
             self._failed.clear()
 
     def add_section(self, report: pytest.TestReport) -> None:
-        """Say in the report of a test what was kept."""
+        """Add what was stored to the report of a test."""
         if report.when == "call" and self._lines:
             report.sections.append(("dura", "\n".join(self._lines)))
             self._lines = []
 
-    def described(self, header: Mapping[str, Any]) -> dict[str, Any]:
-        """The head of the record with the profile of Hypothesis, where it was imported."""
+    def with_profile(self, header: Mapping[str, Any]) -> dict[str, Any]:
+        """Add the profile of Hypothesis to the record's head, where it was imported."""
         from pytest_dura.provenance import describe_hypothesis
 
-        found = self._settings or describe_hypothesis()
+        settings = self._settings or describe_hypothesis()
         environment = dict(header["environment"])
-        return {**header, "environment": environment | ({"hypothesis": found} if found else {})}
+        return {
+            **header,
+            "environment": environment | ({"hypothesis": settings} if settings else {}),
+        }
 
     def send_to_controller(self, workeroutput: MutableMapping[str, Any]) -> None:
-        """Tell the controller, which reads no tests, under which profile this worker ran them."""
+        """Add to a worker's output the profile under which it ran its tests."""
         from pytest_dura.provenance import describe_hypothesis
 
         workeroutput[_PROFILE_KEY] = describe_hypothesis()
 
     def receive_from_worker(self, workeroutput: Mapping[str, Any]) -> None:
-        """Take in what a worker tells at its end."""
+        """Take over the profile of a worker."""
         self._settings = workeroutput.get(_PROFILE_KEY) or self._settings
 
     def _watched(self, test: Callable[..., Any]) -> Callable[..., Any]:
-        """The test function, which notes on what cases it fails."""
+        """Wrap the test function: note the cases of failing runs."""
 
         @functools.wraps(test)
         def watched(*arguments: Any, **named: Any) -> Any:
@@ -174,42 +177,50 @@ class PropertyTests:
 
         return watched
 
-    def _of(self, error: BaseException) -> list[SearchedCase]:
-        """The cases of the runs whose errors are reported, each once."""
+    def _failing_cases(self, error: BaseException) -> list[SearchedCase]:
+        """List the cases of the runs whose errors are reported, each once."""
         reported = set(map(id, _leaves(error)))
-        found = [case for one, cases in self._failed if id(one) in reported for case in cases]
-        return list({case.id: case for case in found}.values())
+        failed = [
+            case for failure, cases in self._failed if id(failure) in reported for case in cases
+        ]
+        return list({case.id: case for case in failed}.values())
 
-    def _kept(self, item: pytest.Item, case: SearchedCase) -> Iterator[str]:
-        """Lines on a case that is kept, or why it is not."""
+    def _store_lines(self, item: pytest.Item, case: SearchedCase) -> Iterator[str]:
+        """Store a case; yields lines on where it is, or why it is not stored."""
         try:
-            asked = self._violated(item, case)
-            if asked is None:
+            objective = self._violated(item, case)
+            if objective is None:
                 yield (
                     f"{case.id} violates no requirement of the test or its scenario: no file is "
                     "kept. Name what it violates with the marker `requirement`."
                 )
             else:
-                yield from self._keep(item, case, asked)
+                yield from self._store(item, case, objective)
         except ConfigurationError as error:
             yield f"{case.id} is not kept: {error}"
 
     def _violated(self, item: pytest.Item, case: SearchedCase) -> Objective | None:
-        """What a case violates: of what the test's markers name, else of the scenario's own."""
+        """Return what a case violates of the test's markers, else of the scenario's own."""
         from pytest_dura.plugin.markers import marked_requirements
         from pytest_dura.search.trials import Objective
 
         runner = self.context.runner
-        named = {one.id: one for one in marked_requirements(self.context, item)}
-        named |= {one.id: one for one in runner.requirements_of(case) if one.id not in named}
+        named = {
+            requirement.id: requirement for requirement in marked_requirements(self.context, item)
+        }
+        named |= {item.id: item for item in runner.requirements_of(case) if item.id not in named}
         episode = runner.searched(case)
-        for one in named.values():
-            asked = Objective(one)
-            if one.check and not one.paired and asked.judge(episode).status == "violated":
-                return asked
+        for requirement in named.values():
+            objective = Objective(requirement)
+            if (
+                requirement.check
+                and not requirement.paired
+                and objective.judge(episode).status == "violated"
+            ):
+                return objective
         return None
 
-    def _keep(self, item: pytest.Item, case: SearchedCase, asked: Objective) -> Iterator[str]:
+    def _store(self, item: pytest.Item, case: SearchedCase, objective: Objective) -> Iterator[str]:
         from pytest_dura.plugin.context import rerun_command
         from pytest_dura.search.counterexamples import (
             confirm_violation,
@@ -218,10 +229,10 @@ class PropertyTests:
         from pytest_dura.search.space import SearchSpace
         from pytest_dura.search.trials import Trials
 
-        runner, name = self.context.runner, asked.requirement.id
+        runner, name = self.context.runner, objective.requirement.id
         original = runner.case(case.scenario.name)
-        trials = Trials(runner, SearchSpace(original, (), original.scenario.world), [asked])
-        confirmed = confirm_violation(trials, asked, case, 0)
+        trials = Trials(runner, SearchSpace(original, (), original.scenario.world), [objective])
+        confirmed = confirm_violation(trials, objective, case, 0)
         repeats = confirmed.counterexample.repeats
         if not repeats.confirmed:
             yield (
@@ -230,29 +241,29 @@ class PropertyTests:
             )
             return
         written: list[StoredCounterexample] = []
-        keep = counterexample_store(self.context)
+        store = counterexample_store(self.context)
 
-        def noted(*arguments: Any) -> tuple[StoredCounterexample, str]:
-            found = keep(*arguments)
-            written.append(found[0])
-            return found
+        def storing(*arguments: Any) -> tuple[StoredCounterexample, str]:
+            stored = store(*arguments)
+            written.append(stored[0])
+            return stored
 
-        found = store_counterexample(
-            trials, asked, confirmed, noted, f"simplest failing case of {item.nodeid}"
+        counterexample = store_counterexample(
+            trials, objective, confirmed, storing, f"simplest failing case of {item.nodeid}"
         )
-        command = rerun_command(self.context, f"{found.name}::{written[0].requirement.id}")
+        command = rerun_command(self.context, f"{counterexample.name}::{written[0].requirement.id}")
         yield f"{case.id} violates {name}, confirmed by replay with an equal digest"
-        for change in found.changes:
+        for change in counterexample.changes:
             yield f"          {change.path}: {change.value} instead of {change.nominal}"
-        yield f"kept in:  {found.file}, which --dura-scenarios runs from now on"
+        yield f"kept in:  {counterexample.file}, which --dura-scenarios runs from now on"
         yield f"rerun:    {command}"
 
 
 def _leaves(error: BaseException) -> Iterator[BaseException]:
-    """The error, or those that a group of them holds."""
+    """Yield the error, or the errors that a group holds."""
     inner = getattr(error, "exceptions", None)
     if isinstance(inner, (tuple, list)):
-        for one in inner:
-            yield from _leaves(one)
+        for member in inner:
+            yield from _leaves(member)
     else:
         yield error

@@ -21,6 +21,7 @@ from pytest_dura.plugin.outcomes import (
     episode_of,
     failed_assertion,
     outcome_of_test,
+    parameters_of,
     status_of_test,
     without_verdict,
 )
@@ -48,7 +49,7 @@ if TYPE_CHECKING:
 def case_record(
     case: Case, component: str, planned: int, runs_override: int | None, off: list[str]
 ) -> dict[str, Any]:
-    """A case as the evidence holds it.
+    """Return a case as the evidence holds it.
 
     Args:
         case: The case.
@@ -76,13 +77,13 @@ def case_record(
 
 
 def _without_none(spread: dict[str, Any]) -> dict[str, Any]:
-    """A range of single numbers says nothing of pieces."""
+    """Leave out the keys of pieces, which a range of single numbers does not have."""
     return {key: value for key, value in spread.items() if value is not None}
 
 
 Reason = Literal["all", "sample", "missing", "violation"]
 
-_RANK: dict[Reason, int] = {"all": 0, "sample": 1, "missing": 2, "violation": 3}
+_REASON_RANK: dict[Reason, int] = {"all": 0, "sample": 1, "missing": 2, "violation": 3}
 """Of several reasons to keep a trace the last one is told."""
 
 
@@ -107,7 +108,7 @@ class TraceKeeper:
         """Why a trace could not be written; the first reason alone is told."""
 
     def used(self, episode: Episode) -> None:
-        """A test looked at an episode."""
+        """Note an episode that a test looked at."""
         level = self.context.options.evidence_level
         if level == "all":
             self._keep(episode, "all")
@@ -119,15 +120,15 @@ class TraceKeeper:
                 self._keep(episode, reason)
 
     def violated(self, episode: Episode) -> None:
-        """An episode violates a requirement, or failed its test."""
+        """Keep the trace of an episode that violates a requirement, or failed its test."""
         if self.context.options.evidence_level != "summary":
             self._keep(episode, "violation")
 
     def take(self) -> tuple[list[dict[str, Any]], list[str]]:
-        """What there is to tell since the last call: traces, and problems."""
-        told = self.traces, self.problems
+        """Return the traces and problems since the last call."""
+        taken = self.traces, self.problems
         self.traces, self.problems = [], []
-        return told
+        return taken
 
     def _keep(self, episode: Episode, reason: Reason) -> None:
         about = self.context.redact(
@@ -140,7 +141,7 @@ class TraceKeeper:
         )
         key = tuple(about.values())
         before = self._kept.get(key)
-        if before is not None and _RANK[before[0]] >= _RANK[reason]:
+        if before is not None and _REASON_RANK[before[0]] >= _REASON_RANK[reason]:
             return
         written = self._write(episode, about) if before is None else before[1]
         self._kept[key] = reason, written
@@ -149,7 +150,7 @@ class TraceKeeper:
             self.traces.append({**named, "trace": {**written, "kept_for": reason}})
 
     def _write(self, episode: Episode, about: dict[str, Any]) -> dict[str, Any] | None:
-        """The file and its digest; ``None`` if it cannot be written, which is told."""
+        """Write a trace; returns its file and digest, ``None`` if it cannot be written."""
         from pytest_dura.evidence.mcap import write_trace
         from pytest_dura.evidence.traces import TRACE_FOLDER, Trace, trace_path
 
@@ -182,7 +183,7 @@ REPORT_ATTRIBUTE = "dura"
 
 
 class ItemRecorder:
-    """Works in whichever process runs the items.
+    """Records what items use and decide, in whichever process runs them.
 
     Args:
         context: The session's context.
@@ -213,56 +214,56 @@ class ItemRecorder:
         self._used: dict[str, UsedEpisodes] = {}
         self._decided: set[tuple[str, str]] = set()
         self._components: dict[tuple[str, bytes, bool], dict[str, Any]] = {}
-        self._last: JudgedEpisode | None = None
-        self._asserted = False
+        self._last_episode: JudgedEpisode | None = None
+        self._body_passed = False
         """Whether the body of the current test came to its end without a failure."""
         self.traces = TraceKeeper(context)
 
     def episode_used(self, case: Case, episode: JudgedEpisode, planned: int) -> None:
-        """An item looked at an episode of so many planned ones; 0 for one chosen by hand."""
+        """Record an episode of so many planned ones; 0 for one chosen by hand."""
         from pytest_dura.evidence.episodes import episode_record
 
         self._used.setdefault(case.id, UsedEpisodes(case)).add(episode)
         generator = episode.spec.roles["generator"]
         self._case_used(case, generator, planned)
         self._models.used(episode.spec)
-        own = self.context.runner.key(episode)
-        key = own, planned > 0
-        if key not in self._recorded:
-            self._recorded.add(key)
-            origin = self.context.runner.store.earlier.origin(own)
-            told = episode_record(episode, planned=planned > 0, origin=origin)
-            self._report.episodes.append(told)
-            self._relieve()
-        self._last = episode
+        key = self.context.runner.key(episode)
+        use = key, planned > 0
+        if use not in self._recorded:
+            self._recorded.add(use)
+            origin = self.context.runner.store.earlier.origin(key)
+            record = episode_record(episode, planned=planned > 0, origin=origin)
+            self._report.episodes.append(record)
+            self._flush_if_full()
+        self._last_episode = episode
         self.traces.used(episode)
         if planned:
             self._repeats.episode_used(case, episode)
 
     def searched_used(self, case: SearchedCase, episode: SearchedEpisode) -> None:
-        """An item looked at an episode of a case that a strategy chose, which is no sample."""
+        """Note an episode of a case that a strategy chose, which is no sample."""
         self._used.setdefault(case.id, UsedEpisodes(case)).add(episode)
         self._component_used(episode.spec.roles["generator"])
         self._models.used(episode.spec)
-        self._properties.looked_at(case)
+        self._properties.case_used(case)
 
     def verdict_reached(self, verdict: CampaignVerdict, requirement: Requirement) -> None:
-        """A campaign was judged, and what its episodes are worth along with it."""
+        """Record the verdict on a campaign, and keep the traces of its counterexamples."""
         used = self._used.pop(verdict.case, None)
         for counterexample in verdict.counterexamples:
-            episode = used and used.again(self.context.runner, counterexample.episode)
+            episode = used and used.episode(self.context.runner, counterexample.episode)
             if episode:
                 self.traces.violated(episode)
         self._used.pop((verdict.pairs or {}).get("case", verdict.case), None)
-        asked = requirement.to_json()
-        question = {"check": asked["check"], "paired": asked["paired"]}
-        self._report.verdicts.append({**verdict.to_json(), **question})
+        question = requirement.to_json()
+        check = {"check": question["check"], "paired": question["paired"]}
+        self._report.verdicts.append({**verdict.to_json(), **check})
         self._decided.add((verdict.requirement, verdict.case))
         self._requirement_used(requirement)
         self._planned(verdict.case, verdict.component, verdict.planned)
 
     def search_ended(self, case: Case, falsification: Mapping[str, Any]) -> None:
-        """A search for violations came to its end, whatever its test makes of that.
+        """Record a search for violations, whatever its test makes of it.
 
         Args:
             case: What it searched.
@@ -288,23 +289,21 @@ class ItemRecorder:
         self._report.searches.append({**plain_data(falsification), **about})
 
     def monitors_judged(self, case: Case, qualities: list[MonitorQuality]) -> None:
-        """It was measured how good a case's monitors are."""
-        self._report.monitors += [{"case": case.id, **one.to_json()} for one in qualities]
+        """Record how good a case's monitors are."""
+        self._report.monitors += [{"case": case.id, **quality.to_json()} for quality in qualities]
 
-    def faults_followed(
-        self, case: Case, episode: JudgedEpisode, chains: list[CausalChain]
-    ) -> None:
-        """It was found what came of each fault of an episode."""
-        told = {"case": case.id, "component": episode.spec.component, "episode": episode.id}
-        self._report.chains += [{**told, **one.to_json()} for one in chains]
-        self._relieve()
+    def faults_traced(self, case: Case, episode: JudgedEpisode, chains: list[CausalChain]) -> None:
+        """Record the causal chain of each fault of an episode."""
+        about = {"case": case.id, "component": episode.spec.component, "episode": episode.id}
+        self._report.chains += [{**about, **chain.to_json()} for chain in chains]
+        self._flush_if_full()
 
     def case_repeated(self, repeat: Mapping[str, Any]) -> None:
-        """One episode of a case was run again."""
+        """Record the repetition of an episode of a case."""
         self._report.repeats.append(dict(repeat))
 
-    def _relieve(self) -> None:
-        """Let no item hold a great many episodes until it ends."""
+    def _flush_if_full(self) -> None:
+        """Split off part of a report that holds a great many episodes."""
         if self._report.full:
             part = self._report.split(self.context.redact)
             if self.context.is_worker:
@@ -313,18 +312,19 @@ class ItemRecorder:
                 self._take(part)
 
     def outcome_of(self, error: DuraError) -> BaseException:
-        """What one of our own errors does to a test: fail it, with a message and no more."""
+        """Turn one of our own errors into a failure or a skip with its message."""
         verdict, search = getattr(error, "verdict", None), getattr(error, "falsification", None)
         undecided = verdict is not None and verdict.verdict == "undecided"
         if search is not None:
-            statuses = {outcome.status for outcome in search.outcomes}
-            undecided = not search.violations and "undecided" in statuses
+            undecided = not search.found and any(
+                outcome.word == "undecided" for outcome in search.outcomes
+            )
         if undecided and self.context.options.warn_undecided:
             return pytest.skip.Exception(str(error))
         return pytest.fail.Exception(str(error))
 
     def body_ended(self, item: pytest.Function) -> None:
-        """A test came to its end: what it has looked at by now is what it looked at."""
+        """End the observation of the episode: what is read from now on is not the test."""
         episode = episode_of(item)
         if episode is not None:
             from pytest_dura.plugin.observed_episode import observations_of
@@ -332,20 +332,20 @@ class ItemRecorder:
             observations_of(episode).end()
 
     def body_passed(self, item: pytest.Function) -> None:
-        """A test passed; fail it if the episodes that it looked at do not carry that."""
-        self._asserted = True
+        """Fail a test that passed if the episodes that it looked at do not support that."""
+        self._body_passed = True
         check_passed(self.context, item, self._used, self._decided)
 
     def attach(
         self, item: pytest.Item, call: pytest.CallInfo[None], report: pytest.TestReport
     ) -> ItemReport | None:
-        """Put what the item told on its report, as JSON; returns it, if it told anything."""
+        """Put what the item recorded on its report, as JSON; returns it, if there is anything."""
         if call.when == "teardown":
-            self._end(item)
+            self._item_ended(item)
         if call.when == "setup":
-            self._claim(item)
+            self._add_claims(item)
         if call.when == "call":
-            self._called(item, call, report)
+            self._test_called(item, call, report)
         traces, problems = self.traces.take()
         if traces or problems:
             self._report.traces += traces
@@ -359,17 +359,17 @@ class ItemRecorder:
             self._report.models += models
         if self._pending is None:
             return None
-        told, self._pending = self._pending, None
-        told.item = item.nodeid
-        told = told.without_secrets(self.context.redact)
-        if told:
-            setattr(report, REPORT_ATTRIBUTE, json.dumps(told.to_json(), allow_nan=False))
-        return told
+        item_report, self._pending = self._pending, None
+        item_report.item = item.nodeid
+        item_report = item_report.without_secrets(self.context.redact)
+        if item_report:
+            setattr(report, REPORT_ATTRIBUTE, json.dumps(item_report.to_json(), allow_nan=False))
+        return item_report
 
-    def _called(
+    def _test_called(
         self, item: pytest.Item, call: pytest.CallInfo[None], report: pytest.TestReport
     ) -> None:
-        self._keep_last(call)
+        self._keep_failed_trace(call)
         if self._target(item) is not None:
             self._test_outcome(item, call, report)
         # A test that skips itself, or is expected to fail, came to no verdict either.
@@ -377,23 +377,23 @@ class ItemRecorder:
         if excused and without_verdict(self.context, item, self._decided):
             self._report.objections.append(f"{item.nodeid} ended without a verdict")
 
-    def _end(self, item: pytest.Item) -> None:
+    def _item_ended(self, item: pytest.Item) -> None:
         self._used.clear()
         self._decided.clear()
-        self._last = None
-        self._asserted = False
+        self._last_episode = None
+        self._body_passed = False
         if self._executor.is_lost:  # what there is by now can be resumed
             item.session.shouldstop = "nobody is left who simulates"
         if self._shared.is_broken:
             item.session.shouldstop = "file descriptors of this process were closed"
 
-    def _keep_last(self, call: pytest.CallInfo[None]) -> None:
-        """Keep the episode at which a test failed that asked for no verdict: its last one."""
-        if self._last is None or self._decided or call.excinfo is None:
+    def _keep_failed_trace(self, call: pytest.CallInfo[None]) -> None:
+        """Keep the trace of the last episode of a failed test that asked for no verdict."""
+        if self._last_episode is None or self._decided or call.excinfo is None:
             return
-        word, why = status_of_test(self._last, call.excinfo.value)
-        if word == "violated" and not why.startswith("undecided: "):
-            self.traces.violated(self._last)
+        status, detail = status_of_test(self._last_episode, call.excinfo.value)
+        if status == "violated" and not detail.startswith("undecided: "):
+            self.traces.violated(self._last_episode)
 
     @property
     def _report(self) -> ItemReport:
@@ -405,7 +405,9 @@ class ItemRecorder:
 
     def _case_used(self, case: Case, generator: RoleSpec, planned: int) -> None:
         report, component = self._report, self._component_used(generator)
-        if not any((one["id"], one["component"]) == (case.id, component) for one in report.cases):
+        if not any(
+            (entry["id"], entry["component"]) == (case.id, component) for entry in report.cases
+        ):
             off = case.roles_off(self.context.runner.roles)
             runs = self.context.options.runs
             report.cases.append(case_record(case, component, planned, runs, off))
@@ -427,28 +429,28 @@ class ItemRecorder:
             file, root = None, self.context.config.rootpath
             if isinstance(generator, LocalRole):
                 file = root / generator.path.rpartition(":")[0]
-            described = describe_component(generator.path, factory, generator.params, file, root)
-            sources = described.pop("sources")
-            if described["digest"] is not None:
+            description = describe_component(generator.path, factory, generator.params, file, root)
+            sources = description.pop("sources")
+            if description["digest"] is not None:
                 # They are many: the first report of each process has them.
-                self._report.sources[described["digest"]] = sources
-            named = {"name": component, **described, "opaque": generator.opaque}
+                self._report.sources[description["digest"]] = sources
+            named = {"name": component, **description, "opaque": generator.opaque}
             self._components[key] = named
         if self._components[key] not in self._report.components:
             self._report.components.append(self._components[key])
         return component
 
     def _planned(self, case: str, component: str, planned: int) -> None:
-        for one in self._report.cases:
-            if (one["id"], one["component"]) == (case, component):
-                one["planned"] = max(one["planned"], planned)
+        for entry in self._report.cases:
+            if (entry["id"], entry["component"]) == (case, component):
+                entry["planned"] = max(entry["planned"], planned)
 
     def _requirement_used(self, requirement: Requirement) -> None:
         if requirement.to_json() not in self._report.requirements:
             self._report.requirements.append(requirement.to_json())
 
-    def _claim(self, item: pytest.Item) -> None:
-        """Say what a test is to decide: if it ends before it does, that is undecided."""
+    def _add_claims(self, item: pytest.Item) -> None:
+        """Record what a test is to decide: if it ends before it does, that is undecided."""
         run = self._target(item)
         target = run or self._target(item, "campaign")
         if target is None:
@@ -466,15 +468,14 @@ class ItemRecorder:
             self._report.claims.append(claim)
 
     def _target(self, item: pytest.Item, fixture: str = "episode") -> Target | None:
-        """The run that a test looks at, or the case, if it looks at one."""
-        parameters = getattr(getattr(item, "callspec", None), "params", {})
-        target = parameters.get(fixture)
+        """Return the run, or the case, that a test looks at."""
+        target = parameters_of(item).get(fixture)
         return target if hasattr(target, "planned") else None
 
     def _test_outcome(
         self, item: pytest.Item, call: pytest.CallInfo[None], report: pytest.TestReport
     ) -> None:
-        """What a test on one episode means for the requirements in its markers."""
+        """Record the outcome of a test on one episode for the requirements in its markers."""
         target, episode = self._target(item), getattr(item, "funcargs", {}).get("episode")
         if target is None or episode is None:
             return
@@ -484,17 +485,19 @@ class ItemRecorder:
             command = replay_command(self.context, episode.id)
             report.sections.append(("dura", f"{episode.id}, replay: {command}"))
         failed = (
-            "" if call.excinfo is None or self._asserted else failed_assertion(item, call.excinfo)
+            ""
+            if call.excinfo is None or self._body_passed
+            else failed_assertion(item, call.excinfo)
         )
         for requirement in marked_requirements(self.context, item):
             self._requirement_used(requirement)
             of_case = self.context.runner.requirements_of(target.case)
-            told = outcome_of_test(requirement, of_case, episode, error, failed)
-            if told["verdict"] == "violated":
+            outcome = outcome_of_test(requirement, of_case, episode, error, failed)
+            if outcome["verdict"] == "violated":
                 self.traces.violated(episode)
             self._report.outcomes.append(
                 {
-                    **told,
+                    **outcome,
                     "case": target.case.id,
                     "planned": target.planned,
                     "at_most": requirement.at_most,

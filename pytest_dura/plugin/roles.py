@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from pytest_dura.plugin.context import SessionContext
 
 
-OVERRIDABLE = (
+_OVERRIDABLE = (
     "simulator",
     "generator",
     "safety_monitor",
@@ -33,13 +33,13 @@ OVERRIDABLE = (
 
 
 def root_conftest_with(config: pytest.Config, role: str) -> str | None:
-    """The root conftest's file name, if it defines the fixture of this role."""
+    """Return the root conftest's file name, if it defines the fixture of this role."""
     root = config.rootpath / "conftest.py"
     return root.name if (root, role) in _overrides(config) else None
 
 
 def overrides_deeper_down(config: pytest.Config) -> list[tuple[str, str]]:
-    """``(file, role)`` of overrides that scenario items do not see, relative to the root."""
+    """List ``(file, role)`` of overrides that scenario items do not see."""
     root = config.rootpath
     return [
         (os.path.relpath(file, root), role)
@@ -49,13 +49,13 @@ def overrides_deeper_down(config: pytest.Config) -> list[tuple[str, str]]:
 
 
 def none_in_root_conftest(config: pytest.Config) -> list[tuple[str, str]]:
-    """``(file, role)`` of fixtures of the root conftest that plainly return ``None``."""
+    """List ``(file, role)`` of fixtures of the root conftest that plainly return ``None``."""
     root = config.rootpath / "conftest.py"
     roles = [role for file, role in _overrides(config) if file == root]
     if not roles:
         return []
     tree = ast.parse(root.read_bytes())
-    functions = {one.name: one for one in tree.body if isinstance(one, ast.FunctionDef)}
+    functions = {node.name: node for node in tree.body if isinstance(node, ast.FunctionDef)}
     return [(root.name, role) for role in roles if _returns_none(functions.get(role))]
 
 
@@ -63,13 +63,15 @@ def _returns_none(function: ast.FunctionDef | None) -> bool:
     if function is None:
         return False
     nodes = list(ast.walk(function))
-    values = [one.value for one in nodes if isinstance(one, ast.Return) and one.value is not None]
-    generates = any(isinstance(one, (ast.Yield, ast.YieldFrom)) for one in nodes)
+    values = [
+        node.value for node in nodes if isinstance(node, ast.Return) and node.value is not None
+    ]
+    generates = any(isinstance(node, (ast.Yield, ast.YieldFrom)) for node in nodes)
     return not generates and all(isinstance(v, ast.Constant) and v.value is None for v in values)
 
 
-def conftest_defining(config: pytest.Config, value: object) -> str | None:
-    """The ``conftest.py`` at whose top level a class or function is defined, if it is in one.
+def _conftest_defining(config: pytest.Config, value: object) -> str | None:
+    """Return the ``conftest.py`` at whose top level a class or function is defined, if any.
 
     pytest may have loaded several modules of the name ``conftest``, of which ``sys.modules`` holds
     one; so the class itself does not tell.
@@ -83,27 +85,29 @@ def conftest_defining(config: pytest.Config, value: object) -> str | None:
 
 
 def defined_in_conftest(config: pytest.Config, file: str, name: str) -> Any:
-    """What :func:`conftest_defining` was asked about; ``None`` if that file is not loaded."""
-    wanted = config.rootpath / file
-    return next((vars(m).get(name) for path, m in _conftests(config) if path == wanted), None)
+    """Return what a ``conftest.py`` defines under a name; ``None`` if it is not loaded."""
+    conftest = config.rootpath / file
+    return next(
+        (vars(module).get(name) for path, module in _conftests(config) if path == conftest), None
+    )
 
 
 def _overrides(config: pytest.Config) -> list[tuple[Path, str]]:
     return [
         (file, role)
         for file, module in _conftests(config)
-        for role in OVERRIDABLE
+        for role in _OVERRIDABLE
         if _is_fixture(module, role)
     ]
 
 
 def _conftests(config: pytest.Config) -> list[tuple[Path, ModuleType]]:
-    found = []
+    modules = []
     for plugin in config.pluginmanager.get_plugins():
         file = getattr(plugin, "__file__", None)
         if isinstance(plugin, ModuleType) and file and Path(file).name == "conftest.py":
-            found.append((Path(file), plugin))
-    return sorted(found, key=lambda one: one[0])
+            modules.append((Path(file), plugin))
+    return sorted(modules, key=lambda entry: entry[0])
 
 
 def _is_fixture(module: ModuleType, name: str) -> bool:
@@ -114,7 +118,7 @@ def _is_fixture(module: ModuleType, name: str) -> bool:
 
 
 class SessionRoles:
-    """What options, role fixtures and the domain's defaults come to.
+    """Roles of a session: from options, role fixtures and the domain's defaults.
 
     Args:
         context: The session's context.
@@ -125,7 +129,7 @@ class SessionRoles:
         self._defaults: dict[str, RoleSpec] = {}
 
     def default(self, role: str) -> RoleSpec:
-        """What a role's fixture returns unless it is overridden; the same object at every call."""
+        """Return what a role's fixture returns unless overridden: the same object at every call."""
         if role not in self._defaults:
             from pytest_dura.core.role_spec import RoleSpec
             from pytest_dura.domains import DOMAINS
@@ -142,13 +146,13 @@ class SessionRoles:
         return self._defaults[role]
 
     def chosen(self) -> dict[str, RoleSpec | None]:
-        """The roles that options put in place of the scenarios' and domains' own."""
+        """Return the roles that options put in place of the scenarios' and domains' own."""
         if self.context.options.generator is None:
             return {}
         return {"generator": self.default("generator")}
 
     def use(self, given: dict[str, Any]) -> None:
-        """Let the runner run what the role fixtures of an item returned.
+        """Let the runner use what the role fixtures of an item returned.
 
         Raises:
             ConfigurationError: For something that is no such role, and for a generator that is
@@ -157,7 +161,7 @@ class SessionRoles:
         from pytest_dura.library.roles import role_of_fixture
 
         overridden = {
-            role: role_of_fixture(role, value, conftest_defining(self.context.config, value))
+            role: role_of_fixture(role, value, _conftest_defining(self.context.config, value))
             for role, value in given.items()
             if value is not self.default(role)
         }
@@ -181,7 +185,6 @@ class SessionRoles:
 
 
 def _given_twice(where: str) -> ConfigurationError:
-    """The component under test is named twice."""
     return ConfigurationError(
         "the component under test is given twice",
         key="--dura-generator",

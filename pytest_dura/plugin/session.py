@@ -19,12 +19,12 @@ from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.plugin.context import Planned, SessionContext
 from pytest_dura.plugin.episodes import Repeats, SessionExecutor, SharedEpisodes
 from pytest_dura.plugin.evidence import SessionEvidence
+from pytest_dura.plugin.items import Selection, ShardHooks
 from pytest_dura.plugin.language_models import LanguageModels
 from pytest_dura.plugin.messages import usage_errors
 from pytest_dura.plugin.property_tests import PropertyTests
 from pytest_dura.plugin.recorder import ItemRecorder
 from pytest_dura.plugin.roles import SessionRoles
-from pytest_dura.plugin.shards import Selection, ShardHooks
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -38,8 +38,8 @@ Chosen = tuple[str, str]
 """A case and a requirement; "" stands for all of its requirements."""
 
 
-def scenario_arguments(context: SessionContext) -> dict[str, Chosen]:
-    """The arguments that name no file and a case, and what they choose.
+def _scenario_arguments(context: SessionContext) -> dict[str, Chosen]:
+    """Return the arguments that name a case and no file, with their case and requirement.
 
     Raises:
         ConfigurationError: For an unknown requirement of a case, and scenarios that cannot be read.
@@ -47,19 +47,19 @@ def scenario_arguments(context: SessionContext) -> dict[str, Chosen]:
     config = context.config
     if config.args_source is not config.ArgsSource.ARGS:
         return {}
-    found = {}
+    chosen = {}
     for argument in config.args:
         path, _, requirement = argument.partition("::")
         if path.endswith(".py") or os.path.lexists(config.invocation_params.dir / path):
             continue
         name = _case_name(context, path)
         if name is not None:
-            found[argument] = (name, _requirement_name(context, name, requirement))
-    return found
+            chosen[argument] = (name, _requirement_name(context, name, requirement))
+    return chosen
 
 
 def _case_name(context: SessionContext, path: str) -> str | None:
-    """The case that an argument names which is no file, if there is such a case."""
+    """Return the case that an argument names, if there is such a case."""
     try:
         library = context.library()
     except ConfigurationError as error:
@@ -94,7 +94,7 @@ def _requirement_name(context: SessionContext, name: str, requirement: str) -> s
 
 
 def make_plan(context: SessionContext, chosen: Mapping[str, Chosen]) -> list[Planned]:
-    """The cases of the scenarios, or those that arguments name, with their requirements.
+    """List the cases of the scenarios, or those that arguments name, with their requirements.
 
     Args:
         context: The session's context, which takes in each case.
@@ -109,10 +109,10 @@ def make_plan(context: SessionContext, chosen: Mapping[str, Chosen]) -> list[Pla
     if chosen:
         # A case of our own arguments may have other faults than its scenario.
         named = {name: context.runner.case(name) for name, _ in chosen.values()}
-        found = select_cases(list(named.values()), options.select)
+        selected = select_cases(list(named.values()), options.select)
     else:
-        found = expand_cases(library.scenarios, options.faults, options.select, library.faults)
-    cases = {case.id: case for case in found}
+        selected = expand_cases(library.scenarios, options.faults, options.select, library.faults)
+    cases, choices = {case.id: case for case in selected}, set(chosen.values())
     for name in sorted(cases):
         case = cases[name]
         if not (case.requirements or chosen or options.list_only):
@@ -128,72 +128,68 @@ def make_plan(context: SessionContext, chosen: Mapping[str, Chosen]) -> list[Pla
             requirements = tuple(
                 requirement
                 for requirement in case.requirements
-                if any(_chooses(one, name, requirement) for one in chosen.values())
+                if (name, requirement) in choices or (name, "") in choices
             )
         if requirements:
-            context.take_case(case)
+            context.register_case(case)
             plan.append(Planned(case, requirements))
     return plan
 
 
-def _chooses(chosen: Chosen, case: str, requirement: str) -> bool:
-    return chosen[0] == case and chosen[1] in ("", requirement)
-
-
-PROGRESS_PLUGIN = "dura-progress"
+_PROGRESS_PLUGIN = "dura-progress"
 
 
 def begin_progress(context: SessionContext) -> None:
-    """Prepare a session with workers, which tell what their controller shows."""
+    """Register the progress display of a session with workers."""
     if context.config.pluginmanager.hasplugin("dsession"):
         _register_progress(context)
 
 
 def expect_progress(context: SessionContext) -> None:
-    """Campaigns are among what this process is to run."""
-    file = progress_file(context) if context.is_worker else None
+    """Note that this process is to run campaigns."""
+    file = _progress_file(context) if context.is_worker else None
     if file is not None:
         file.expect()
 
 
-def progress_listener(context: SessionContext) -> Callable[[RunningCampaign], None]:
-    """What a runner reports its progress to."""
+def _progress_listener(context: SessionContext) -> Callable[[RunningCampaign], None]:
+    """Return the function to which a runner reports its progress."""
     if context.is_worker:
-        file = progress_file(context)
-        return _show_nothing if file is None else file.tell
+        file = _progress_file(context)
+        return _show_nothing if file is None else file.write
     return _register_progress(context)
 
 
-def progress_file(context: SessionContext) -> WorkerFile | None:
-    """Where a worker tells; ``None`` if nothing is shown."""
-    told = context.worker_input
-    if "dura_progress" not in told:
+def _progress_file(context: SessionContext) -> WorkerFile | None:
+    """Return the file in which a worker writes progress; ``None`` if nothing is shown."""
+    worker_input = context.worker_input
+    if "dura_progress" not in worker_input:
         return None
     from pytest_dura.plugin.progress import PROGRESS_FOLDER, WorkerFile
 
     folder = context.evidence_directory / PROGRESS_FOLDER
-    return WorkerFile(folder, told["dura_progress"], told["workerid"])
+    return WorkerFile(folder, worker_input["dura_progress"], worker_input["workerid"])
 
 
 def _register_progress(context: SessionContext) -> Callable[[RunningCampaign], None]:
-    """What shows it in this process, which takes part in the session from now on."""
+    """Register the progress display of this process; returns what updates it."""
     from pytest_dura.plugin.progress_display import display_mode
 
-    way = display_mode(context.config)
-    if way is None or (way == "lines" and isinf(context.options.progress_interval)):
+    mode = display_mode(context.config)
+    if mode is None or (mode == "lines" and isinf(context.options.progress_interval)):
         return _show_nothing
     from pytest_dura.plugin.progress import ProgressHooks
 
-    hooks = context.config.pluginmanager.getplugin(PROGRESS_PLUGIN)
+    hooks = context.config.pluginmanager.getplugin(_PROGRESS_PLUGIN)
     if hooks is None:
-        hooks = ProgressHooks(context, way)
-        context.config.pluginmanager.register(hooks, PROGRESS_PLUGIN)
-    found: Callable[[RunningCampaign], None] = hooks.tell
-    return found
+        hooks = ProgressHooks(context, mode)
+        context.config.pluginmanager.register(hooks, _PROGRESS_PLUGIN)
+    update: Callable[[RunningCampaign], None] = hooks.update
+    return update
 
 
 def _show_nothing(_: RunningCampaign) -> None:
-    """Nothing is shown."""
+    """Ignore progress, where nothing is shown."""
 
 
 class DuraSession(SessionContext):
@@ -231,16 +227,18 @@ class DuraSession(SessionContext):
             executor=self.executor,
             take=self.evidence.take,
         )
+        self.parts_of_workers = self.executor, self.properties, self.selection, self.shared
+        """Parts whose workers send what they know to the controller at their end."""
         self._own_arguments: set[str] = set()
 
     @cached_property
     def shard(self) -> ShardHooks | None:
-        """What keeps the items of one shard, if the session is one."""
+        """Hooks that keep the items of one shard, if the session is one."""
         return None if self.options.shard is None else ShardHooks(self, self.options.shard)
 
     @property
     def active(self) -> bool:
-        """Whether the session was asked for something of ours."""
+        """Whether options or arguments ask for something of this package."""
         return self.options.any_given or bool(self._own_arguments)
 
     def start(self) -> None:
@@ -250,7 +248,7 @@ class DuraSession(SessionContext):
             pytest.UsageError: For options and files that cannot be used.
         """
         if self.active:
-            self.reach_project()
+            self.extend_import_path()
         with usage_errors():
             self.models.begin()
             self.roles.check()
@@ -267,7 +265,7 @@ class DuraSession(SessionContext):
         Raises:
             pytest.UsageError: If it cannot be written.
         """
-        self.reach_project()
+        self.extend_import_path()
         with usage_errors():
             self.evidence.start()
             self.executor.start()
@@ -285,13 +283,15 @@ class DuraSession(SessionContext):
         """Leave to pytest the arguments that name files, and none if scenarios run alone."""
         config = self.config
         if self._own_arguments:
-            config.args = [one for one in config.args if one not in self._own_arguments]
+            config.args = [
+                argument for argument in config.args if argument not in self._own_arguments
+            ]
         elif self.options.scenarios and config.args_source is not config.ArgsSource.ARGS:
             config.args = []
 
     @cached_property
     def runner(self) -> Runner:
-        """What runs episodes. Its roles follow the fixtures that the current item sees."""
+        """Runner of episodes. Its roles follow the fixtures that the current item sees."""
         from pytest_dura.plugin.property_tests import counterexample_store
         from pytest_dura.runner import Runner
 
@@ -304,11 +304,11 @@ class DuraSession(SessionContext):
             time_budget=self.options.time_budget,
             end_when_decided=self.options.end_when_decided,
             on_episode=self.recorder.episode_used,
-            on_progress=progress_listener(self),
+            on_progress=_progress_listener(self),
             on_verdict=self.recorder.verdict_reached,
             on_monitors=self.recorder.monitors_judged,
-            on_chains=self.recorder.faults_followed,
-            on_search=lambda case, found: self.recorder.search_ended(case, found.to_json()),
+            on_chains=self.recorder.faults_traced,
+            on_search=lambda case, search: self.recorder.search_ended(case, search.to_json()),
             on_searched=self.recorder.searched_used,
             counterexamples=counterexample_store(self),
             twins=self.options.twins,
@@ -324,7 +324,7 @@ class DuraSession(SessionContext):
         Raises:
             ConfigurationError: For arguments and scenarios that cannot be used.
         """
-        chosen = scenario_arguments(self)
+        chosen = _scenario_arguments(self)
         self._own_arguments = set(chosen)
         if self.options.scenarios or self.options.list_only or chosen:
             self.plan += make_plan(self, chosen)
@@ -348,7 +348,7 @@ _STASH_KEY = pytest.StashKey[DuraSession]()
 
 
 def session_of(config: pytest.Config) -> DuraSession:
-    """The one object of a configuration, made at the first call."""
+    """Return the one session object of a configuration, made at the first call."""
     if _STASH_KEY not in config.stash:
         config.stash[_STASH_KEY] = DuraSession(config)
     return config.stash[_STASH_KEY]

@@ -52,14 +52,14 @@ _MOST_REASONS = 8
 """Reasons that are told."""
 
 
-def reuse_lines(record: SessionRecord) -> Iterator[str]:
-    """How many episodes were taken over, how many were simulated, and why some of them again."""
+def _reuse_lines(record: SessionRecord) -> Iterator[str]:
+    """Count the episodes taken over and simulated, with reasons for repeated ones."""
     if record["reuse"]["mode"] != "none":
         yield from _reuse_sentences(record["reuse"], record["totals"]["episodes"], "episode")
 
 
-def searched_lines(record: SessionRecord) -> Iterator[str]:
-    """The same of what searches simulated, and why something could not be shared."""
+def _searched_lines(record: SessionRecord) -> Iterator[str]:
+    """Count the same for searches, and say why something could not be shared."""
     searched = record["reuse"]["searched"]
     if searched is not None and searched["simulations"]:
         yield from _reuse_sentences(searched, searched["simulations"], "run", " of searches")
@@ -67,24 +67,24 @@ def searched_lines(record: SessionRecord) -> Iterator[str]:
 
 
 def _reuse_sentences(
-    reuse: Mapping[str, Any], count: int, one: str, whose: str = ""
+    reuse: Mapping[str, Any], count: int, noun: str, suffix: str = ""
 ) -> Iterator[str]:
     from pytest_dura.evidence.sessions import outdated_reason
 
     taken, sessions = reuse["taken_over"], len(reuse["sessions"])
-    from_where = f" from {counted(sessions, 'earlier session')}" if taken else ""
-    yield f"{counted(taken, one)}{whose} taken over{from_where}, {count - taken} simulated"
-    outdated = sorted(reuse["outdated"], key=lambda each: -each["episodes"])
-    for each in outdated[:_MOST_REASONS]:
-        again = f"{counted(each['episodes'], one)}{whose} simulated again"
-        yield f"{again}: {outdated_reason(each['changed'])}"
+    origin = f" from {counted(sessions, 'earlier session')}" if taken else ""
+    yield f"{counted(taken, noun)}{suffix} taken over{origin}, {count - taken} simulated"
+    outdated = sorted(reuse["outdated"], key=lambda entry: -entry["episodes"])
+    for entry in outdated[:_MOST_REASONS]:
+        repeated = f"{counted(entry['episodes'], noun)}{suffix} simulated again"
+        yield f"{repeated}: {outdated_reason(entry['changed'])}"
     if len(outdated) > _MOST_REASONS:
-        rest = sum(each["episodes"] for each in outdated[_MOST_REASONS:])
-        yield f"{counted(rest, one)}{whose} simulated again for other reasons: see the record"
+        rest = sum(entry["episodes"] for entry in outdated[_MOST_REASONS:])
+        yield f"{counted(rest, noun)}{suffix} simulated again for other reasons: see the record"
 
 
-def resume_lines(session: DuraSession) -> Iterator[str]:
-    """How a session that was not whole goes on, if anything of it was kept."""
+def _resume_lines(session: DuraSession) -> Iterator[str]:
+    """Say how an incomplete session goes on, if anything of it was kept."""
     if session.shared.is_whole or not session.shared.cache.count():
         return
     if session.shared.mode == "reuse":
@@ -101,12 +101,12 @@ def _resume_command(session: DuraSession) -> str:
     return shlex.join(["pytest", *map(str, arguments)])
 
 
-NO_EVIDENCE = "no evidence of a change"
-BASELINE_COLOURS: Mapping[str, dict[str, bool]] = {
+_NO_EVIDENCE = "no evidence of a change"
+_BASELINE_COLOURS: Mapping[str, dict[str, bool]] = {
     "worse": {"red": True},
     "better": {"green": True},
 }
-BASELINE_LEGEND = (
+_BASELINE_LEGEND = (
     "now, then: violations of valid runs; p: exact one-sided p-value in the direction of the",
     "change; Holm: p corrected for the number of comparisons, on which the word rests (p alone, at",
     "a confidence of 0.95, calls an unchanged rate worse in up to 5 % of all comparisons);",
@@ -115,8 +115,7 @@ BASELINE_LEGEND = (
 )
 
 
-def baseline_header(baseline: Baseline | None) -> list[str]:
-    """That a baseline is compared, and which."""
+def _baseline_header(baseline: Baseline | None) -> list[str]:
     if baseline is None:
         return []
     names = sorted({claim.component for claim in baseline.claims})
@@ -127,94 +126,106 @@ def baseline_header(baseline: Baseline | None) -> list[str]:
     return lines
 
 
-def show_baseline(terminal: Any, record: SessionRecord) -> None:
-    """What was violated now or then with its figures, the rest by name, and what they come to."""
+def _show_baseline(terminal: Any, record: SessionRecord) -> None:
+    """Show comparisons with violations by their figures, and the others by name."""
     baseline = record["baseline"]
     if baseline is None:
         return
-    found = baseline["comparisons"]
+    comparisons = baseline["comparisons"]
     terminal.line("")
     terminal.line(f"baseline {baseline['path']}: {_baseline_summary(baseline)}")
-    shown = [one for one in found if one["test"] is None or _violated(one)]
+    shown = [
+        comparison
+        for comparison in comparisons
+        if comparison["test"] is None or _violated(comparison)
+    ]
     rows = [
-        one for word in (*BASELINE_COLOURS, NO_EVIDENCE) for one in shown if one["word"] == word
+        comparison
+        for status in (*_BASELINE_COLOURS, _NO_EVIDENCE)
+        for comparison in shown
+        if comparison["word"] == status
     ]
     if rows:
-        table = [BASELINE_COLUMNS, *map(_baseline_row, rows)]
-        widths = [max(len(row[i]) for row in table) for i in range(len(BASELINE_COLUMNS))]
-        for row, one in zip(table, [None, *rows], strict=True):
+        table = [_BASELINE_COLUMNS, *map(_baseline_row, rows)]
+        widths = [max(len(row[i]) for row in table) for i in range(len(_BASELINE_COLUMNS))]
+        for row, entry in zip(table, [None, *rows], strict=True):
             cells = "  ".join(f"{cell:<{width}}" for cell, width in zip(row, widths, strict=True))
-            about = "requirement and case" if one is None else _name(one)
+            about = "requirement and case" if entry is None else _name(entry)
             fits = len(cells) + 2 + len(about) <= WIDTH
             lines = [f"{cells}  {about}"] if fits else [cells, f"{'':<{widths[0] + 2}}{about}"]
             for line in lines:
                 terminal.line(
-                    line, **({} if one is None else BASELINE_COLOURS.get(one["word"], {}))
+                    line, **({} if entry is None else _BASELINE_COLOURS.get(entry["word"], {}))
                 )
-        for line in BASELINE_LEGEND:
+        for line in _BASELINE_LEGEND:
             terminal.line(line)
-    for reason, alike in _unremarkable(found).items():
+    for reason, alike in _unremarkable(comparisons).items():
         text = f"{one_line(reason)}: {_requirements_by_case(alike)}"
         for line in textwrap.wrap(text, WIDTH, subsequent_indent="  ", break_on_hyphens=False):
             terminal.line(line)
 
 
-BASELINE_COLUMNS = ("", "now", "then", "p", "Holm", "test")
+_BASELINE_COLUMNS = ("", "now", "then", "p", "Holm", "test")
 
 
-def _baseline_row(one: Data) -> Sequence[str]:
-    direction = "worse" if one["p_worse"] <= one["p_better"] else "better"
-    word = one["word"]
-    if word == NO_EVIDENCE:
-        word = "-" if one["uncorrected"] == NO_EVIDENCE else f"({one['uncorrected']})"
+def _baseline_row(comparison: Data) -> Sequence[str]:
+    direction = "worse" if comparison["p_worse"] <= comparison["p_better"] else "better"
+    status = comparison["word"]
+    if status == _NO_EVIDENCE:
+        status = (
+            "-" if comparison["uncorrected"] == _NO_EVIDENCE else f"({comparison['uncorrected']})"
+        )
     return (
-        word,
-        f"{one['violations']}/{one['episodes']}",
-        f"{one['baseline_violations']}/{one['baseline_episodes']}",
-        f"{one[f'p_{direction}']:.2g}",
-        f"{one[f'p_{direction}_holm']:.2g}",
-        one["test"],
+        status,
+        f"{comparison['violations']}/{comparison['episodes']}",
+        f"{comparison['baseline_violations']}/{comparison['baseline_episodes']}",
+        f"{comparison[f'p_{direction}']:.2g}",
+        f"{comparison[f'p_{direction}_holm']:.2g}",
+        comparison["test"],
     )
 
 
-def _name(one: Data) -> str:
-    return f"{name(one['requirement'])} on {name(one['case'])}"
+def _name(comparison: Data) -> str:
+    return f"{name(comparison['requirement'])} on {name(comparison['case'])}"
 
 
 def _baseline_summary(baseline: Data) -> str:
-    words = [one["word"] for one in baseline["comparisons"]]
-    compared = sum(one["test"] is not None for one in baseline["comparisons"])
+    statuses = [comparison["word"] for comparison in baseline["comparisons"]]
+    compared = sum(comparison["test"] is not None for comparison in baseline["comparisons"])
     parts = [counted(compared, "comparison")]
-    parts += [f"{words.count(word)} {word}" for word in ("worse", "better")]
+    parts += [f"{statuses.count(status)} {status}" for status in ("worse", "better")]
     if baseline["tests"] != compared:
         parts.append(f"corrected for {baseline['tests']}")
     return ", ".join(parts)
 
 
-def _violated(one: Data) -> bool:
-    return bool(one["violations"] or one["baseline_violations"])
+def _violated(comparison: Data) -> bool:
+    return bool(comparison["violations"] or comparison["baseline_violations"])
 
 
-def _unremarkable(found: Sequence[Data]) -> dict[str, list[Data]]:
-    """What never was violated, stands in one record only, or cannot be compared, by reason."""
-    alike: dict[str, list[Data]] = {}
-    for one in found:
-        if one["test"] is None:
-            reason = f"{one['word']}: {one['reason']}" if one["reason"] else one["word"]
-        elif not _violated(one):
-            runs = f"0/{one['episodes']} now, 0/{one['baseline_episodes']} then"
-            reason = f"{one['word']}, violated in {runs}"
+def _unremarkable(comparisons: Sequence[Data]) -> dict[str, list[Data]]:
+    """Group comparisons without violations, or without a test, by reason."""
+    by_reason: dict[str, list[Data]] = {}
+    for comparison in comparisons:
+        if comparison["test"] is None:
+            reason = (
+                f"{comparison['word']}: {comparison['reason']}"
+                if comparison["reason"]
+                else comparison["word"]
+            )
+        elif not _violated(comparison):
+            runs = f"0/{comparison['episodes']} now, 0/{comparison['baseline_episodes']} then"
+            reason = f"{comparison['word']}, violated in {runs}"
         else:
             continue
-        alike.setdefault(reason, []).append(one)
-    return alike
+        by_reason.setdefault(reason, []).append(comparison)
+    return by_reason
 
 
-def _requirements_by_case(found: Sequence[Data]) -> str:
-    """The requirements, by case."""
+def _requirements_by_case(comparisons: Sequence[Data]) -> str:
     cases: dict[str, list[str]] = {}
-    for one in found:
-        cases.setdefault(one["case"], []).append(one["requirement"])
+    for comparison in comparisons:
+        cases.setdefault(comparison["case"], []).append(comparison["requirement"])
     return "; ".join(
         f"{', '.join(map(name, names))} on {name(case)}" for case, names in cases.items()
     )
@@ -224,7 +235,7 @@ _COUNTED = ("supported", "violated", "undecided", "waived")
 
 
 def header(session: DuraSession) -> list[str]:
-    """Component under test, base seed, what will run, and what is probably not meant."""
+    """Name component under test, base seed, what will run, and what is probably not meant."""
     options, plan = session.options, session.plan
     parts = [f"base seed {options.seed}"]
     component = _component(session)
@@ -240,30 +251,32 @@ def header(session: DuraSession) -> list[str]:
         lines.append(f"dura: {options.shard} of that; the others run elsewhere")
     lines += [f"dura: {role} is OFF: {where}" for role, where in _switched_off(session)]
     lines += session.executor.header()
-    lines += [f"dura: {one}" for one in session.shared.lines]
+    lines += [f"dura: {line}" for line in session.shared.lines]
     lines += session.models.header()
-    lines += baseline_header(session.evidence.given.baseline)
+    lines += _baseline_header(session.evidence.given.baseline)
     if plan:
-        lines += [f"dura: warning: {one}" for one in session.library().warnings]
+        lines += [f"dura: warning: {warning}" for warning in session.library().warnings]
         lines += [
             f"dura: warning: {file} overrides `{role}`, which scenario items do not see; "
             "move the fixture to the root conftest.py"
             for file, role in overrides_deeper_down(session.config)
         ]
-    return [one for line in lines for one in safe_lines(line)]
+    return [safe_line for line in lines for safe_line in safe_lines(line)]
 
 
 def _switched_off(session: DuraSession) -> list[tuple[str, str]]:
-    """Roles that run nowhere, as far as that is known before anything runs, and who says so."""
-    found = {role: f"the fixture in {file}" for file, role in none_in_root_conftest(session.config)}
+    """List the roles that run nowhere, as far as known before anything runs, and why."""
+    places = {
+        role: f"the fixture in {file}" for file, role in none_in_root_conftest(session.config)
+    }
     for planned in session.plan:
         for role in planned.case.roles_off({}):
-            found.setdefault(role, f"the scenario {planned.case.scenario.name}")
-    return sorted(found.items())
+            places.setdefault(role, f"the scenario {planned.case.scenario.name}")
+    return sorted(places.items())
 
 
 def unused_requirements(session: DuraSession) -> list[str]:
-    """Requirements that are defined and decided by nothing, which is probably not meant."""
+    """Warn of requirements that nothing decides, which is probably not meant."""
     return [
         f"dura: warning: {place}: no scenario and no collected test uses the requirement {name!r}"
         for name, place in session.unused.items()
@@ -271,7 +284,7 @@ def unused_requirements(session: DuraSession) -> list[str]:
 
 
 def _component(session: DuraSession) -> str:
-    """Its name, or where it comes from, as far as that is known before anything runs."""
+    """Name the component, or where it comes from, as far as known before anything runs."""
     if session.options.generator is not None:
         return session.roles.default("generator").label
     conftest = root_conftest_with(session.config, "generator")
@@ -282,10 +295,10 @@ def _component(session: DuraSession) -> str:
 
 
 def summary(session: DuraSession, terminal: Any) -> None:
-    """Cases, verdicts and failures, from the record alone."""
+    """Show cases, verdicts and failures, from the record alone."""
     record = session.evidence.final
-    told = ("cases", "searches", "baseline", "shard")
-    if record is None or not (any(record[key] for key in told) or any(searched_lines(record))):
+    keys = ("cases", "searches", "baseline", "shard")
+    if record is None or not (any(record[key] for key in keys) or any(_searched_lines(record))):
         return
     terminal.section("dura", "=")
     terminal = SafeTerminal(terminal)
@@ -296,10 +309,10 @@ def summary(session: DuraSession, terminal: Any) -> None:
         _show_cases(session, terminal, record)
     show_verdicts(session, terminal, record)
     show_searches(session, terminal, record)
-    for line in searched_lines(record):
+    for line in _searched_lines(record):
         terminal.line(line)
     show_repeats(terminal, record, session.evidence.objections)
-    show_baseline(terminal, record)
+    _show_baseline(terminal, record)
     for note in session.executor.notes():
         terminal.line(note)
     _show_objections(terminal, session.evidence.objections)
@@ -310,7 +323,7 @@ def summary(session: DuraSession, terminal: Any) -> None:
             terminal.line("a part of a session: `python -m pytest_dura merge` gates on the whole")
         page = typed_path(_page(session.evidence.file), session.config.invocation_params.dir)
         terminal.line(f"evidence: {page}")
-        for line in resume_lines(session):
+        for line in _resume_lines(session):
             terminal.line(line)
 
 
@@ -318,31 +331,31 @@ def _show_objections(terminal: Any, objections: list[str]) -> None:
     for objection in objections[:MOST_ROWS]:
         terminal.line(indent_if_reserved(objection), red=True)
     if len(objections) > MOST_ROWS:
-        told = f"and {len(objections) - MOST_ROWS} more like the last one; evidence.json has them"
-        terminal.line(told, red=True)
+        text = f"and {len(objections) - MOST_ROWS} more like the last one; evidence.json has them"
+        terminal.line(text, red=True)
 
 
 def _gate_line(record: SessionRecord) -> str:
-    """The gate's word, and the verdicts that it rests on."""
+    """Write the gate's result, and the verdicts that it rests on."""
     from pytest_dura.reports.wording import selection_text, shard_text
 
     totals = record["totals"]
-    parts = [f"{totals[word]} {word}" for word in _COUNTED if totals[word]]
+    parts = [f"{totals[status]} {status}" for status in _COUNTED if totals[status]]
     whose = f"gate of {shard_text(record)}" if shard_text(record) else "gate"
-    found = search_counts(record)
-    told = f"; searches: {found}" if found else ""
-    gate = [totals["gate"], *filter(None, [selection_text(record)]), *(parts or ["no verdict"])]
-    return f"{whose}: {', '.join(gate)}{told}"
+    counts = search_counts(record)
+    text = f"; searches: {counts}" if counts else ""
+    words = [totals["gate"], *filter(None, [selection_text(record)]), *(parts or ["no verdict"])]
+    return f"{whose}: {', '.join(words)}{text}"
 
 
 def _page(file: Path) -> Path:
-    """What to open: the report, or the record itself where the report could not be made."""
+    """Return the page to open: the report, or the record where there is no report."""
     report = file.with_name("report.html")
     return report if report.is_file() else file
 
 
 def _show_cases(session: DuraSession, terminal: Any, record: SessionRecord) -> None:
-    """What was run, and the tables of what it came to."""
+    """Show what was run, and the tables of its results."""
     from pytest_dura.reports.wording import roles_off_lines
 
     terminal.line(
@@ -354,7 +367,7 @@ def _show_cases(session: DuraSession, terminal: Any, record: SessionRecord) -> N
         terminal.line(f"--dura-runs={session.options.runs} replaced the planned number of runs")
     terminal.line("")
     # Runs without a role that serve a comparison are told in its table.
-    twins = {one["pairs"]["case"] for one in record["verdicts"] if one["pairs"]}
+    twins = {verdict["pairs"]["case"] for verdict in record["verdicts"] if verdict["pairs"]}
     shown = [case for case in record["cases"] if not case["without"] or case["id"] not in twins]
     most = None if session.config.option.verbose > 0 else MOST_ROWS
     listed = worst_cases(shown, record["verdicts"], most=most)
@@ -362,17 +375,17 @@ def _show_cases(session: DuraSession, terminal: Any, record: SessionRecord) -> N
     for line in case_table(listed, overall):
         terminal.line(line)
     if len(listed) < len(shown):
-        told = "those with the worst verdicts are shown"
+        text = "those with the worst verdicts are shown"
         terminal.line(
-            f"and {counted(len(shown) - len(listed), 'case')} more: {told}; {WHERE_ALL_ARE}"
+            f"and {counted(len(shown) - len(listed), 'case')} more: {text}; {WHERE_ALL_ARE}"
         )
     left = {case["id"] for case in shown}.difference(case["id"] for case in listed)
     verdicts = [verdict for verdict in record["verdicts"] if verdict["case"] not in left]
     early = sum(case["metrics"]["ended_early"] for case in record["cases"])
     if early:
-        told = "ended early, once all was decided; figures are up to then"
-        terminal.line(f"{counted(early, 'episode')} {told}")
-    for line in reuse_lines(record):
+        text = "ended early, once all was decided; figures are up to then"
+        terminal.line(f"{counted(early, 'episode')} {text}")
+    for line in _reuse_lines(record):
         terminal.line(line)
     by_hand = sum(not episode["planned"] for episode in record.episodes())
     if by_hand:
@@ -388,7 +401,11 @@ def _show_cases(session: DuraSession, terminal: Any, record: SessionRecord) -> N
         ],
         [
             *monitor_table(
-                [one for one in record["monitors"] if one["case"].partition("~")[0] not in left]
+                [
+                    monitor
+                    for monitor in record["monitors"]
+                    if monitor["case"].partition("~")[0] not in left
+                ]
             ),
             *effectiveness_lines(record["effectiveness"]),
         ],

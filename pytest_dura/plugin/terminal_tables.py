@@ -35,7 +35,7 @@ LONGEST = 500
 
 
 def case_table(cases: Sequence[Data], overall: Sequence[Data] = ()) -> list[str]:
-    """The paper's table: one line per case and component, and one for all of a component's cases.
+    """Write the paper's table: a line per case and component, and one per component.
 
     Args:
         cases: Those that are shown.
@@ -43,65 +43,73 @@ def case_table(cases: Sequence[Data], overall: Sequence[Data] = ()) -> list[str]
     """
     users = sorted({name for case in cases for name in case["metrics"]["user"]})
     names, metrics = _case_names(cases, overall)
-    rows = [_case_row(one, users) for one in metrics]
-    starred = any(_beyond(one["collided"]) for one in metrics)
-    legend = [*CASE_LEGEND, BEYOND] if starred else CASE_LEGEND
-    return [*aligned("case", (*CASE_COLUMNS, *users), names, rows), *legend]
+    rows = [_case_row(metric, users) for metric in metrics]
+    starred = any(_beyond(metric["collided"]) for metric in metrics)
+    legend = [*_CASE_LEGEND, _BEYOND] if starred else _CASE_LEGEND
+    return [*aligned("case", (*_CASE_COLUMNS, *users), names, rows), *legend]
 
 
 def reliance_table(cases: Sequence[Data], overall: Sequence[Data] = ()) -> list[str]:
-    """What the component leaves to its recovery, to passengers, and how it reacts to attacks.
+    """Write how often recovery acts, what passengers feel, and reactions to attacks.
 
     Args:
         cases: Those that are shown.
         overall: The record's, over all of them.
     """
     names, metrics = _case_names(cases, overall)
-    known = {name for one in metrics for name in one["reactions"]}
+    known = {name for metric in metrics for name in metric["reactions"]}
     classes = [*REACTIONS, *sorted(known.difference(REACTIONS))] if known else []
-    felt = any(one["comfort_failed"] for one in metrics)
-    if not (felt or known or any(one["rescued"] and one["rescued"]["run"] for one in metrics)):
+    has_discomfort = any(metric["comfort_failed"] for metric in metrics)
+    if not (
+        has_discomfort
+        or known
+        or any(metric["rescued"] and metric["rescued"]["run"] for metric in metrics)
+    ):
         return []
     rows = [
         [
-            _percent(one["rescued"]),
-            "-" if one["switching"] is None else f"{100 * one['switching']['share']:.1f}",
-            *([_percent(one["comfort_failed"])] if felt else ()),
-            *(str(one["reactions"].get(kind, 0)) for kind in classes),
+            _percent(metric["rescued"]),
+            "-" if metric["switching"] is None else f"{100 * metric['switching']['share']:.1f}",
+            *([_percent(metric["comfort_failed"])] if has_discomfort else ()),
+            *(str(metric["reactions"].get(kind, 0)) for kind in classes),
         ]
-        for one in metrics
+        for metric in metrics
     ]
-    columns = ["rescued %", "time %", *(["comfort %"] if felt else ())]
-    columns += [SHORT.get(kind, kind) for kind in classes]
-    legend = [RESCUED, *([COMFORT] if felt else ()), *([REACTED] if known else ())]
+    columns = ["rescued %", "time %", *(["comfort %"] if has_discomfort else ())]
+    columns += [_SHORT.get(kind, kind) for kind in classes]
+    legend = [_RESCUED, *([_COMFORT] if has_discomfort else ()), *([_REACTED] if known else ())]
     return [*aligned("reliance", columns, names, rows), *legend]
 
 
 def _case_names(cases: Sequence[Data], overall: Sequence[Data]) -> tuple[list[str], list[Data]]:
-    """Names and metrics of the rows: the cases, then all together where there are several."""
+    """Return names and metrics of the rows: the cases, then all together if several."""
     several = len({case["component"] for case in cases}) > 1
     names = [f"{case['id']} ({case['component']})" if several else case["id"] for case in cases]
     metrics = [case["metrics"] for case in cases]
-    for one in overall:
-        if one["cases"] > 1:
-            names.append(f"overall ({one['component']})" if several else "overall")
-            metrics.append(one["metrics"])
+    for entry in overall:
+        if entry["cases"] > 1:
+            names.append(f"overall ({entry['component']})" if several else "overall")
+            metrics.append(entry["metrics"])
     return names, metrics
 
 
-SHORT = {"follows the fake": "follows"}
-RESCUED = "rescued: runs in which recovery took over; time: share of it for which it was in control"
-COMFORT = "comfort: runs that at some time were beyond what passengers take"
-REACTED = "unaffected ... follows (the fake): reactions to what looked like an attack, each counted"
+_SHORT = {"follows the fake": "follows"}
+_RESCUED = (
+    "rescued: runs in which recovery took over; time: share of it for which it was in control"
+)
+_COMFORT = "comfort: runs that at some time were beyond what passengers take"
+_REACTED = (
+    "unaffected ... follows (the fake): reactions to what looked like an attack, each counted"
+)
 
 
 def aligned(
     title: str, columns: Sequence[str], names: Sequence[str], rows: Sequence[Sequence[str]]
 ) -> list[str]:
-    """Lines of a table; a name that is too long stands on a line of its own."""
+    """Align the lines of a table; a name that is too long stands on a line of its own."""
     # The names of cases, faults and metrics may have any length.
     names = [indent_if_reserved(name(text, LONGEST)) for text in names]
-    table = [[name(one) for one in columns], *rows]
+    table = [[name(column) for column in columns], *rows]
     widths = [max(len(row[i]) for row in table) for i in range(len(columns))]
     room = max(24, WIDTH - sum(widths) - 2 * len(widths))
     left = min(max(map(len, [title, *names])), room)
@@ -115,12 +123,12 @@ def aligned(
     return lines
 
 
-CASE_COLUMNS = ("n", "flag %", "coll %", "clearance s", "grid", "recov", "alerts", "inv")
-CASE_LEGEND = (
+_CASE_COLUMNS = ("n", "flag %", "coll %", "clearance s", "grid", "recov", "alerts", "inv")
+_CASE_LEGEND = (
     "n: valid runs (of those planned); flag, coll: runs with an unsafe proposal, with a collision;",
     "clearance: mean +- sd over cleared runs (their number); grid: gridlock, not cleared in time",
 )
-BEYOND = "3*: so many collisions in runs that are invalid or missing, which are in no rate"
+_BEYOND = "3*: so many collisions in runs that are invalid or missing, which are in no rate"
 
 
 def _case_row(metrics: Data, users: Sequence[str]) -> list[str]:
@@ -147,7 +155,7 @@ def _percent(share: Data | None) -> str:
 
 
 def _beyond(share: Data | None) -> str:
-    """``+3*`` for what happened in runs that are not valid."""
+    """Return ``+3*`` for what happened in runs that are not valid."""
     beyond = 0 if share is None else share["run"] - share["valid"]
     return f" +{beyond}*" if beyond else ""
 
@@ -163,8 +171,8 @@ def _user(value: Data | None) -> str:
     return "-" if value is None or value["mean"] is None else f"{value['mean']:.4g}"
 
 
-ATTACK_COLUMNS = ("pairs", "caused", "spared", "both", "cost", "max", "never", "p")
-ATTACK_LEGEND = (
+_ATTACK_COLUMNS = ("pairs", "caused", "spared", "both", "cost", "max", "never", "p")
+_ATTACK_LEGEND = (
     "pairs: runs with the faults and without, equal seeds; violations there are only with them",
     "(caused) and only without (spared); cost: mean growth of the measure; never: pairs without a",
     "value only with the faults; p: exact McNemar, for a measure exact sign test",
@@ -172,7 +180,7 @@ ATTACK_LEGEND = (
 
 
 def attack_table(verdicts: Sequence[Data], cases: Sequence[Data]) -> list[str]:
-    """What faults did: one line per case and requirement on pairs without them."""
+    """Write what faults did: a line per case and requirement on pairs without them."""
     names: list[str] = []
     rows: list[list[str]] = []
     order = {case["id"]: place for place, case in enumerate(cases)}
@@ -196,13 +204,13 @@ def attack_table(verdicts: Sequence[Data], cases: Sequence[Data]) -> list[str]:
             continue
         names.append(f"{verdict['requirement']} on {verdict['case']}")
         rows.append([_complete(complete, incomplete), *cells, _p_value(verdict, p_value)])
-    return [*aligned("attack", ATTACK_COLUMNS, names, rows), *ATTACK_LEGEND] if rows else []
+    return [*aligned("attack", _ATTACK_COLUMNS, names, rows), *_ATTACK_LEGEND] if rows else []
 
 
-PAIR_COLUMNS = (
+_PAIR_COLUMNS = (
     "pairs", "prev", "intro", "futile", "unnec", "success", "p", "takeovers", "to safe s",
 )  # fmt: skip
-PAIR_LEGEND = (
+_PAIR_LEGEND = (
     "pairs: runs with recovery and without, equal seeds; violations that recovery prevented and",
     "introduced, that it met in vain (futile); runs in which it acted unnecessarily; success:",
     "prevented of prevented and futile, in % (their number); p: exact McNemar; to safe: median",
@@ -211,7 +219,7 @@ PAIR_LEGEND = (
 
 
 def pair_table(verdicts: Sequence[Data], cases: Sequence[Data]) -> list[str]:
-    """What recovery did: one line per case, component and requirement on pairs without it."""
+    """Write what recovery did: a line per case, component and requirement on pairs without it."""
     metrics = {(case["id"], case["component"]): case["metrics"] for case in cases}
     names: list[str] = []
     rows: list[list[str]] = []
@@ -225,12 +233,12 @@ def pair_table(verdicts: Sequence[Data], cases: Sequence[Data]) -> list[str]:
         key = verdict["case"], verdict["component"]
         rows.append(_pair_row(verdict, metrics[key]["switching"]))
         sums.setdefault((verdict["requirement"], verdict["component"]), []).append(pairs)
-    for (requirement, component), found in sums.items():
-        if len(found) > 1:
-            whose = f" ({component})" if len({who for _, who in sums}) > 1 else ""
+    for (requirement, component), pairs_of_cases in sums.items():
+        if len(pairs_of_cases) > 1:
+            whose = f" ({component})" if len({component for _, component in sums}) > 1 else ""
             names.append(f"{requirement} overall{whose}")
-            rows.append(_all_pairs_row(found))
-    return [*aligned("recovery", PAIR_COLUMNS, names, rows), *PAIR_LEGEND] if rows else []
+            rows.append(_all_pairs_row(pairs_of_cases))
+    return [*aligned("recovery", _PAIR_COLUMNS, names, rows), *_PAIR_LEGEND] if rows else []
 
 
 def _pair_row(verdict: Data, switching: Data | None) -> list[str]:
@@ -252,10 +260,10 @@ def _pair_row(verdict: Data, switching: Data | None) -> list[str]:
     return [*row, str(switching["takeovers"]), median + never]
 
 
-def _all_pairs_row(found: Sequence[Data]) -> list[str]:
-    """The sums over cases; a test of all pairs together would take them to be of one kind."""
+def _all_pairs_row(pairs_of_cases: Sequence[Data]) -> list[str]:
+    """Sum over cases, without a test, which would take all pairs to be of one kind."""
     total: Counter[str] = Counter()
-    for pairs in found:
+    for pairs in pairs_of_cases:
         total.update({key: value for key, value in pairs.items() if isinstance(value, int)})
     return [
         _complete(total["pairs"] - total["incomplete"], total["incomplete"]),
@@ -279,25 +287,27 @@ def _success(prevented: int, futile: int) -> str:
     return f"{100 * prevented / tried:.0f} ({tried})" if tried else "-"
 
 
-def effectiveness_lines(found: Sequence[Data], role: str | None = None) -> list[str]:
-    """What the runs show of recovery or of monitors, a sentence each.
+def effectiveness_lines(entries: Sequence[Data], role: str | None = None) -> list[str]:
+    """Write what the runs show of recovery or of monitors, a sentence each.
 
     Args:
-        found: The record's ``effectiveness``.
+        entries: The record's ``effectiveness``.
         role: Of this role alone; ``None`` for all but recovery.
     """
-    several = len({one["component"] for one in found}) > 1
+    several = len({entry["component"] for entry in entries}) > 1
     lines = []
-    for one in found:
-        if (one["role"] == role) if role else (one["role"] != RECOVERY_ROLE):
-            whose = f" with {name(one['component'])}" if several else ""
-            told = indent_if_reserved(name(f"{one['role']}{whose}: {one['detail']}", LONGEST))
-            lines += textwrap.wrap(told, WIDTH, subsequent_indent="  ", break_long_words=False)
+    for entry in entries:
+        if (entry["role"] == role) if role else (entry["role"] != RECOVERY_ROLE):
+            whose = f" with {name(entry['component'])}" if several else ""
+            sentence = indent_if_reserved(
+                name(f"{entry['role']}{whose}: {entry['detail']}", LONGEST)
+            )
+            lines += textwrap.wrap(sentence, WIDTH, subsequent_indent="  ", break_long_words=False)
     return lines
 
 
-MONITOR_COLUMNS = ("TP", "FN", "FP", "TN", "precision", "recall", "lead s", "false/h")
-MONITOR_LEGEND = (
+_MONITOR_COLUMNS = ("TP", "FN", "FP", "TN", "precision", "recall", "lead s", "false/h")
+_MONITOR_LEGEND = (
     "runs without recovery: violated, flagged in the 5 s before (TP) or not (FN); not violated,",
     "flagged (FP) or not (TN); lead: median from flag to violation, for faults from activation",
     "to the alert; false/h: false alarms per simulated hour",
@@ -305,30 +315,33 @@ MONITOR_LEGEND = (
 
 
 def monitor_table(monitors: Sequence[Data]) -> list[str]:
-    """How good each monitor was, one line per case and monitor.
+    """Write how good each monitor was, a line per case and monitor.
 
     Requirements on which it did equally well share a line; where nothing was violated and nothing
     flagged there is none.
     """
     same: dict[tuple[str, ...], list[str]] = {}
-    for one in monitors:
-        if one["true_positives"] + one["false_negatives"] + one["false_positives"]:
-            key = one["case"].partition("~")[0], one["monitor"], *_monitor_row(one)
-            same.setdefault(key, []).append(one["target"])
+    for monitor in monitors:
+        if monitor["true_positives"] + monitor["false_negatives"] + monitor["false_positives"]:
+            key = monitor["case"].partition("~")[0], monitor["monitor"], *_monitor_row(monitor)
+            same.setdefault(key, []).append(monitor["target"])
     names = [f"{who}, {case}: {', '.join(on)}" for (case, who, *_), on in same.items()]
     rows = [row for _, _, *row in same]
-    return [*aligned("monitor", MONITOR_COLUMNS, names, rows), *MONITOR_LEGEND] if rows else []
+    return [*aligned("monitor", _MONITOR_COLUMNS, names, rows), *_MONITOR_LEGEND] if rows else []
 
 
-def _monitor_row(one: Data) -> list[str]:
-    time = one["lead_time"] or one["delay"]
-    per_hour = one["false_alarms_per_hour"]
+def _monitor_row(monitor: Data) -> list[str]:
+    time = monitor["lead_time"] or monitor["delay"]
+    per_hour = monitor["false_alarms_per_hour"]
     return [
-        str(one["true_positives"]),
-        str(one["false_negatives"]),
-        str(one["false_positives"]),
-        str(one["true_negatives"]),
-        *("-" if one[key] is None else f"{one[key]:.2f}" for key in ("precision", "recall")),
+        str(monitor["true_positives"]),
+        str(monitor["false_negatives"]),
+        str(monitor["false_positives"]),
+        str(monitor["true_negatives"]),
+        *(
+            "-" if monitor[key] is None else f"{monitor[key]:.2f}"
+            for key in ("precision", "recall")
+        ),
         "-" if time is None else f"{time['median']:.1f}",
         "-" if per_hour is None else f"{per_hour:.0f}",
     ]
@@ -342,46 +355,44 @@ VERDICT_RANK = {"violated": 0, "undecided": 1, "supported": 2}
 WHERE_ALL_ARE = "-v shows all of them, as do the report and evidence.json"
 
 
-def keep_worst(
-    found: Sequence[T], ranks: Sequence[int], *, most: int | None = MOST_ROWS
-) -> list[T]:
-    """As many as are shown, the worst of them, in their own order.
+def keep_worst(rows: Sequence[T], ranks: Sequence[int], *, most: int | None = MOST_ROWS) -> list[T]:
+    """Return the worst rows, as many as are shown, in their own order.
 
     Args:
-        found: All there is.
+        rows: All there is.
         ranks: How bad each is, 0 the worst; among equals the first ones stay.
         most: How many; ``None`` for all.
     """
-    if most is None or len(found) <= most:
-        return list(found)
-    kept = sorted(range(len(found)), key=ranks.__getitem__)[:most]
-    return [found[place] for place in sorted(kept)]
+    if most is None or len(rows) <= most:
+        return list(rows)
+    kept = sorted(range(len(rows)), key=ranks.__getitem__)[:most]
+    return [rows[place] for place in sorted(kept)]
 
 
 def worst_cases(
     cases: Sequence[Data], verdicts: Iterable[Data], *, most: int | None = MOST_ROWS
 ) -> list[Data]:
-    """The cases that tables show: first those with the worst verdicts, also on a comparison."""
+    """Return the cases that tables show: those with the worst verdicts, also on comparisons."""
     rank: dict[tuple[str, str], int] = {}
-    for one in verdicts:
-        for case in (one["case"], (one["pairs"] or {}).get("case")):
-            key = str(case), one["component"]
-            rank[key] = min(rank.get(key, len(VERDICT_RANK)), VERDICT_RANK[one["verdict"]])
-    ranks = [rank.get((one["id"], one["component"]), len(VERDICT_RANK)) for one in cases]
+    for verdict in verdicts:
+        for case in (verdict["case"], (verdict["pairs"] or {}).get("case")):
+            key = str(case), verdict["component"]
+            rank[key] = min(rank.get(key, len(VERDICT_RANK)), VERDICT_RANK[verdict["verdict"]])
+    ranks = [rank.get((case["id"], case["component"]), len(VERDICT_RANK)) for case in cases]
     return keep_worst(cases, ranks, most=most)
 
 
-def left_out_lines(words: Iterable[str]) -> list[str]:
-    """A line on the verdicts that are not shown, by their words; none where all are."""
-    counts = Counter(words)
+def left_out_lines(statuses: Iterable[str]) -> list[str]:
+    """Count the verdicts that are not shown, by status; no line where all are shown."""
+    counts = Counter(statuses)
     if not counts:
         return []
-    parts = ", ".join(f"{counts[word]} {word}" for word in VERDICT_RANK if counts[word])
+    parts = ", ".join(f"{counts[status]} {status}" for status in VERDICT_RANK if counts[status])
     return [f"and {counted(counts.total(), 'verdict')} more: {parts}; {WHERE_ALL_ARE}"]
 
 
-FAULT_COLUMNS = ("runs", "act", "manif", "prop", "det", "after s", "recov", "after s", "viol")
-FAULT_LEGEND = (
+_FAULT_COLUMNS = ("runs", "act", "manif", "prop", "det", "after s", "recov", "after s", "viol")
+_FAULT_LEGEND = (
     "act, manif: runs in which it became active, changed what the component read; of the latter,",
     "prop: proposals left those of the fault-free twin; det: an alert, median time from when it",
     "became active; recov: recovery acted, median time from manifestation; viol: a requirement was",
@@ -391,19 +402,19 @@ FAULT_LEGEND = (
 
 
 def fault_table(cases: Sequence[Data]) -> list[str]:
-    """One line per fault, case and component."""
+    """Write a line per fault, case and component."""
     several = len({case["component"] for case in cases}) > 1
     names, rows = [], []
     for case in cases:
         for fault in case["metrics"]["faults"]:
             # Most cases are named after their only fault, which need not be said twice. Of several
             # none is left out: what remained would be the name of another case.
-            alone = len(case["metrics"]["faults"]) == 1
-            told = case["id"].removesuffix(f"+{fault['id']}") if alone else case["id"]
+            is_only = len(case["metrics"]["faults"]) == 1
+            case_name = case["id"].removesuffix(f"+{fault['id']}") if is_only else case["id"]
             component = f" ({case['component']})" if several else ""
-            names.append(f"{fault['id']} on {told}{component}")
+            names.append(f"{fault['id']} on {case_name}{component}")
             rows.append(_fault_row(fault))
-    return [*aligned("fault", FAULT_COLUMNS, names, rows), *FAULT_LEGEND] if rows else []
+    return [*aligned("fault", _FAULT_COLUMNS, names, rows), *_FAULT_LEGEND] if rows else []
 
 
 def _fault_row(fault: Data) -> list[str]:
@@ -423,7 +434,7 @@ def _fault_row(fault: Data) -> list[str]:
 
 
 def _known(count: int, known: int, whole: int, apart: int = 0) -> str:
-    """A count; with the number of runs in which it is known, if that is not all of them.
+    """Write a count, with the number of runs in which it is known if not all of them.
 
     Args:
         count: Runs.
@@ -442,7 +453,7 @@ def _median(latency: Data | None) -> str:
 
 
 def chain_line(fault: Data) -> str:
-    """The chain of one fault in words, with times in s."""
+    """Write the causal chain of one fault, with times in s."""
     steps = [
         ("planned", fault["planned_at"], ""),
         ("activated", fault["activated_at"], ""),
@@ -452,10 +463,10 @@ def chain_line(fault: Data) -> str:
         ("recovery", fault["recovery_at"], _by(fault["recovery"])),
         ("recovered", fault["recovered_at"], ""),
     ]
-    told = [f"{word} {time:.2f}{by}" for word, time, by in steps if time is not None]
+    parts = [f"{step} {time:.2f}{by}" for step, time, by in steps if time is not None]
     if fault["outcome"] is not None:
-        told.append(str(fault["outcome"]))
-    return f"{fault['id']}: {', '.join(told) or 'never active'}"
+        parts.append(str(fault["outcome"]))
+    return f"{fault['id']}: {', '.join(parts) or 'never active'}"
 
 
 def _by(*names: Any) -> str:
@@ -463,8 +474,8 @@ def _by(*names: Any) -> str:
     return f" ({': '.join(known)})" if known else ""
 
 
-FAILURE_MODE_COLUMNS = ("decisions", "share %", "null %", "episodes")
-FAILURE_MODE_LEGEND = (
+_FAILURE_MODE_COLUMNS = ("decisions", "share %", "null %", "episodes")
+_FAILURE_MODE_LEGEND = (
     "decisions: those that showed it, of those that could; episodes: those in which it ever did;",
     "null: a component that ignores its input, on the same decisions: what it also reaches says",
     "nothing about the model",
@@ -472,14 +483,14 @@ FAILURE_MODE_LEGEND = (
 
 
 def failure_mode_table(cases: Sequence[Data], *, by_case: bool = False) -> list[str]:
-    """One line per failure mode and component, over all cases, and with ``by_case`` for each too.
+    """Write a line per failure mode and component, over all cases or also by case.
 
     The negative control, and what is no failure by itself, stand apart below.
     """
-    found = failure_modes_by_component(cases)
-    several = len(found) > 1
+    by_component = failure_modes_by_component(cases)
+    several = len(by_component) > 1
     lines = []
-    for component, modes in found.items():
+    for component, modes in by_component.items():
         lines += _failure_mode_rows(modes, f" of {component}" if several else "")
     for component, text in decision_time_lines(cases):
         lines.append(f"answers{f' of {component}' if several else ''}: {text}")
@@ -494,31 +505,31 @@ def failure_mode_table(cases: Sequence[Data], *, by_case: bool = False) -> list[
                 measured_failure_modes(case["metrics"]["failure_modes"]), f" on {case['id']}{whose}"
             ),
         ]
-    return [*lines, *FAILURE_MODE_LEGEND] if lines else []
+    return [*lines, *_FAILURE_MODE_LEGEND] if lines else []
 
 
 def _failure_mode_rows(modes: Sequence[Data], whose: str) -> list[str]:
     names, rows, kind = [], [], ""
-    for one in modes:
-        if one["kind"] != kind:
-            kind = one["kind"]
+    for mode in modes:
+        if mode["kind"] != kind:
+            kind = mode["kind"]
             if kind != "failure":
                 names.append(f"{FAILURE_MODE_HEADINGS[kind]}:")
-                rows.append([""] * len(FAILURE_MODE_COLUMNS))
-        names.append(failure_mode_text(one["name"]))
-        rows.append(_failure_mode_row(one))
+                rows.append([""] * len(_FAILURE_MODE_COLUMNS))
+        names.append(failure_mode_text(mode["name"]))
+        rows.append(_failure_mode_row(mode))
     return [
         line.rstrip()
         for line in aligned(
-            FAILURE_MODE_HEADINGS["failure"] + whose, FAILURE_MODE_COLUMNS, names, rows
+            FAILURE_MODE_HEADINGS["failure"] + whose, _FAILURE_MODE_COLUMNS, names, rows
         )
     ]
 
 
-def _failure_mode_row(one: Data) -> list[str]:
+def _failure_mode_row(mode: Data) -> list[str]:
     return [
-        f"{one['hits']}/{one['of']}",
-        percent_text(one["share"]),
-        percent_text(one["null_share"]),
-        f"{one['episodes']}/{one['of_episodes']}",
+        f"{mode['hits']}/{mode['of']}",
+        percent_text(mode["share"]),
+        percent_text(mode["null_share"]),
+        f"{mode['episodes']}/{mode['of_episodes']}",
     ]

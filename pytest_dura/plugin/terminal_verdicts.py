@@ -22,7 +22,6 @@ from pytest_dura.plugin.terminal_tables import (
     keep_worst,
     left_out_lines,
 )
-from pytest_dura.plugin.terminal_tables import keep_worst as worst_of
 from pytest_dura.reports.tables import (
     NOTHING_SUPPORTED,
     SEARCHER_COLUMNS,
@@ -50,9 +49,9 @@ if TYPE_CHECKING:
 
 LONGEST_TEXT = 2000
 """Characters of a text that is told in several lines."""
-NO_BREAK = "\N{NO-BREAK SPACE}"
+_NO_BREAK = "\N{NO-BREAK SPACE}"
 """Keeps a requirement and its margin on one line, and is shown as a space."""
-VERDICT_COLOURS = {
+_VERDICT_COLOURS = {
     "supported": {"green": True},
     "violated": {"red": True},
     "undecided": {"yellow": True},
@@ -60,59 +59,65 @@ VERDICT_COLOURS = {
 
 
 def show_verdicts(context: SessionContext, terminal: Any, record: SessionRecord) -> None:
-    """Every verdict with its figures, and then each failure with what helps to mend it."""
+    """Show every verdict with its figures, then each failure with what helps to mend it."""
     verdicts = record["verdicts"]
     if not verdicts:
         return
     terminal.line("")
     most = None if context.config.option.verbose > 0 else MOST_ROWS
-    shown = keep_worst(verdicts, [VERDICT_RANK[one["verdict"]] for one in verdicts], most=most)
-    kept = {id(one) for one in shown}
-    same: dict[tuple[str, ...], list[Data]] = {}
+    shown = keep_worst(
+        verdicts, [VERDICT_RANK[verdict["verdict"]] for verdict in verdicts], most=most
+    )
+    kept = {id(verdict) for verdict in shown}
+    by_heading: dict[tuple[str, ...], list[Data]] = {}
     for verdict in shown:
-        told = verdict["verdict"], _where(verdict), _counts(verdict), *_rests_on(verdict)
-        same.setdefault(told, []).append(verdict)
-    for told, group in same.items():
-        _show_alike(terminal, told, group)
-    for line in left_out_lines(one["verdict"] for one in verdicts if id(one) not in kept):
+        heading = verdict["verdict"], _where(verdict), _counts(verdict), *_rests_on(verdict)
+        by_heading.setdefault(heading, []).append(verdict)
+    for heading, group in by_heading.items():
+        _show_alike(terminal, heading, group)
+    for line in left_out_lines(
+        verdict["verdict"] for verdict in verdicts if id(verdict) not in kept
+    ):
         terminal.line(line)
     terminal.line(f"{'':<11}(behind each requirement: its least margin, in the check's unit)")
-    alike: dict[tuple[str, ...], list[Data]] = {}
+    failures: dict[tuple[str, ...], list[Data]] = {}
     for verdict in shown:
         if verdict["verdict"] != "supported":
             # What is undecided for one reason is told once for all requirements of a case.
             cause = verdict["reason"], (verdict["spoilt"] or {}).get("detail", "")
-            apart = (verdict["requirement"],) if verdict["verdict"] == "violated" else cause
-            alike.setdefault((verdict["case"], verdict["component"], *apart), []).append(verdict)
-    episodes = _shown_episodes(record, [group[0] for group in alike.values()])
-    checks = {one["id"]: one["check"] for one in record["requirements"]}
-    for group in alike.values():
+            own_key = (verdict["requirement"],) if verdict["verdict"] == "violated" else cause
+            failures.setdefault((verdict["case"], verdict["component"], *own_key), []).append(
+                verdict
+            )
+    episodes = _shown_episodes(record, [group[0] for group in failures.values()])
+    checks = {requirement["id"]: requirement["check"] for requirement in record["requirements"]}
+    for group in failures.values():
         check = str(group[0]["check"] or checks.get(group[0]["requirement"], ""))
         _show_failure(context, terminal, check, group, episodes)
 
 
-def _show_alike(terminal: Any, told: tuple[str, ...], verdicts: Sequence[Data]) -> None:
-    """Verdicts of a case that differ by their requirement and margin alone."""
-    word, where, counts, *rests_on = told
-    terminal.write(f"{word:<9}", **VERDICT_COLOURS[word])
+def _show_alike(terminal: Any, heading: tuple[str, ...], verdicts: Sequence[Data]) -> None:
+    """Show verdicts of a case that differ by requirement and margin alone."""
+    status, where, counts, *rests_on = heading
+    terminal.write(f"{status:<9}", **_VERDICT_COLOURS[status])
     terminal.line(f"  {where}")
     terminal.line(f"{'':<11}{counts}")
     names = ", ".join(dict.fromkeys(map(_with_margin, verdicts)))
     for line in textwrap.wrap(names, WIDTH - 11, break_on_hyphens=False):
-        terminal.line(f"{'':<11}{line.replace(NO_BREAK, ' ')}")
+        terminal.line(f"{'':<11}{line.replace(_NO_BREAK, ' ')}")
     for sentence in rests_on:
         for line in textwrap.wrap(sentence, WIDTH - 11, subsequent_indent="  "):
             terminal.line(f"{'':<11}{line}")
 
 
 def _counts(verdict: Data) -> str:
-    """The figures that the verdict rests on."""
+    """Write the figures that the verdict rests on."""
     violations = counted(verdict["violations"], "violation") + fault_free_violations_text(verdict)
     counts = f"n = {verdict['episodes']}, {violations}"
     if verdict["pairs"]:
         counts = f"pairs without {verdict['pairs']['without']}: {counts}"
-    left = [told for told in other_run_counts(verdict) if not told.endswith("vacuous")]
-    counts = ", ".join([counts, *left])
+    others = [count for count in other_run_counts(verdict) if not count.endswith("vacuous")]
+    counts = ", ".join([counts, *others])
     bound = verdict["bound"]
     if bound["upper"] is not None:
         counts += f", rate <= {bound['upper']:.2g} at {bound['confidence']:g}"
@@ -126,20 +131,22 @@ def _counts(verdict: Data) -> str:
 
 
 def _rests_on(verdict: Data) -> list[str]:
-    """That assertions decided it, and what they looked at; what failed is shown further below."""
-    told = [one_line(one, LONGEST_TEXT) for one in assertion_sentences(verdict)]
-    return [one for one in told if not one.startswith(("failed: ", "by its check"))]
+    """List what assertions decided and read; what failed is shown with the failure."""
+    sentences = [one_line(sentence, LONGEST_TEXT) for sentence in assertion_sentences(verdict)]
+    return [
+        sentence for sentence in sentences if not sentence.startswith(("failed: ", "by its check"))
+    ]
 
 
 def _with_margin(verdict: Data) -> str:
-    """The requirement, its least margin, and how many episodes satisfied it vacuously."""
-    told = [] if verdict["margin"] is None else [f"{verdict['margin']:.3g}"]
+    """Write the requirement with its least margin and its vacuous episodes."""
+    parts = [] if verdict["margin"] is None else [f"{verdict['margin']:.3g}"]
     if verdict["vacuous"]:
-        told.append(f"{verdict['vacuous']} vacuous")
-    shown = name(verdict["requirement"])
-    if not told:
-        return shown
-    return f"{shown}{NO_BREAK}({f',{NO_BREAK}'.join(told)})".replace(" ", NO_BREAK)
+        parts.append(f"{verdict['vacuous']} vacuous")
+    requirement = name(verdict["requirement"])
+    if not parts:
+        return requirement
+    return f"{requirement}{_NO_BREAK}({f',{_NO_BREAK}'.join(parts)})".replace(" ", _NO_BREAK)
 
 
 def _where(verdict: Data) -> str:
@@ -154,11 +161,11 @@ def _show_failure(
     episodes: Mapping[tuple[str, str], Data],
 ) -> None:
     first = verdicts[0]
-    names = ", ".join(dict.fromkeys(name(one["requirement"]) for one in verdicts))
+    names = ", ".join(dict.fromkeys(name(verdict["requirement"]) for verdict in verdicts))
     terminal.line("")
     terminal.line(
         f"{first['verdict']}: {names} on {_where(first)}",
-        **VERDICT_COLOURS[first["verdict"]],
+        **_VERDICT_COLOURS[first["verdict"]],
     )
     for line in textwrap.wrap(one_line(first["reason"], LONGEST_TEXT), WIDTH - 2):
         terminal.line(f"  {line}")
@@ -169,7 +176,9 @@ def _show_failure(
     if check and len(verdicts) == 1 and check != first["requirement"] and not held:
         terminal.line(f"  check:  {check}")
     _show_episode(context, terminal, first, episodes)
-    items = list(dict.fromkeys(item for one in verdicts for item in one["item"].split(", ")))
+    items = list(
+        dict.fromkeys(item for verdict in verdicts for item in verdict["item"].split(", "))
+    )
     if len(items) > 1 and all(item.startswith(f"{first['case']}::") for item in items):
         items = [first["case"]]
     for item in items:
@@ -182,11 +191,11 @@ def _show_episode(
     verdict: Data,
     episodes: Mapping[tuple[str, str], Data],
 ) -> None:
-    """The worst episode, or one that spoilt the campaign, and how to see it again."""
-    shown = _shown_episode_id(verdict)
-    if shown is None:
+    """Show the worst episode, or one that did not count, and how to replay it."""
+    shown_id = _shown_episode_id(verdict)
+    if shown_id is None:
         return
-    episode = episodes.get((shown, verdict["component"]), {"faults": [], "events": []})
+    episode = episodes.get((shown_id, verdict["component"]), {"faults": [], "events": []})
     if verdict["counterexamples"]:
         from pytest_dura.campaign.reporting import describe_counterexample
 
@@ -198,88 +207,90 @@ def _show_episode(
             if event["kind"] == "critical":
                 terminal.line(f"  event:  {event_text(event)}")
     else:
-        told = str(verdict["spoilt"]["detail"])
-        word = verdict["spoilt"]["verdict"]
-        if word != "missing" and not told.startswith(f"{word}: "):
-            told = f"{word}: {told}"
-        terminal.line(f"  {told}")
+        detail = str(verdict["spoilt"]["detail"])
+        status = verdict["spoilt"]["verdict"]
+        if status != "missing" and not detail.startswith(f"{status}: "):
+            detail = f"{status}: {detail}"
+        terminal.line(f"  {detail}")
     for fault in episode["faults"]:
         chain = one_line(chain_line(fault), LONGEST_TEXT)
         first, *rest = textwrap.wrap(chain, WIDTH - 12, break_on_hyphens=False)
         terminal.line(f"  fault:  {first}")
         for line in rest:
             terminal.line(f"            {line}")
-    terminal.line(f"  replay: {replay_command(context, shown)}")
+    terminal.line(f"  replay: {replay_command(context, shown_id)}")
 
 
 def _shown_episode_id(verdict: Data) -> str | None:
-    """The id of the episode that stands for a verdict which is not "supported"."""
+    """Return the id of the episode that stands for a verdict that is not "supported"."""
     if verdict["counterexamples"]:
         return str(verdict["counterexamples"][0]["episode"])
     return None if verdict["spoilt"] is None else str(verdict["spoilt"]["episode"])
 
 
 def _shown_episodes(record: SessionRecord, verdicts: Iterable[Data]) -> dict[tuple[str, str], Data]:
-    """The episodes that stand for verdicts: of their components, and run by hand only if no other.
+    """Return the episodes that stand for verdicts, by id and component, planned ones first.
 
     They are found in one go, since a record may have a great many.
     """
-    named = [(_shown_episode_id(one), one["component"]) for one in verdicts]
-    wanted = {(shown, component) for shown, component in named if shown is not None}
-    found: dict[tuple[str, str], Data] = {}
-    for episode in record.episodes() if wanted else ():
+    named = [(_shown_episode_id(verdict), verdict["component"]) for verdict in verdicts]
+    keys = {(shown_id, component) for shown_id, component in named if shown_id is not None}
+    episodes: dict[tuple[str, str], Data] = {}
+    for episode in record.episodes() if keys else ():
         key = episode["id"], episode["component"]
-        if key in wanted and (key not in found or episode["planned"] > found[key]["planned"]):
-            found[key] = episode
-    return found
+        if key in keys and (key not in episodes or episode["planned"] > episodes[key]["planned"]):
+            episodes[key] = episode
+    return episodes
 
 
-SEARCH_WIDTH = 80
+_SEARCH_WIDTH = 80
 MOST_CHANGES = 12
-LONGEST_SEARCH_TEXT = 500
+_LONGEST_SEARCH_TEXT = 500
 """Characters of a text that is told in several lines."""
-SEARCH_COLOURS: Mapping[str, dict[str, bool]] = {
+_SEARCH_COLOURS: Mapping[str, dict[str, bool]] = {
     "falsified": {"red": True},
     "not repeatable": {"red": True},
     "undecided": {"yellow": True},
 }
-SEARCH_RANK = {word: rank for rank, word in enumerate(OBJECTIONABLE_OUTCOMES)}
+_SEARCH_RANK = {
+    objectionable_outcome: rank for rank, objectionable_outcome in enumerate(OBJECTIONABLE_OUTCOMES)
+}
 
 
 def show_searches(context: SessionContext, terminal: Any, record: SessionRecord) -> None:
-    """Every search, and for each of its requirements what came of it."""
+    """Show every search, with the outcome for each of its requirements."""
     searches = record["searches"]
     if not searches:
         return
     most = None if context.config.option.verbose > 0 else MOST_ROWS
     ranks = [
         min(
-            SEARCH_RANK.get(outcome_status(one, outcome), len(SEARCH_RANK))
-            for outcome in one["outcomes"]
+            _SEARCH_RANK.get(outcome_status(search, outcome), len(_SEARCH_RANK))
+            for outcome in search["outcomes"]
         )
-        for one in searches
+        for search in searches
     ]
-    shown = worst_of(searches, ranks, most=most)
-    for one in shown:
+    shown = keep_worst(searches, ranks, most=most)
+    for search in shown:
         terminal.line("")
-        _show_search(context, terminal, one)
+        _show_search(context, terminal, search)
     if len(shown) < len(searches):
         more = counted(len(searches) - len(shown), "search")
         terminal.line(f"and {more.replace('searchs', 'searches')} more; {WHERE_ALL_ARE}")
     terminal.line("")
-    for line in textwrap.wrap(NOTHING_SUPPORTED, SEARCH_WIDTH):
+    for line in textwrap.wrap(NOTHING_SUPPORTED, _SEARCH_WIDTH):
         terminal.line(line)
 
 
 def search_counts(record: SessionRecord) -> str:
-    """Outcomes by their words, for the line on the gate; empty without a search."""
-    words = Counter(
+    """Count outcomes by status, for the line on the gate; empty without a search."""
+    counts = Counter(
         outcome["word"] for search in record["searches"] for outcome in search["outcomes"]
     )
     return ", ".join(
-        f"{words[word]} {word}"
-        for word in (*OBJECTIONABLE_OUTCOMES, "nothing found")
-        if words[word]
+        f"{counts[status]} {status}"
+        for status in (*OBJECTIONABLE_OUTCOMES, "nothing found")
+        if counts[status]
     )
 
 
@@ -293,10 +304,10 @@ def _show_search(context: SessionContext, terminal: Any, search: Data) -> None:
 
 
 def _show_outcome(context: SessionContext, terminal: Any, search: Data, outcome: Data) -> None:
-    word, requirement = outcome["word"], outcome["requirement"]
+    status, requirement = outcome["word"], outcome["requirement"]
     head = outcome_headline(search, outcome)
-    for line in textwrap.wrap(head, SEARCH_WIDTH, subsequent_indent="  ", break_on_hyphens=False):
-        terminal.line(line, **SEARCH_COLOURS.get(word, {}))
+    for line in textwrap.wrap(head, _SEARCH_WIDTH, subsequent_indent="  ", break_on_hyphens=False):
+        terminal.line(line, **_SEARCH_COLOURS.get(status, {}))
     if outcome_status(search, outcome) == "baseline":
         terminal.line(f"  {OBJECTIONABLE_OUTCOMES['baseline']}", red=True)
     for line in _outcome_lines(outcome):
@@ -304,35 +315,39 @@ def _show_outcome(context: SessionContext, terminal: Any, search: Data, outcome:
     if is_notable_outcome(search, outcome):
         for line in _searcher_table(search, requirement):
             terminal.line(f"  {line}")
-    found = outcome["counterexample"]
-    kept = found is not None and found["file"] is not None
+    counterexample = outcome["counterexample"]
+    kept = counterexample is not None and counterexample["file"] is not None
     if kept:
-        terminal.line(f"  kept:     {one_line(found['file'])}")
-    if word != "nothing found":
-        again = found["name"] if kept else search["item"]
-        terminal.line(f"  rerun:    {rerun_command(context, again)}")
+        terminal.line(f"  kept:     {one_line(counterexample['file'])}")
+    if status != "nothing found":
+        to_rerun = counterexample["name"] if kept else search["item"]
+        terminal.line(f"  rerun:    {rerun_command(context, to_rerun)}")
 
 
 def _outcome_lines(outcome: Data) -> Iterator[str]:
-    """The check, and the counterexample as far as there is one."""
-    found = outcome["counterexample"]
+    """Write the check, and the counterexample as far as there is one."""
+    counterexample = outcome["counterexample"]
     if outcome["check"] not in ("", outcome["requirement"]):
         yield from _entry("check", outcome["check"])
-    if found is None:
+    if counterexample is None:
         return
-    yield from _entry("worst", counterexample_text(found, outcome["check"]))
-    if found["shrinking"] is not None:
-        yield from _entry("simpler", shrinking_text(found))
-    told = [f"{path}: {change}" for path, change in parameter_changes(found, MOST_CHANGES)]
-    for number, one in enumerate(told or ["in nothing: the case violates it as it stands"]):
-        yield from _entry("" if number else "differs", one)
-    if len(found["changes"]) > MOST_CHANGES:
-        yield f"{'':<12}and {len(found['changes']) - MOST_CHANGES} more, in evidence.json"
+    yield from _entry("worst", counterexample_text(counterexample, outcome["check"]))
+    if counterexample["shrinking"] is not None:
+        yield from _entry("simpler", shrinking_text(counterexample))
+    differences = [
+        f"{path}: {change}" for path, change in parameter_changes(counterexample, MOST_CHANGES)
+    ]
+    for number, difference in enumerate(
+        differences or ["in nothing: the case violates it as it stands"]
+    ):
+        yield from _entry("" if number else "differs", difference)
+    if len(counterexample["changes"]) > MOST_CHANGES:
+        yield f"{'':<12}and {len(counterexample['changes']) - MOST_CHANGES} more, in evidence.json"
 
 
 def _entry(what: str, text: str) -> Iterator[str]:
     lines = textwrap.wrap(
-        one_line(text, LONGEST_SEARCH_TEXT), SEARCH_WIDTH - 14, break_on_hyphens=False
+        one_line(text, _LONGEST_SEARCH_TEXT), _SEARCH_WIDTH - 14, break_on_hyphens=False
     )
     head = f"  {what}:" if what else ""
     for number, line in enumerate(lines or [""]):
@@ -341,16 +356,16 @@ def _entry(what: str, text: str) -> Iterator[str]:
 
 def _wrapped(text: str, indent: int) -> list[str]:
     space = " " * indent
-    return textwrap.wrap(text, SEARCH_WIDTH, initial_indent=space, subsequent_indent=space)
+    return textwrap.wrap(text, _SEARCH_WIDTH, initial_indent=space, subsequent_indent=space)
 
 
 def _searcher_table(search: Data, requirement: str) -> Iterator[str]:
-    """Searchers, and below them each trivial baseline by itself."""
+    """Write the searchers, and below them each trivial baseline by itself."""
     own = list(searcher_rows(search, requirement, "searchers"))
     alone = list(searcher_rows(search, requirement, "baselines"))
-    told = [*own, ("trivial, each by itself:", [""] * len(SEARCHER_COLUMNS)), *alone]
+    rows = [*own, ("trivial, each by itself:", [""] * len(SEARCHER_COLUMNS)), *alone]
     if not alone:
-        told[len(own)] = ("trivial: none was run", [""] * len(SEARCHER_COLUMNS))
-    names, cells = [one for one, _ in told], [row for _, row in told]
+        rows[len(own)] = ("trivial: none was run", [""] * len(SEARCHER_COLUMNS))
+    names, cells = [searcher for searcher, _ in rows], [figures for _, figures in rows]
     yield from (line.rstrip() for line in aligned("searcher", SEARCHER_COLUMNS, names, cells))
-    yield from textwrap.wrap(SEARCHER_LEGEND, SEARCH_WIDTH - 2)
+    yield from textwrap.wrap(SEARCHER_LEGEND, _SEARCH_WIDTH - 2)

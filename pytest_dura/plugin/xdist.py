@@ -23,11 +23,10 @@ if TYPE_CHECKING:
     from pytest_dura.campaign.campaign import Campaign
     from pytest_dura.plugin.context import SessionContext
     from pytest_dura.requirements.model import Requirement
-    from pytest_dura.runner import Runner
 
 
 def steal_work(context: SessionContext, last: pytest.Item) -> None:
-    """Help at the campaigns that other workers may still be at.
+    """Simulate episodes of campaigns that other workers may still run.
 
     Args:
         context: The context of this worker's session.
@@ -35,7 +34,10 @@ def steal_work(context: SessionContext, last: pytest.Item) -> None:
     """
     if not isinstance(last, ScenarioItem) or not _may_steal(context, last.session):
         return
-    runner, known = _silenced(context.runner), context.library().requirements
+    known = context.library().requirements
+    listeners = (field for field in fields(context.runner) if field.name.startswith("on_"))
+    silent: dict[str, Any] = {field.name: field.default for field in listeners}
+    runner = replace(context.runner, **silent, counterexamples=None)
     workers = int(vars(context.config)["workerinput"]["workercount"])
     for item in _last_items(last.session.items, known, workers):
         requirement = known[item.name]
@@ -51,24 +53,16 @@ def steal_work(context: SessionContext, last: pytest.Item) -> None:
 
 
 def _may_steal(context: SessionContext, run: pytest.Session) -> bool:
-    """Whether nothing else is to be done, and all items are to be run to their end."""
-    patient = not context.config.getoption("maxfail", 0)
+    """Whether all items are to be run to their end, and nothing else is due here."""
+    runs_all = not context.config.getoption("maxfail", 0)
     stopped = bool(run.shouldstop or run.shouldfail)
-    return patient and not stopped and context.runner.store.execution.inside
-
-
-def _silenced(runner: Runner) -> Runner:
-    """The same runner, which tells nobody anything."""
-    silent: dict[str, Any] = {
-        one.name: one.default for one in fields(runner) if one.name.startswith("on_")
-    }
-    return replace(runner, **silent, counterexamples=None)
+    return runs_all and not stopped and context.runner.store.execution.inside
 
 
 def _last_items(
     items: Sequence[pytest.Item], known: dict[str, Requirement], cases: int
 ) -> Iterator[ScenarioItem]:
-    """One item for each campaign of so many last cases, the last one first."""
+    """Yield an item for each campaign of so many last cases, the last one first."""
     seen: dict[str, set[str | None]] = {}
     for item in reversed(items):
         if not isinstance(item, ScenarioItem):
@@ -83,7 +77,7 @@ def _last_items(
 
 
 def _is_simulated(campaign: Campaign, requirement: Requirement) -> bool:
-    """Whether all planned runs are there, those of pairs included."""
+    """Whether all planned runs are stored, those of pairs included."""
     cases, runner = [campaign.case], campaign.runner
     if requirement.paired is not None:
         cases.append(campaign.paired(requirement.paired.without).case)
@@ -102,7 +96,7 @@ MOST = 500
 
 
 class CaseScheduling(LoadScopeScheduling):  # type: ignore[misc, unused-ignore]
-    """Load balancing such that all workers are at the same case, whose episodes they share.
+    """Load scheduling that keeps all workers at the same case, whose episodes they share.
 
     The items of a case that look at its campaign are split into a share for each worker: all of
     them simulate it together, and none is left with the last case alone. The items of a test that
@@ -121,7 +115,7 @@ class CaseScheduling(LoadScopeScheduling):  # type: ignore[misc, unused-ignore]
         return self._scopes[nodeid]
 
     def _assign_work_unit(self, node: WorkerController) -> None:
-        """As the base class does, which looks through the whole collection for each item."""
+        """Assign a unit as the base class does, without its search for each item."""
         if not self._places:
             collection = self.registered_collections[node]
             self._places = {name: place for place, name in enumerate(collection)}
@@ -132,7 +126,7 @@ class CaseScheduling(LoadScopeScheduling):  # type: ignore[misc, unused-ignore]
     def mark_test_complete(
         self, node: WorkerController, item_index: int, duration: float = 0
     ) -> None:
-        """As the base class does, and forget a unit that is done, which it would count for ever."""
+        """Do as the base class, and forget a finished unit, which it would count for ever."""
         scope = self._split_scope(self.registered_collections[node][item_index])
         units = self.assigned_work[node]
         super().mark_test_complete(node, item_index, duration)
@@ -140,7 +134,7 @@ class CaseScheduling(LoadScopeScheduling):  # type: ignore[misc, unused-ignore]
             del units[scope]
 
     def remove_node(self, node: WorkerController) -> str | None:
-        """The item during which the worker died, if it had any left; it is not tried again.
+        """Return the item during which the worker died; it is not tried again.
 
         The base class hands out all units of a dead worker again. An item that kills its worker
         would kill every one that follows, and a worker that is given a finished unit is never
@@ -159,7 +153,7 @@ class CaseScheduling(LoadScopeScheduling):  # type: ignore[misc, unused-ignore]
         return crashed
 
     def _reschedule(self, node: WorkerController) -> None:
-        """Give the worker more, and never a single item.
+        """Give the worker more work, and never a single item.
 
         A worker runs an item when it knows the next one, or that there is none. The base class
         gives one unit to a worker that takes the place of a dead one, which would wait for ever.
@@ -170,7 +164,7 @@ class CaseScheduling(LoadScopeScheduling):  # type: ignore[misc, unused-ignore]
 
 
 def shares(collection: Sequence[str], workers: int) -> dict[str, str]:
-    """The unit of each item: units are handed out whole, in the order of the collection.
+    """Return the unit of each item: units are handed out whole, in the order of the collection.
 
     Args:
         collection: Node ids of all items.
@@ -179,18 +173,18 @@ def shares(collection: Sequence[str], workers: int) -> dict[str, str]:
     together: dict[str, list[str]] = {}
     for name in collection:
         together.setdefault(_group(name), []).append(name)
-    found = {}
+    scopes = {}
     for group, names in together.items():
         count = workers
         if ".py::" in group:
             count = max(workers, min(SHARES * workers, len(names) // LEAST), -(-len(names) // MOST))
         for place, name in enumerate(names):
-            found[name] = f"{group} {place * count // len(names)}"
-    return found
+            scopes[name] = f"{group} {place * count // len(names)}"
+    return scopes
 
 
 def _group(nodeid: str) -> str:
-    """What belongs together: the items of a case, or the runs of a case that a test looks at."""
+    """Return what belongs together: items of a case, or the runs of a case in a test."""
     name, bracket, parameters = nodeid.partition("[")
     if bracket:
         # A test on runs or cases: `name[intersection/nominal#3]`, maybe among other parameters.

@@ -31,7 +31,7 @@ class Worker:
 
     def tell(self, done, after=0.0):
         self.now += after
-        self.file.tell(self.running.reach(done, 9, simulated=done))
+        self.file.write(self.running.reach(done, 9, simulated=done))
 
 
 def test_a_short_campaign_writes_nothing(folder):
@@ -49,7 +49,7 @@ def test_what_a_worker_tells_is_read_until_its_campaign_ends(folder):
     found = read_files(folder, TOKEN)
     assert found == {"gw0": worker.running.progress(), "gw1": worker.running.progress()}
     assert found["gw0"].done == 2
-    worker.file.tell(worker.running.end())
+    worker.file.write(worker.running.end())
     assert list(read_files(folder, TOKEN)) == ["gw1"]
 
 
@@ -68,7 +68,7 @@ def test_where_nothing_can_be_written_there_is_no_progress_and_no_error(folder):
     worker = Worker(folder)
     for done in range(5):
         worker.tell(done, after=1.0)
-    worker.file.tell(worker.running.end())
+    worker.file.write(worker.running.end())
     assert read_files(folder, TOKEN) == {}
     assert folder.read_text() == "a file"
 

@@ -223,9 +223,9 @@ def test_a_look_shows_what_is_found_at_the_rate_it_was_seen_at():
     rows, progress, now = [], [CampaignProgress("room/warm", "T-1", 0, 9)], [0.0]
     surface = SimpleNamespace(show=lambda found, _: rows.append(found))
     showing = ProgressView(surface, lambda: {"": progress[0]}, lambda: now[0])
-    showing.look()
+    showing.refresh()
     progress[0], now[0] = replace(progress[0], done=3), 1.5
-    showing.look()
+    showing.refresh()
     assert [(one.rate, one.left) for (one,) in rows] == [(None, None), (2.0, 3.0)]
 
 

@@ -8,7 +8,7 @@ import pytest
 from pytest_dura.campaign.reporting import CampaignProgress
 from pytest_dura.plugin.progress import BOUND_SHARE, LONGEST_BOUND_AGE, Snapshots
 from pytest_dura.plugin.progress_display import (
-    LEAST_LOOKS,
+    LEAST_SAMPLES,
     PACE_WINDOW,
     Board,
     Pace,
@@ -78,16 +78,16 @@ def test_a_name_writes_no_control_sequence_to_the_terminal():
 
 def test_there_is_no_rate_before_a_run_has_ended():
     pace = Pace(at(0), 10.0)
-    pace.look(at(0), 11.0)
+    pace.add(at(0), 11.0)
     assert (pace.rate(11.0), pace.left(100, 11.0)) == (None, None)
-    pace.look(at(1), 12.0)
+    pace.add(at(1), 12.0)
     assert pace.rate(12.0) == pytest.approx(0.5)
     assert pace.left(99, 12.0) == pytest.approx(198.0)
 
 
 def test_the_time_left_falls_while_a_run_is_under_way_and_grows_once_it_takes_too_long():
     pace = Pace(at(0), 0.0)
-    pace.look(at(1), 10.0)
+    pace.add(at(1), 10.0)
     assert pace.left(9, 15.0) == pytest.approx(85.0)
     assert pace.left(9, 20.0) == pytest.approx(80.0)
     assert pace.rate(20.0) == pytest.approx(0.1)
@@ -99,10 +99,10 @@ def test_the_rate_is_that_of_late():
     pace, now = Pace(at(0), 0.0), 0.0
     for done in range(1, 101):
         now = done / 10
-        pace.look(at(done, 1000), now)
+        pace.add(at(done, 1000), now)
     for done in range(101, 121):
         now += 1.0
-        pace.look(at(done, 1000), now)
+        pace.add(at(done, 1000), now)
     assert pace.rate(now) == pytest.approx(1.0)
 
 
@@ -111,17 +111,17 @@ def test_of_slow_runs_some_are_remembered_beyond_the_window():
     now = 0.0
     for done in range(1, 40):
         now += 3 * PACE_WINDOW * random_.choice([0.5, 1.5])
-        pace.look(at(done), now)
+        pace.add(at(done), now)
     assert pace.rate(now) == pytest.approx(1 / (3 * PACE_WINDOW), rel=0.5)
     assert pace.rate(now) != pytest.approx(1 / (1.5 * PACE_WINDOW), rel=0.01)
-    assert LEAST_LOOKS > 2
+    assert LEAST_SAMPLES > 2
 
 
 def test_runs_that_were_at_hand_do_not_count():
     pace = Pace(at(0), 0.0)
-    pace.look(at(80, taken_over=80), 0.2)
+    pace.add(at(80, taken_over=80), 0.2)
     assert pace.rate(0.2) is None
-    pace.look(at(82, taken_over=80), 1.2)
+    pace.add(at(82, taken_over=80), 1.2)
     assert pace.rate(1.2) == pytest.approx(2.0)
     assert pace.left(18, 1.2) == pytest.approx(9.0)
 

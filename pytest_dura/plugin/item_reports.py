@@ -1,0 +1,510 @@
+"""What other reports show of our items: properties in JUnit files, and Allure's results.
+
+pytest writes properties with every ``junit_family``; ``xunit1`` adds file and line of the test.
+There is one group per requirement, in order, which begins with ``requirement``.
+
+allure-pytest writes Allure's report. Labels are the markers that it reads; without its
+``--alluredir`` no result is described. It maps our failures to ``failed`` by itself, since they
+are those of ``pytest.fail``.
+"""
+
+from __future__ import annotations
+
+import inspect
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
+from uuid import uuid4
+
+import pytest
+
+from pytest_dura.evidence.junit import junit_name
+from pytest_dura.evidence.text import markdown, name, one_line, visible
+from pytest_dura.plugin.context import replay_command
+from pytest_dura.plugin.markers import marked_requirements
+from pytest_dura.plugin.outcomes import ItemResult, episode_of, target_of
+from pytest_dura.reports.wording import event_text
+
+if TYPE_CHECKING:
+    from pytest_dura.core.episode import Episode
+    from pytest_dura.evidence.traces import Trace
+    from pytest_dura.library.cases import Case
+    from pytest_dura.plugin.context import SessionContext
+    from pytest_dura.requirements.episode_verdicts import EpisodeVerdict
+    from pytest_dura.requirements.model import Requirement
+
+
+Properties = list[tuple[str, str]]
+
+_COUNTS = ("planned", "run", "violations", "without_effect", "invalid", "missing", "vacuous")
+_NAMES = {"requirement", "case", "component", "item", "episode", "counterexample"}
+_PROPERTIES_KEY = pytest.StashKey[Properties]()
+
+
+def add_properties(
+    context: SessionContext,
+    item: pytest.Item,
+    report: pytest.TestReport,
+    results: Sequence[ItemResult],
+) -> None:
+    """Put an item's results among its properties, which cross processes with its reports."""
+    earlier = item.stash.get(_PROPERTIES_KEY, [])  # of an earlier attempt
+    others = [entry for entry in item.user_properties if entry not in earlier]
+    ours = _properties(context, item, results)
+    item.stash[_PROPERTIES_KEY] = ours
+    item.user_properties[:] = [*others, *ours]
+    report.user_properties = list(item.user_properties)
+
+
+def _properties(
+    context: SessionContext, item: pytest.Item, results: Sequence[ItemResult]
+) -> Properties:
+    properties: list[tuple[str, Any]] = [
+        ("item", item.nodeid),
+        ("base_seed", context.options.seed),
+        *_episode_properties(context, item),
+    ]
+    for result in results:
+        properties += _result_properties(context, result)
+    return [(name, _value(name, value)) for name, value in properties if value not in (None, "")]
+
+
+def _value(name: str, value: Any) -> str:
+    """Escape a value: plain text that XML and other processes can take."""
+    text = str(value)
+    return junit_name(text) if name in _NAMES else one_line(text)
+
+
+def _episode_properties(context: SessionContext, item: pytest.Item) -> Iterator[tuple[str, Any]]:
+    episode = episode_of(item)
+    if episode is None:
+        return
+    yield "episode", episode.id
+    yield "seed", episode.spec.seed
+    yield "digest", episode.digest
+    yield "validity", episode.validity
+    if target_of(item) is not None:  # by its id alone another session finds no other episode
+        yield "replay", replay_command(context, episode.id)
+
+
+def _result_properties(context: SessionContext, result: ItemResult) -> Iterator[tuple[str, Any]]:
+    requirement = result.requirement
+    yield "requirement", requirement.id
+    yield "kind", requirement.kind
+    yield "case", result.case.id if result.case else (result.verdict or {}).get("case")
+    yield "component", result.component
+    if result.outcome is not None:
+        yield from _outcome_properties(result.outcome)
+        for event in ending_events(context, result):
+            yield "event", event
+    if result.verdict is not None:
+        yield from _verdict_properties(context, result)
+
+
+def _outcome_properties(outcome: Any) -> Iterator[tuple[str, Any]]:
+    yield "episode_verdict", outcome["verdict"]
+    yield "planned", outcome["planned"]
+    yield "at_most", outcome["at_most"]
+    yield "margin", outcome["margin"]
+    yield "violated_at", outcome["time"]
+    yield "detail", outcome["detail"]
+    asserted = outcome["assertion"]
+    yield "decided_by", "assertion" if asserted["alone"] else "check and assertion"
+    yield "observed", ", ".join(asserted["observed"])
+    for check in asserted["false"]:
+        yield "false_check", check
+
+
+def _verdict_properties(context: SessionContext, result: ItemResult) -> Iterator[tuple[str, Any]]:
+    verdict = result.verdict
+    assert verdict is not None
+    yield "verdict", verdict["verdict"]
+    yield "reason", verdict["reason"]
+    yield "valid", verdict["episodes"]
+    for key in _COUNTS:
+        yield key, verdict[key]
+    yield "open", len(verdict["open"])
+    bound = verdict["bound"]
+    yield "bound_upper", bound["upper"]
+    yield "bound_confidence", bound["confidence"]
+    yield "bound_method", bound["method"]
+    yield "at_most", bound["at_most"]
+    yield "margin", verdict["margin"]
+    if verdict["counterexamples"]:
+        episode = verdict["counterexamples"][0]["episode"]
+        yield "counterexample", episode
+        yield "counterexample_seed", seed_of(context, result, episode)
+        for event in ending_events(context, result):
+            yield "event", event
+        yield "replay", replay_command(context, episode)
+
+
+def ending_events(context: SessionContext, result: ItemResult) -> list[str]:
+    """List what ended the violating episode that stands for a result."""
+    if result.status != "violated":
+        return []
+    episode: Episode | None = result.episode
+    counterexamples = (result.verdict or {}).get("counterexamples")
+    if episode is None and counterexamples and result.case is not None:
+        run = int(counterexamples[0]["episode"].rpartition("#")[2])
+        episode = context.runner.fetch(result.case, run)
+    if episode is None:
+        return []
+    return [
+        context.redact(event_text(event.to_json()))
+        for event in episode.events
+        if event.kind == "critical"
+    ]
+
+
+def seed_of(context: SessionContext, result: ItemResult, episode: str) -> int | None:
+    """Return the seed of an episode of the result's case."""
+    if result.case is None:
+        return None
+    return result.case.seed(int(episode.rpartition("#")[2]), context.options.seed)
+
+
+_EPIC = "dependability"
+_LINK_TYPE = "requirement"
+"""``--allure-link-pattern=requirement:https://example.org/{}`` makes links of ids."""
+_SEVERITIES = {
+    "safety": "blocker",
+    "security": "critical",
+    "recovery": "critical",
+    "performance": "normal",
+}
+_WORST_FIRST = ("blocker", "critical", "normal")
+_SELECTIONS = ("epics", "features", "stories", "ids", "severities", "labels")
+_OWN_CHOICE = ("epic", "feature", "story", "severity")
+
+
+def is_used(config: pytest.Config) -> bool:
+    """Whether Allure reports this session, or selects tests by their labels."""
+    options = ("allure_report_dir", *(f"allure_{name}" for name in _SELECTIONS))
+    return any(config.getoption(option, None) for option in options)
+
+
+def mark_item(context: SessionContext, item: pytest.Item) -> None:
+    """Give an item its labels and links; the test's own ones take precedence."""
+    own = {marker.kwargs.get("label_type") for marker in item.iter_markers("allure_label")}
+    requirements = list(
+        {requirement.id: requirement for requirement in marked_requirements(context, item)}.values()
+    )
+    target = target_of(item)
+    for kind, value in _labels(requirements, None if target is None else target.case):
+        if not (kind in _OWN_CHOICE and kind in own):
+            item.add_marker(pytest.mark.allure_label(value, label_type=kind))
+    for requirement in requirements:
+        url = _requirement_url(context.config, requirement.id)
+        item.add_marker(
+            pytest.mark.allure_link(url, link_type=_LINK_TYPE, name=name(requirement.id))
+        )
+
+
+def _labels(requirements: Sequence[Requirement], case: Case | None) -> Iterator[tuple[str, str]]:
+    yield "epic", _EPIC
+    if case is not None:
+        yield "feature", name(case.scenario.name)
+        yield "story", name(_story_of(case))
+    kinds = list(dict.fromkeys(requirement.kind for requirement in requirements))
+    if kinds:
+        yield "severity", min(map(_SEVERITIES.__getitem__, kinds), key=_WORST_FIRST.index)
+    for kind in kinds:
+        yield "tag", kind
+    for requirement in requirements:
+        yield "requirement", name(requirement.id)
+
+
+def _story_of(case: Case) -> str:
+    faults = " + ".join(str(fault["id"]) for fault in case.faults) or "no faults"
+    return ", ".join([faults, *(f"without {role}" for role in case.without)])
+
+
+def _requirement_url(config: pytest.Config, requirement: str) -> str:
+    """Build an address by the user's pattern; an id is never an address by itself."""
+    quoted = quote(requirement, safe="", errors="replace")
+    patterns: dict[str, Any] = dict(config.getoption("allure_link_pattern", None) or [])
+    return str(patterns.get(_LINK_TYPE, "{}")).replace("{}", quoted)
+
+
+LARGEST = 2_000_000
+"""Bytes of an attachment."""
+_COUNTEREXAMPLES = 100
+"""As many stand in the attached verdict."""
+
+
+def report_item(context: SessionContext, item: pytest.Item, results: Sequence[ItemResult]) -> None:
+    """Add an item's results to the open Allure result.
+
+    Args:
+        context: The session's context.
+        item: An item that uses the runner, whose result is not written yet.
+        results: What it came to.
+    """
+    from allure_commons import plugin_manager
+
+    allure = plugin_manager.hook
+    components = dict.fromkeys(
+        one_line(result.component, 200) for result in results if result.component
+    )
+    allure.add_label(label_type="component", labels=tuple(components))
+    for result in results:
+        prefix = f"{one_line(result.requirement.id, 100)}: " if len(results) > 1 else ""
+        for parameter, value in _parameters(context, result).items():
+            # A result must not make another test of this one in Allure's history.
+            allure.add_parameter(name=prefix + parameter, value=value, excluded=True, mode=None)
+    description = _description(context, item, results)
+    if description:
+        allure.add_description(test_description=description)
+    if hasattr(item, "planned") and results:
+        result = results[0]
+        title = f"{item.planned.case.id}: {result.requirement.id} {result.requirement.text}"
+        allure.add_title(test_title=one_line(title, 200))
+    for result in results:
+        verdict = result.verdict or result.outcome
+        if verdict is not None:
+            _attach(_verdict_json(verdict), f"verdict {result.requirement.id}", "JSON")
+    if context.options.evidence_level != "summary":
+        _show_worst(context, item, results)
+
+
+def _parameters(context: SessionContext, result: ItemResult) -> dict[str, Any]:
+    verdict, outcome = result.verdict or {}, result.outcome or {}
+    bound = verdict.get("bound") or {}
+    parameters = {
+        "case": result.case.id if result.case else verdict.get("case"),
+        "component": result.component,
+        "verdict": result.status,
+        "planned": verdict.get("planned", outcome.get("planned")),
+        "valid": verdict.get("episodes"),
+        "violations": verdict.get("violations"),
+        "bound": bound.get("upper"),
+        "confidence": bound.get("confidence") if bound.get("upper") is not None else None,
+        "at most": bound.get("at_most", outcome.get("at_most")),
+        "base seed": context.options.seed,
+    }
+    return {
+        name: one_line(value, 200) if isinstance(value, str) else value
+        for name, value in parameters.items()
+        if value is not None
+    }
+
+
+def _description(context: SessionContext, item: pytest.Item, results: Sequence[ItemResult]) -> str:
+    """Write Markdown: the test's docstring, then each requirement with source and verdict."""
+    given = item.get_closest_marker("allure_description")
+    own = given.args[0] if given else getattr(getattr(item, "function", None), "__doc__", None)
+    parts = [inspect.cleandoc(own)] if own else []
+    for result in results:
+        requirement, verdict = result.requirement, result.verdict or result.outcome or {}
+        parts.append(f"**{markdown(requirement.id)}** {markdown(requirement.text, 2000)}")
+        for heading, text in (
+            ("Source", requirement.source),
+            ("Why this bound", requirement.reason),
+            (
+                "Verdict",
+                f"{result.status or 'none'}. {verdict.get('reason', verdict.get('detail', ''))}",
+            ),
+            ("Event", "; ".join(ending_events(context, result))),
+            ("By assertion", _looked_at(verdict)),
+        ):
+            if text:
+                parts.append(f"{heading}: {markdown(text, 2000)}")
+    return "\n\n".join(parts)
+
+
+def _looked_at(verdict: Mapping[str, Any]) -> str:
+    """Describe what a test that decided by its own assertions read, and what was false."""
+    assertion = verdict.get("assertion")
+    if not assertion or not (assertion["alone"] or assertion["observed"]):
+        return ""
+    false = "".join(f"; false, though the test passed: {check}" for check in assertion["false"])
+    return f"the test looked at {', '.join(assertion['observed']) or 'nothing'}{false}"
+
+
+def _show_worst(context: SessionContext, item: pytest.Item, results: Sequence[ItemResult]) -> None:
+    """Show one episode: the worst violation, else one that does not count, else the first."""
+    from pytest_dura.evidence.traces import Trace
+
+    result = next((result for result in results if result.status == "violated"), None)
+    result = result or next(iter(results), None)
+    episode = episode_of(item) or (None if result is None else _worst_episode(context, result))
+    if episode is None:
+        return
+    judged = None if result is None else _judged_on(result, episode)
+    kind, problem = "Sample", None
+    if result is not None and judged is not None and _is_counterexample(result, episode):
+        when = "" if judged.time is None else f" at t = {judged.time:.2f} s"
+        effect = " without effect of the fault" if judged.without_effect else ""
+        problem = f"{judged.requirement} violated{effect}{when}: {judged.detail}"
+        kind = "Counterexample"
+    elif episode.validity != "valid":
+        kind = episode.validity.capitalize()
+        problem = episode.failure or episode.invalid_reason
+    # Attachments leave the machine as the bundle does.
+    redact = context.redact
+    title = one_line(redact(f"{kind} {episode.id}, seed {episode.spec.seed}"), 200)
+    replay = one_line(redact(replay_command(context, episode.id)))
+    parameters = {"replay": replay, "digest": episode.digest}
+    trace = Trace.of(episode).without_secrets(redact)
+    with _step(title, parameters, None if problem is None else one_line(redact(problem))):
+        _show_loop(episode, trace, judged, _check_of(result))
+        _attach_all(episode, trace, judged, _check_of(result))
+
+
+def _is_counterexample(result: ItemResult, episode: Episode) -> bool:
+    if result.outcome is not None:
+        return result.status == "violated"
+    examples = (result.verdict or {}).get("counterexamples", ())
+    return any(example["episode"] == episode.id for example in examples)
+
+
+def _check_of(result: ItemResult | None) -> str:
+    if result is None:
+        return ""
+    own = (result.outcome or {}).get("assertion")
+    if own and own["failed"] and not own["by_check"]:
+        return ""  # it held: what failed is an assertion of the test
+    return str((result.verdict or {}).get("check") or result.requirement.check)
+
+
+def _worst_episode(context: SessionContext, result: ItemResult) -> Episode | None:
+    verdict = result.verdict
+    if verdict is None or result.case is None or not verdict["run"]:
+        return None
+    spoilt = verdict.get("spoilt")
+    shown = [*verdict["counterexamples"][:1], *([] if spoilt is None else [spoilt])]
+    run = int(shown[0]["episode"].rpartition("#")[2]) if shown else 0
+    return context.runner.fetch(result.case, run)
+
+
+def _judged_on(result: ItemResult, episode: Episode) -> EpisodeVerdict | None:
+    """Judge this episode by the requirement: from the item's outcome, or by the check."""
+    from pytest_dura.core.errors import ConfigurationError
+    from pytest_dura.requirements.episode_verdicts import EpisodeVerdict, judge_episode
+
+    if result.outcome is not None:
+        names = EpisodeVerdict.__dataclass_fields__
+        return EpisodeVerdict.from_json({name: result.outcome[name] for name in names})
+    try:
+        return judge_episode(result.requirement, episode, _check_of(result))
+    except ConfigurationError:  # a measure of pairs, or a function inside a test
+        return None
+
+
+def _show_loop(episode: Episode, trace: Trace, judged: EpisodeVerdict | None, check: str) -> None:
+    """Show the loop's six steps at the tick of the violation."""
+    from pytest_dura.reports.episode_view import decision_at, loop_steps
+
+    tick = decision_at(trace, None if judged is None else judged.time)
+    if tick is None:
+        return
+    steps = loop_steps(trace, tick, _signals(episode, check))
+    for step in steps:
+        verdict = {}
+        if step is steps[-1] and judged is not None:
+            line = one_line(f"{judged.verdict}: {judged.detail}")
+            verdict = {one_line(judged.requirement, 100): line}
+        with _step(step.name, {**step.details, **verdict}):
+            pass
+
+
+def _signals(episode: Episode, check: str) -> list[str]:
+    """Name the signals that the check reads, or else the first ones of the truth."""
+    from pytest_dura.reports.episode_view import formula_of
+
+    formula = formula_of(check)
+    names = (
+        [] if formula is None else [signal.removeprefix("percept.") for signal in formula.signals]
+    )
+    read = [signal for signal in dict.fromkeys(names) if signal in episode.signals]
+    return (
+        read
+        or [signal for signal in sorted(episode.signals) if not signal.startswith("percept.")][:4]
+    )
+
+
+def _attach_all(episode: Episode, trace: Trace, judged: EpisodeVerdict | None, check: str) -> None:
+    from pytest_dura.evidence.mcap import trace_bytes
+    from pytest_dura.reports.episode_view import signals_csv
+    from pytest_dura.reports.html.player import player_page
+
+    verdicts = [] if judged is None else [{**judged.to_json(), "check": check}]
+    _attach(_plot(episode, judged, check), "plot", "SVG")
+    _attach(player_page(trace, verdicts), "animation", "HTML")
+    _attach(signals_csv(trace), "signals", "CSV")
+    _attach(trace_bytes(trace, verdicts), "trace", "application/octet-stream", "mcap")
+
+
+def _plot(episode: Episode, judged: EpisodeVerdict | None, check: str) -> str:
+    from pytest_dura.reports.episode_view import Panel, margin_over_time, signal_plot
+
+    panels = []
+    margin = margin_over_time(check, episode)
+    if margin is not None:
+        panels.append(Panel(f"margin of {margin[0]}", {"margin": margin[1]}, bound=0.0))
+    for signal in _signals(episode, check)[:5]:
+        columns = {signal: episode.signals[signal]}
+        if f"percept.{signal}" in episode.signals:
+            columns["percept"] = episode.signals[f"percept.{signal}"]
+        panels.append(Panel(signal, columns))
+    mark = None
+    text = ""
+    if judged is not None:
+        text = f"{judged.requirement}: {judged.verdict}"
+        if judged.time is not None:
+            mark = judged.time, f"{text} at {judged.time:.2f} s"
+    names = ", ".join(panel.name for panel in panels)
+    return signal_plot(
+        f"{episode.id} {text}", f"Over time: {names}. {mark[1] if mark else ''}",
+        episode.time, panels, mark,
+    )  # fmt: skip
+
+
+def _verdict_json(verdict: Mapping[str, Any]) -> str:
+    examples = verdict.get("counterexamples", ())
+    bounded = dict(verdict)
+    if len(examples) > _COUNTEREXAMPLES:
+        bounded["counterexamples"] = examples[:_COUNTEREXAMPLES]
+        bounded["counterexamples_left_out"] = len(examples) - _COUNTEREXAMPLES
+    return json.dumps(_bounded(bounded), indent=1, allow_nan=False) + "\n"
+
+
+def _bounded(value: Any) -> Any:
+    if isinstance(value, str):
+        return visible(value)
+    if isinstance(value, Mapping):
+        return {visible(str(name)): _bounded(item) for name, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_bounded(item) for item in value]
+    return value
+
+
+def _attach(body: str | bytes, name: str, kind: str, extension: str | None = None) -> None:
+    """Attach what is small enough, and a note in place of what is not."""
+    import allure
+
+    size = len(body.encode()) if isinstance(body, str) else len(body)
+    name = one_line(name, 200)
+    if size > LARGEST:
+        note = f"{size} bytes are left out: an attachment has at most {LARGEST}.\n"
+        allure.attach(note, f"{name} (left out)", allure.attachment_type.TEXT)
+        return
+    known = getattr(allure.attachment_type, kind, kind)
+    allure.attach(body, name, known, extension)
+
+
+@contextmanager
+def _step(title: str, parameters: Mapping[str, str], problem: str | None = None) -> Iterator[None]:
+    """Context of a step with its parameters; with a problem it fails."""
+    from allure_commons import plugin_manager
+
+    step, failure = str(uuid4()), None if problem is None else AssertionError(problem)
+    plugin_manager.hook.start_step(uuid=step, title=title, params=dict(parameters))
+    try:
+        yield
+    finally:
+        kind = None if failure is None else type(failure)
+        plugin_manager.hook.stop_step(uuid=step, exc_type=kind, exc_val=failure, exc_tb=None)
