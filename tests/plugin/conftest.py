@@ -9,7 +9,7 @@ import shutil
 from pathlib import Path
 
 import pytest
-from forked_workers import AVAILABLE, import_all
+from forked_workers import AVAILABLE, ForkedWorkers, import_all
 
 from pytest_dura.evidence.bundle import all_formats
 from pytest_dura.library.documents import read_yaml
@@ -34,13 +34,19 @@ MODES = {
 class Project:
     """A copy of the example project, in which pytest runs in this process."""
 
-    def __init__(self, pytester: pytest.Pytester) -> None:
+    def __init__(self, pytester: pytest.Pytester, workers: ForkedWorkers) -> None:
         self.pytester = pytester
+        self.workers = workers
         self.path = pytester.path
         shutil.copytree(PROJECT, self.path, dirs_exist_ok=True)
 
     def run(self, *arguments):
         return self.pytester.runpytest_inprocess(*arguments)
+
+    def run_apart(self, *arguments):
+        """A session in a process of its own, forked from one that has imported what it needs."""
+        command = self.workers.command("-m", "pytest", "-p", "no:cacheprovider", *arguments)
+        return self.pytester.run(*command)
 
     def scenarios(self, *arguments, select="corridor/*"):
         return self.run("--dura-scenarios", f"--dura-select={select}", *arguments)
@@ -107,8 +113,8 @@ def fast_sessions(monkeypatch, forked_workers):
 
 
 @pytest.fixture
-def project(pytester, fast_sessions):
-    return Project(pytester)
+def project(pytester, fast_sessions, forked_workers):
+    return Project(pytester, forked_workers)
 
 
 @pytest.fixture(params=list(MODES))

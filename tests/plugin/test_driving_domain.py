@@ -26,7 +26,7 @@ def digests(project):
 
 
 def test_an_episode_has_one_digest_in_every_process(project, digests):
-    there = digests("-n", "1", PYTHONHASHSEED="2")
+    there = digests(PYTHONHASHSEED="2")
     assert list(there) == ["intersection/trajectory-spoofing#0"]
     project.run("intersection/nominal::SAF-1", "intersection/trajectory-spoofing", "--dura-runs=1")
     here = {one["id"]: one["digest"] for one in project.evidence()["episodes"]}

@@ -6,7 +6,6 @@ import json
 import os
 import shutil
 import subprocess
-import sys
 from collections import defaultdict
 from itertools import permutations
 from pathlib import Path
@@ -66,7 +65,7 @@ requirements: [GAP-1]
 RUN = """
 import json, sys
 import pytest
-for arguments in json.loads(sys.argv[1]):
+for arguments in json.loads(sys.argv[-1]):
     code = pytest.main(arguments)
     print("EXIT", int(code), file=sys.stderr)
 """
@@ -77,7 +76,7 @@ COUNTS = (1, 2, 3)
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory):
+def made(tmp_path_factory, forked_workers):
     """A session with verdicts of each word, faults, pairs and a waiver, whole and in N shards."""
     folder = tmp_path_factory.mktemp("merged")
     shutil.copytree(PROJECT, folder, dirs_exist_ok=True)
@@ -108,8 +107,9 @@ def made(tmp_path_factory):
     # In the middle of the plan, other runs are planned: the second shard of another session.
     sessions.append([*ARGUMENTS, "--dura-runs=1", "--dura-shard=2/2", "--dura-evidence=other"])
     environment = {name: one for name, one in os.environ.items() if name != "PYTEST_ADDOPTS"}
+    (folder / "run.py").write_text(RUN)
     found = subprocess.run(
-        [sys.executable, "-c", RUN, json.dumps(sessions)], cwd=folder, env=environment,
+        forked_workers.command("run.py", json.dumps(sessions)), cwd=folder, env=environment,
         capture_output=True, text=True, timeout=120, check=False,
     )  # fmt: skip
     codes = [line for line in found.stderr.splitlines() if line.startswith("EXIT")]

@@ -77,11 +77,11 @@ def simulations(project, repeats=0):
     return counts
 
 
-def started(project, *arguments):
+def started(project, *arguments, python=(sys.executable,)):
     """A session in a process of its own, as from a shell."""
     kept = {key: value for key, value in os.environ.items() if not key.startswith("PYTEST")}
     return subprocess.Popen(
-        [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", *arguments],
+        [*python, "-m", "pytest", "-p", "no:cacheprovider", *arguments],
         cwd=project.path, env=kept, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
     )  # fmt: skip
 
@@ -310,12 +310,15 @@ def test_only_a_variable_that_the_code_reads_makes_other_episodes_of_it(project,
     check_intact(project)
 
 
-def test_two_sessions_at_once_share_what_they_simulate(project):
+def test_two_sessions_at_once_share_what_they_simulate(project, forked_workers):
+    forked = forked_workers.command()
     counting(project, runs=8)
     project.run("corridor/it", "--dura-evidence=whole")
     (project.path / "log").unlink()
     processes = [
-        started(project, "corridor/it", "--dura-reuse=kept", f"--dura-evidence={name}")
+        started(
+            project, "corridor/it", "--dura-reuse=kept", f"--dura-evidence={name}", python=forked
+        )
         for name in ("one", "two")
     ]
     for process in processes:
@@ -405,12 +408,12 @@ def test_a_session_whose_cluster_is_lost_stops_and_goes_on(project, mode):
     )
     (project.path / "gone").touch()
     names = ["corridor/it::GAP-1", "corridor/free", "corridor/tight"]
-    result = project.pytester.runpytest_subprocess(*names, *mode)
+    result = project.run_apart(*names, *mode)
     assert result.ret == 2
     assert "nobody is left who simulates" in output(result)
     assert project.evidence()["status"] == "interrupted"
     assert project.evidence()["gate"]["result"] == "incomplete"
     (project.path / "gone").unlink()
-    result = project.pytester.runpytest_subprocess(*names, *mode, "--dura-resume")
+    result = project.run_apart(*names, *mode, "--dura-resume")
     assert result.ret == 0
     assert reuse(project)["taken_over"] >= 1

@@ -166,12 +166,14 @@ def pytest_runtest_call():
     ],
     ids=["at the end", "meanwhile"],
 )
-def test_a_full_disk_fails_the_session_and_leaves_no_half_record(project, conftest, told, code):
+def test_a_full_disk_fails_the_session_and_leaves_no_half_record(
+    project, conftest, told, code, forked_workers
+):
     scenario(project, requirements="[GAP-1]")
     project.write("conftest.py", conftest)
     kept = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST")}
     done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "corridor/it"],
+        [*forked_workers.command("-m", "pytest"), "-p", "no:cacheprovider", "corridor/it"],
         cwd=project.path, env=kept, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
         check=False, timeout=WAIT,
     )  # fmt: skip

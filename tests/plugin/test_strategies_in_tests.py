@@ -57,9 +57,9 @@ def properties(project):
 
 
 def run(project, *arguments, generator="hasty:Hasty", alone=False):
-    """A session; in a process of its own where it is about what Hypothesis has loaded or kept."""
+    """A session; apart from this process where it is about what Hypothesis has loaded or kept."""
     given = ["-p", "no:cacheprovider", f"--dura-generator={generator}", *arguments]
-    return project.pytester.runpytest_subprocess(*given) if alone else project.run(*given)
+    return project.run_apart(*given) if alone else project.run(*given)
 
 
 def output(result):
@@ -127,7 +127,10 @@ def test_the_profile_has_no_deadline_and_is_told_in_the_evidence(properties, pro
 
 def test_in_a_ci_the_same_cases_are_drawn_each_time(properties, monkeypatch):
     monkeypatch.setenv("CI", "true")
-    result = run(properties, "test_property.py", alone=True)
+    # Hypothesis looks for a CI while it is imported: a process that starts afresh.
+    result = properties.pytester.runpytest_subprocess(
+        "test_property.py", "--dura-generator=hasty:Hasty"
+    )
     assert result.ret == 1
     assert len(found_files(properties)) == 1
     told = properties.evidence()["environment"]["hypothesis"]

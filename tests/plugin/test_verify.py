@@ -11,7 +11,6 @@ import os
 import re
 import shutil
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -36,7 +35,7 @@ def test_tight(campaign):
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory):
+def made(tmp_path_factory, forked_workers):
     """A session with supported, violated and undecided verdicts, and traces of its violations."""
     folder = tmp_path_factory.mktemp("verified")
     shutil.copytree(PROJECT, folder, dirs_exist_ok=True)
@@ -47,7 +46,7 @@ def made(tmp_path_factory):
     (folder / "scenarios/corridor/broken.yaml").write_text(broken)
     environment = {name: one for name, one in os.environ.items() if name != "PYTEST_ADDOPTS"}
     found = subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "test_tight.py",
+        [*forked_workers.command("-m", "pytest"), "-q", "-p", "no:cacheprovider", "test_tight.py",
          "--dura-scenarios", "--dura-select=corridor/*", "--dura-generator=corridor:Reckless",
          "--junit-xml=junit.xml"],
         cwd=folder, env=environment, capture_output=True, text=True, timeout=60, check=False,

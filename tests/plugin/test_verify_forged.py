@@ -10,7 +10,6 @@ import os
 import re
 import shutil
 import subprocess
-import sys
 from collections import defaultdict
 from pathlib import Path
 
@@ -114,7 +113,7 @@ class TestInstance:
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory):
+def made(tmp_path_factory, forked_workers):
     """A session with campaigns of different lengths on one case, pairs, and a bare instance."""
     folder = tmp_path_factory.mktemp("forged")
     shutil.copytree(PROJECT, folder, dirs_exist_ok=True)
@@ -133,7 +132,7 @@ def made(tmp_path_factory):
     (folder / "test_it.py").write_text(TESTS)
     environment = {name: one for name, one in os.environ.items() if name != "PYTEST_ADDOPTS"}
     subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "test_it.py",
+        [*forked_workers.command("-m", "pytest"), "-q", "-p", "no:cacheprovider", "test_it.py",
          "--dura-scenarios", "--dura-select=corridor/*", "--junit-xml=junit.xml"],
         cwd=folder, env=environment, capture_output=True, text=True, timeout=60, check=False,
     )  # fmt: skip

@@ -20,6 +20,7 @@ from pytest_dura.requirements.model import Requirement
 from pytest_dura.requirements.rate_tests import lower_bound, runs_needed, upper_bound
 
 relaxed = settings(deadline=None, max_examples=60)
+fewer = settings(relaxed, max_examples=30)
 
 words = st.text(string.ascii_letters + string.digits, min_size=1, max_size=6)
 numbers = st.floats(-1e9, 1e9) | st.integers(-(2**40), 2**40)
@@ -65,14 +66,14 @@ def read(data: Any) -> Scenario:
     return Scenario.from_document(parse_yaml(json.dumps(data, ensure_ascii=False), "some.yaml"))
 
 
-@relaxed
+@fewer
 @given(plain)
 def test_plain_data_reads_back_equal_with_its_types(value: Any) -> None:
     text = json.dumps({"key": value}, ensure_ascii=False)
     assert json.dumps(parse_yaml(text, "f").data["key"]) == json.dumps(value)
 
 
-@relaxed
+@fewer
 @given(scenario_data())
 def test_a_scenario_reads_back_equal(data: dict[str, Any]) -> None:
     scenario = read(data)

@@ -26,6 +26,7 @@ from pytest_dura.llm.driving.planner import driving_templates, with_conflict, wi
 from pytest_dura.llm.prompts import LONGEST_PERCEIVED, PerceivedText, Prompt, harmless, reordered
 
 laws = settings(derandomize=True, deadline=None, max_examples=60)
+fewer = settings(laws, max_examples=30)
 
 MARK = "ZQXJ"
 """Stands in every text of the scene, and nowhere else."""
@@ -96,7 +97,7 @@ def text_of(prompt: Prompt, wording: str = "") -> str:
     return templates().messages(replace(prompt, wording=wording))[-1].text
 
 
-@laws
+@fewer
 @given(percepts(), decisions, st.lists(texts, max_size=6), numbers)
 def test_any_percept_has_a_bounded_prompt_whose_texts_stay_in_their_tags(
     percept: Any, past: Any, feedback: Any, now: float
@@ -119,7 +120,7 @@ def test_any_percept_has_a_bounded_prompt_whose_texts_stay_in_their_tags(
         assert not re.search(r"\bnan\b|\binf\b|-0\.0\b|-0\b(?!\.)|e[+-]\d", outside)
 
 
-@laws
+@fewer
 @given(percepts(), st.integers(0, 99))
 def test_reordering_keeps_every_line(percept: Any, seed: int) -> None:
     prompt = percept_prompt(percept)

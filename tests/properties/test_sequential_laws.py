@@ -15,6 +15,7 @@ from pytest_dura.requirements.rate_tests import make_test
 from pytest_dura.requirements.sequential import SequentialTest
 
 law = settings(derandomize=True, deadline=None, max_examples=120)
+brief = settings(law, max_examples=60)
 
 PLANNED = 90
 parameters = st.tuples(
@@ -58,7 +59,7 @@ def test_the_decision_agrees_with_the_bounds_after_every_episode(chosen, episode
             break
 
 
-@law
+@brief
 @given(parameters, outcomes)
 def test_bounds_only_become_sharper(chosen, episodes) -> None:
     assume(chosen[0] != "sprt")
@@ -74,7 +75,7 @@ def test_bounds_only_become_sharper(chosen, episodes) -> None:
             break
 
 
-@law
+@brief
 @given(st.floats(0.02, 0.5), st.sampled_from([0.6, 0.95]), outcomes)
 def test_a_long_clean_stretch_lowers_the_upper_bound(limit, confidence, episodes) -> None:
     test = fed(("e-process", limit, confidence), episodes)
@@ -86,7 +87,7 @@ def test_a_long_clean_stretch_lowers_the_upper_bound(limit, confidence, episodes
     assert test.upper <= limit < before
 
 
-@law
+@brief
 @given(parameters, outcomes, st.randoms(use_true_random=False))
 def test_order_matters_up_to_the_crossing_only(chosen, episodes, random) -> None:
     other = list(episodes)
@@ -97,7 +98,7 @@ def test_order_matters_up_to_the_crossing_only(chosen, episodes, random) -> None
     assert one.decision == two.decision
 
 
-@law
+@brief
 @given(parameters, outcomes, st.data())
 def test_a_clean_episode_in_place_of_a_violating_one_never_hurts(chosen, episodes, data) -> None:
     index = data.draw(st.integers(0, len(episodes) - 1))

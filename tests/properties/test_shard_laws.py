@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from pytest_dura.evidence.sessions import ShardUnit, plan_digest, split_units
 
-lawful = settings(derandomize=True, deadline=None, max_examples=150)
+lawful = settings(derandomize=True, deadline=None, max_examples=50)
 units = st.lists(
     st.builds(
         ShardUnit.of,

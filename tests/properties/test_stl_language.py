@@ -22,7 +22,7 @@ PIECES = [
 ]
 
 
-@settings(derandomize=True, deadline=None, max_examples=400)
+@settings(derandomize=True, deadline=None, max_examples=250)
 @given(formulas(NAMES, time_step=STEP, max_leaves=8, numbers=FINITE))
 def test_what_is_written_reads_back_as_the_same_formula(formula: Formula) -> None:
     again = parse(str(formula), NAMES)

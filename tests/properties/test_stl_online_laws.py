@@ -34,7 +34,7 @@ def several(seed: int) -> list[dict[str, list[float]]]:
     ]
 
 
-@settings(max_examples=350, derandomize=True, deadline=None)
+@settings(max_examples=250, derandomize=True, deadline=None)
 @given(
     formulas(NAMES, time_step=STEP, future=False, max_leaves=6), st.integers(0, 9999).map(several)
 )
