@@ -355,7 +355,7 @@ class TimeBudgetExceeded(CallEnded):
 
 
 class CallNotStopped(TimeBudgetExceeded):
-    """The call overran and could not be ended: it is still running in a thread of its own."""
+    """Overrun of a call that could not be ended: it still runs in a thread of its own."""
 
 
 def call_within(seconds: float | None, function: Callable[..., T], *args: Any) -> T:

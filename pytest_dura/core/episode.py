@@ -275,7 +275,7 @@ class Episode:
 
     @property
     def invalid_reason(self) -> str | None:
-        """Which planned fault never manifested, if any."""
+        """Text with the planned faults that never manifested; ``None`` without any."""
         missed = [f.id for f in self.faults if f.manifested_at is None and not f.by_chance]
         return f"never manifested: {', '.join(missed)}" if missed else None
 

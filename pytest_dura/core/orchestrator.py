@@ -384,7 +384,7 @@ class Orchestrator:
     def _decide(
         self, verdict: Assessed, reasons: tuple[str, ...], attempts: int
     ) -> Decision | None:
-        """The proposal, the recovery's action, or ``None`` to halt."""
+        """Choose the proposal, recovery's action, or ``None`` to halt."""
         proposal, policy = self.state.proposal, self.spec.policy.name
         refused = verdict is Assessed.UNSAFE
         if refused and policy == "halt":
@@ -403,7 +403,7 @@ class Orchestrator:
         return Decision(proposal.action, "proposal", verdict, reasons, attempts)
 
     def _command(self, decision: Decision, tick: Tick) -> Any:
-        """The decided action after active command faults."""
+        """Apply active command faults to the decided action."""
         tampered: tuple[str, ...] = ()
         action = decision.action
         if self.injector is not None:

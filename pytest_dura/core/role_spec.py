@@ -18,7 +18,7 @@ from pytest_dura.core.trust import check_buildable, check_function, check_import
 
 @dataclass(frozen=True)
 class RoleSpec:
-    """How to build a role (or a simulator): an import path ``package.module:Name`` and parameters.
+    """Spec of a role (or a simulator): an import path ``package.module:Name`` and parameters.
 
     ``instance`` holds an opaque object instead: it works in this process only, and is reset
     before each episode.

@@ -105,7 +105,7 @@ def spans_of(kind: type[BaseModel]) -> Mapping[str, Span | Choices]:
     if model is None:
         return {}
     values = {name: _values(name, field) for name, field in model.model_fields.items()}
-    return {f"{PARAMETERS}.{name}": tried for name, tried in values.items() if tried is not None}
+    return {f"{PARAMETERS}.{name}": span for name, span in values.items() if span is not None}
 
 
 def parameters_of(kind: type[BaseModel]) -> type[BaseModel] | None:

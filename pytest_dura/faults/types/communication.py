@@ -37,7 +37,7 @@ _MS = 1e-3
 
 
 class LatencyParameters(FaultPart):
-    """How long a message is on its way."""
+    """Delay of a message."""
 
     latency_ms: Annotated[NotNegative, Span(0.0, 3000.0)] = Field(
         300.0, description="Of every message, in ms."
@@ -59,7 +59,7 @@ class Latency(ReceiverFault):
     parameters: LatencyParameters = LatencyParameters()
 
     def received(self, receiver: Receiver, value: Any, moment: Moment) -> Any:
-        """The latest message that has arrived."""
+        """Return the latest message that has arrived."""
         late = self.parameters.latency_ms * _MS
         if self.parameters.jitter_ms:
             late += self.parameters.jitter_ms * _MS * moment.rng.random()
@@ -81,7 +81,7 @@ class Loss(Dropping):
 
 
 class ReorderParameters(FaultPart):
-    """How often a message falls behind."""
+    """Probability of a late message."""
 
     p: Annotated[Share, Span(0.0, 1.0)] = Field(
         0.5, description="Probability that a message falls behind; 0 to 1."
@@ -100,11 +100,11 @@ class Reorder(ReceiverFault):
 
     @property
     def hits_by_chance(self) -> bool:
-        """Unless all of them fall behind, or none."""
+        """Whether some messages fall behind, and some do not."""
         return 0.0 < self.parameters.p < 1.0
 
     def received(self, receiver: Receiver, value: Any, moment: Moment) -> Any:
-        """The message that arrives last at this tick."""
+        """Return the message that arrives last at this tick."""
         latest = receiver.shown
         late = moment.rng.random() < self.parameters.p
         if not late:
@@ -117,7 +117,7 @@ class Reorder(ReceiverFault):
 
 
 class DuplicateParameters(FaultPart):
-    """How many copies there are, and how many messages wait."""
+    """Number of copies, and length of the queue."""
 
     n: Annotated[int, Span(0, 9)] = Field(
         1, ge=0, le=1000, description="Extra copies of a message; 0 is the identity."
@@ -139,18 +139,18 @@ class Duplicate(ReceiverFault):
 
     @property
     def memory(self) -> float:
-        """As long as the queue."""
+        """Length of the queue, in s."""
         return self.parameters.queue_s
 
     def received(self, receiver: Receiver, value: Any, moment: Moment) -> Any:  # noqa: ARG002 - as ReceiverFault has it
-        """The message at the head of the queue."""
+        """Return the message at the head of the queue."""
         passed = round((moment.time - receiver.since) / moment.dt)
         lag = passed - passed // (self.parameters.n + 1)
         return value_at(moment, moment.time - lag * moment.dt)
 
 
 class CorruptionParameters(FaultPart):
-    """How often a message is altered, and by how much."""
+    """Probability and size of an alteration."""
 
     p: Annotated[Share, Span(0.0, 1.0)] = Field(
         0.5, description="Probability that a message is altered; 0 to 1."
@@ -175,11 +175,11 @@ class Corruption(ListedFault):
 
     @property
     def hits_by_chance(self) -> bool:
-        """Unless all of them are altered, or none."""
+        """Whether some messages are altered, and some are not."""
         return 0.0 < self.parameters.p < 1.0 and self.parameters.bits > 0
 
     def apply(self, memory: Any, value: Any, moment: Moment) -> Any:  # noqa: ARG002 - as Fault has it
-        """The message, altered or not."""
+        """Return the message, altered or not."""
         bits, rng = self.parameters.bits, moment.rng
         if rng.random() >= self.parameters.p or not bits:
             return value
@@ -223,7 +223,7 @@ Plain: TypeAlias = Annotated[bool | int | float | str, BeforeValidator(_plain)]
 
 
 class ReplayParameters(FaultPart):
-    """How much is replayed."""
+    """Length of the replayed record."""
 
     # The shorter the record is, the less old is what it repeats.
     s: Annotated[Positive, Span(0.1, 10.0, neutral=0.1)] = Field(
@@ -245,20 +245,20 @@ class Replay(ListedFault):
 
     @property
     def memory(self) -> float:
-        """The recorded seconds."""
+        """Length of the record, in s."""
         return self.parameters.s
 
     def begin(self, value: Any, moment: Moment) -> list[Any] | None:  # noqa: ARG002 - as Fault has it
-        """The record."""
+        """Return the record; ``None`` while there is none."""
         return [message for _, message in moment.history][:-1] or None
 
     def apply(self, memory: list[Any], value: Any, moment: Moment) -> Any:  # noqa: ARG002 - as Fault has it
-        """The recorded message whose turn it is."""
+        """Return the recorded message whose turn it is."""
         return memory[round(moment.elapsed / moment.dt) % len(memory)]
 
 
 class MasqueradeParameters(FaultPart):
-    """What the forger says."""
+    """Forged content."""
 
     forged: dict[str, Plain] = Field(
         {}, description="Fields of the message and what they hold, in their own units."
@@ -333,7 +333,7 @@ class Masquerade(ListedFault):
         )
 
     def begin(self, value: Any, moment: Moment) -> tuple[Any]:  # noqa: ARG002 - as Fault has it
-        """The forged message.
+        """Return the forged message.
 
         Raises:
             ConfigurationError: If the message has no such field.
@@ -347,5 +347,5 @@ class Masquerade(ListedFault):
         return (message,)
 
     def apply(self, memory: tuple[Any], value: Any, moment: Moment) -> Any:  # noqa: ARG002 - as Fault has it
-        """The forged message."""
+        """Return the forged message."""
         return memory[0]

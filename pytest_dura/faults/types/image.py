@@ -84,7 +84,7 @@ class ImageFault(ListedFault):
 
 
 class BrightnessParameters(FaultPart):
-    """How much brighter or darker."""
+    """Change of the brightness."""
 
     levels: Annotated[float, Field(ge=-255, le=255, allow_inf_nan=False), Span(-255.0, 255.0)] = (
         Field(
@@ -116,7 +116,7 @@ class Brightness(ImageFault):
 
 
 class SaltAndPepperParameters(FaultPart):
-    """How many pixels are hit."""
+    """Share of dead pixels."""
 
     share: Annotated[Share, Span(0.0, 1.0)] = Field(
         0.05, description="Of all pixels, drawn anew for each picture; 0 is the identity."
@@ -135,7 +135,7 @@ class SaltAndPepper(ImageFault):
         return self.parameters.share == 0.0
 
     def draw_on(self, image: Picture, rng: np.random.Generator) -> Picture:
-        """With the dead pixels."""
+        """Set the dead pixels."""
         height, width, _ = image.shape
         count = math.ceil(self.parameters.share * height * width - _ROUNDING)
         hit = rng.choice(height * width, count, replace=False)
@@ -144,7 +144,7 @@ class SaltAndPepper(ImageFault):
 
 
 class PatchParameters(FaultPart):
-    """Where the patch is, how large, and of what colour."""
+    """Position, size and colour of the patch."""
 
     x: Annotated[Share, Span(0.0, 1.0, neutral=0.5)] = Field(
         0.5, description="Its centre, as a share of the width from the left."
@@ -172,7 +172,7 @@ class Patch(ImageFault):
         return self.parameters.size == 0.0
 
     def draw_on(self, image: Picture, rng: np.random.Generator) -> Picture:  # noqa: ARG002 - as ImageFault has it
-        """With the patch."""
+        """Draw the patch."""
         height, width, _ = image.shape
         side = max(round(self.parameters.size * min(height, width)), 1)
         top = math.floor(self.parameters.y * (height - 1) + 0.5 - side / 2)

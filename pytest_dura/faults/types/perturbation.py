@@ -56,7 +56,7 @@ class Perturbation(ListedFault):
     }
 
     def apply(self, memory: Any, value: Any, moment: Moment) -> Picture:  # noqa: ARG002 - as Fault has it
-        """What the function makes of the picture.
+        """Return the perturbed picture.
 
         Raises:
             ConfigurationError: If that is no picture of the same shape.

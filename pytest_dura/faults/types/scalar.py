@@ -24,7 +24,7 @@ from pytest_dura.faults.types.timing import Held, Receiver, ReceiverFault
 
 
 class BiasParameters(FaultPart):
-    """How far off the number is."""
+    """Size of the error."""
 
     offset: Annotated[Finite, Span(-10.0, 10.0)] = Field(
         1.0, description="Added to it, in the field's unit."
@@ -44,12 +44,12 @@ class Bias(NumberFault):
     parameters: BiasParameters = BiasParameters()
 
     def changed(self, value: Numeric, moment: Moment) -> Numeric:  # noqa: ARG002 - as NumberFault has it
-        """The number with its error."""
+        """Return the number with its error."""
         return value + (self.parameters.offset + value * (self.parameters.percent / 100.0))
 
 
 class DriftParameters(FaultPart):
-    """How fast the error grows."""
+    """Growth of the error."""
 
     rate: Annotated[Finite, Span(-5.0, 5.0)] = Field(
         0.5, description="In the field's unit per second; may be negative."
@@ -63,12 +63,12 @@ class Drift(NumberFault):
     parameters: DriftParameters = DriftParameters()
 
     def changed(self, value: Numeric, moment: Moment) -> Numeric:
-        """The number with what has built up so far."""
+        """Return the number with what has built up so far."""
         return value + self.parameters.rate * moment.elapsed
 
 
 class NoiseParameters(FaultPart):
-    """How strong the noise is, and of what shape."""
+    """Strength and distribution of the noise."""
 
     sigma: Annotated[NotNegative, Span(0.0, 5.0)] = Field(
         0.5, description="Standard deviation of each distribution, in the field's unit."
@@ -85,7 +85,7 @@ class Noise(NumberFault):
     parameters: NoiseParameters = NoiseParameters()
 
     def changed(self, value: Numeric, moment: Moment) -> Numeric:
-        """The number with this tick's error."""
+        """Return the number with this tick's error."""
         sigma, size = self.parameters.sigma, np.shape(value)
         if self.parameters.distribution == "uniform":
             half = math.sqrt(3.0) * sigma
@@ -96,7 +96,7 @@ class Noise(NumberFault):
 
 
 class GainParameters(FaultPart):
-    """By how much the number is scaled."""
+    """Scale of the number."""
 
     factor: Annotated[Finite, Span(0.0, 3.0, neutral=1.0)] = Field(
         1.5, description="Without unit; 1 is the identity."
@@ -110,12 +110,12 @@ class Gain(NumberFault):
     parameters: GainParameters = GainParameters()
 
     def changed(self, value: Numeric, moment: Moment) -> Numeric:  # noqa: ARG002 - as NumberFault has it
-        """The number, scaled."""
+        """Return the number, scaled."""
         return value * self.parameters.factor
 
 
 class StuckAtParameters(FaultPart):
-    """What is reported."""
+    """Reported number."""
 
     value: Annotated[Finite, Span(-10.0, 10.0)] = Field(
         0.0, description="Reported whatever is true, in the field's unit."
@@ -129,13 +129,13 @@ class StuckAt(NumberFault):
     parameters: StuckAtParameters = StuckAtParameters()
 
     def changed(self, value: Numeric, moment: Moment) -> Numeric:  # noqa: ARG002 - as NumberFault has it
-        """The given number."""
+        """Return the given number."""
         stuck: Numeric = np.full(np.shape(value), self.parameters.value)[()]
         return stuck
 
 
 class BitFlipParameters(FaultPart):
-    """How many bits are flipped."""
+    """Number of flipped bits."""
 
     bits: Annotated[int, Span(0, 8)] = Field(
         1, ge=0, le=32, description="Bits inverted at each tick; 0 is the identity."
@@ -155,7 +155,7 @@ class BitFlip(ListedFault):
     acts_on: ClassVar[Kind] = "number"
 
     def apply(self, memory: Any, value: Any, moment: Moment) -> Any:  # noqa: ARG002 - as Fault has it
-        """The number with its bits flipped."""
+        """Return the number with its bits flipped."""
         bits, rng = self.parameters.bits, moment.rng
         given = numeric_value(value)
         if not isinstance(given, np.ndarray):
@@ -166,7 +166,7 @@ class BitFlip(ListedFault):
 
 
 class OutOfRangeParameters(FaultPart):
-    """The valid range, and how far beyond it the report lies."""
+    """Valid range, and distance of the report beyond it."""
 
     low: Finite = Field(description="Lower end of the valid range, in the field's unit.")
     high: Finite = Field(description="Upper end of the valid range, in the field's unit.")
@@ -185,7 +185,7 @@ class OutOfRangeParameters(FaultPart):
 
     @property
     def reported(self) -> float:
-        """The value beyond the limit."""
+        """Value beyond the limit."""
         return self.high + self.excess if self.side == "above" else self.low - self.excess
 
 
@@ -198,13 +198,13 @@ class OutOfRange(NumberFault):
     typical: ClassVar[Mapping[str, Any]] = {"low": 0.0, "high": 100.0}
 
     def changed(self, value: Numeric, moment: Moment) -> Numeric:  # noqa: ARG002 - as NumberFault has it
-        """The value beyond the limit."""
+        """Return the value beyond the limit."""
         beyond: Numeric = np.full(np.shape(value), self.parameters.reported)[()]
         return beyond
 
 
 class LossOfEffectivenessParameters(FaultPart):
-    """How much of the command is lost."""
+    """Lost part of the command."""
 
     percent: Annotated[float, Field(ge=0, le=100, allow_inf_nan=False), Span(0.0, 100.0)] = Field(
         50.0, description="Lost part of the command, in %; 0 is the identity, 100 is no effect."
@@ -220,12 +220,12 @@ class LossOfEffectiveness(NumberFault):
     acts_on: ClassVar[Kind] = "command"
 
     def changed(self, value: Numeric, moment: Moment) -> Numeric:  # noqa: ARG002 - as NumberFault has it
-        """What is left of it."""
+        """Return the rest of the command."""
         return value * (1.0 - self.parameters.percent / 100.0)
 
 
 class LagParameters(FaultPart):
-    """How slowly the actuator follows."""
+    """Time constant of the actuator."""
 
     s: Annotated[NotNegative, Span(0.0, 3.0)] = Field(
         0.5, description="Time constant, in s: after a step it has gone 63 %; 0 is the identity."
@@ -244,7 +244,7 @@ class Lag(ReceiverFault):
     acts_on: ClassVar[Kind] = "command"
 
     def received(self, receiver: Receiver, value: Any, moment: Moment) -> Any:
-        """What the actuator has come to at this tick."""
+        """Return the position of the actuator at this tick."""
         if self.parameters.s == 0.0:
             return value
         left = math.exp(-moment.dt / self.parameters.s)
@@ -271,5 +271,5 @@ class Inversion(NumberFault):
     acts_on: ClassVar[Kind] = "command"
 
     def changed(self, value: Numeric, moment: Moment) -> Numeric:  # noqa: ARG002 - as NumberFault has it
-        """The opposite."""
+        """Return the opposite."""
         return -value

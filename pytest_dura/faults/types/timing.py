@@ -97,7 +97,7 @@ class ReceiverFault(ListedFault):
 
 
 class DropParameters(FaultPart):
-    """How often nothing arrives."""
+    """Probability of a loss."""
 
     p: Annotated[Share, Span(0.0, 1.0)] = Field(
         0.5, description="Probability, at each tick, that nothing arrives; 0 to 1."
@@ -111,11 +111,11 @@ class Dropping(ReceiverFault):
 
     @property
     def hits_by_chance(self) -> bool:
-        """Unless all of them are lost, or none."""
+        """Whether some messages are lost, and some are not."""
         return 0.0 < self.parameters.p < 1.0
 
     def received(self, receiver: Receiver, value: Any, moment: Moment) -> Any:
-        """The message, unless it is lost."""
+        """Return the message, unless it is lost."""
         return receiver.shown if moment.rng.random() < self.parameters.p else value
 
 
@@ -125,11 +125,11 @@ class Held(ListedFault):
     parameters: NoParameters = NoParameters()
 
     def begin(self, value: Any, moment: Moment) -> tuple[Any]:  # noqa: ARG002 - as Fault has it
-        """The value that stays, as it is now."""
+        """Return the value that stays, as it is now."""
         return (resolved(value),)
 
     def apply(self, memory: tuple[Any], value: Any, moment: Moment) -> Any:  # noqa: ARG002 - as Fault has it
-        """The value of then."""
+        """Return the remembered value."""
         return memory[0]
 
 
@@ -151,7 +151,7 @@ class Omission(Dropping):
 
 
 class DelayParameters(FaultPart):
-    """By how much the value is late."""
+    """Delay of the value."""
 
     s: Annotated[NotNegative, Span(0.0, 3.0)] = Field(
         0.5, description="In s; counts to the next whole tick. 0 is the identity."
@@ -172,17 +172,17 @@ class Delay(ListedFault):
 
     @property
     def memory(self) -> float:
-        """The delay."""
+        """Delay, in s."""
         return self.parameters.s
 
     def apply(self, memory: Any, value: Any, moment: Moment) -> Any:  # noqa: ARG002 - as Fault has it
-        """The value of then."""
+        """Return the remembered value."""
         late = _ticks_of(self.parameters.s, moment.dt)
         return value_at(moment, moment.time - late * moment.dt) if late else value
 
 
 class SlowParameters(FaultPart):
-    """How often the value is refreshed."""
+    """Rate of refreshes."""
 
     # Ticks come at 10 Hz, unless a scenario says otherwise.
     hz: Annotated[Positive, Span(0.2, 10.0, neutral=10.0)] = Field(
@@ -197,7 +197,7 @@ class Slow(ReceiverFault):
     parameters: SlowParameters = SlowParameters()
 
     def received(self, receiver: Receiver, value: Any, moment: Moment) -> Any:
-        """The value, if a refresh fell due since the tick before."""
+        """Return the value, if a refresh fell due since the tick before."""
         now = moment.time - receiver.since
         before = now - moment.dt
         hz = self.parameters.hz
@@ -226,7 +226,7 @@ class Intermittent(ReceiverFault):
     parameters: IntermittentParameters = IntermittentParameters()
 
     def received(self, receiver: Receiver, value: Any, moment: Moment) -> Any:
-        """The value, while it is on."""
+        """Return the value, while it is on."""
         period = self.parameters.off + self.parameters.on
         within = moment.elapsed - math.floor(moment.elapsed / period + TOLERANCE) * period
         return receiver.shown if within < self.parameters.off - TOLERANCE else value
