@@ -65,7 +65,7 @@ def _case_name(context: SessionContext, path: str) -> str | None:
     except ConfigurationError as error:
         if context.options.any_given:
             raise
-        # Whoever misspelt a path should hear of the path, and whoever meant a scenario of it.
+        # The argument may be a misspelt path or a scenario: the message names both.
         raise ConfigurationError(
             f"file or directory not found: {path}\n"
             f"and it names no scenario as long as these cannot be read:\n{error}"
